@@ -1,0 +1,114 @@
+"""The action sets: tables of discrete actions, and the decoders that turn actions into target controls.
+
+A discrete action is a row: target ``steer = decay * held + offset + curl / max(speed, 1)^2`` and a speed change.
+Only "decay steer" depends on the held steer; the others set the wheel anew. The target controls are steer (rad), throttle (m/s^2) and brake (1); see ``simulation.dynamics.drive``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+
+IDLE, MAINTAIN, DECREASE, INCREASE = 0, 1, 2, 3
+SPEED_CHANGES = {MAINTAIN: "maintain speed", DECREASE: "decrease speed", INCREASE: "increase speed"}
+
+# Columns of an action table.
+DECAY, OFFSET, CURL, SPEED_CHANGE = 0, 1, 2, 3
+
+SMALL_STEER = 0.0174533
+MICRO_STEER = 0.00174533
+LARGE_STEER = math.pi / 30
+
+
+@dataclass(frozen=True)
+class Steer:
+    """How a group of discrete actions moves the wheel."""
+
+    name: str
+    decay: float = 0.0
+    offset: float = 0.0
+    curl: float = 0.0
+
+
+_DECAY = Steer("decay steer", decay=0.9)
+_SMALL = (Steer("small steer left", offset=SMALL_STEER), Steer("small steer right", offset=-SMALL_STEER))
+_MICRO = (Steer("micro steer left", offset=MICRO_STEER), Steer("micro steer right", offset=-MICRO_STEER))
+_LARGE = (
+    Steer("large steer left", curl=LARGE_STEER),
+    Steer("large steer right", curl=-LARGE_STEER),
+)
+
+DISCRETE: dict[str, tuple[Steer, ...]] = {
+    "discrete": (_DECAY, *_SMALL, *_MICRO, *_LARGE),
+    "discrete-16": (_DECAY, *_SMALL, *_LARGE),
+}
+CONTINUOUS = "continuous"
+ACTION_TYPES: tuple[str, ...] = (*DISCRETE, CONTINUOUS)
+CONTINUOUS_NAMES: tuple[str, ...] = ("steer", "acceleration", "brake")
+
+
+def action_table(action_type: str) -> NDArray[np.float64]:
+    """The rows of a discrete action set, shape (actions, 4): decay, offset, curl, speed change."""
+    rows = [[0.0, 0.0, 0.0, IDLE]]
+    rows += [[s.decay, s.offset, s.curl, change] for s in DISCRETE[action_type] for change in SPEED_CHANGES]
+    return np.array(rows, dtype=np.float64)
+
+
+def action_names(action_type: str) -> tuple[str, ...]:
+    """What each discrete action (or each continuous axis) does, in order."""
+    if action_type == CONTINUOUS:
+        return CONTINUOUS_NAMES
+    steers = DISCRETE[action_type]
+    return ("idle", *(f"{s.name}, {change}" for s in steers for change in SPEED_CHANGES.values()))
+
+
+@jit
+def decode_discrete(worlds, actions, table, controls):
+    """Write the target controls of discrete actions.
+
+    Args:
+        worlds: (worlds, vehicles) of VEHICLE, read only.
+        actions: (worlds, vehicles) integers in [0, len(table)).
+        table: (actions, 4), from :func:`action_table`.
+        controls: (worlds, vehicles, 3), written: steer (rad), throttle (m/s^2), brake.
+    """
+    for i in range(actions.shape[0]):
+        for v in range(actions.shape[1]):
+            vehicle = worlds[i, v]
+            row = table[actions[i, v]]
+            change = row[SPEED_CHANGE]
+            steer = row[DECAY] * vehicle.steer + row[OFFSET]
+            if row[CURL] != 0.0:
+                speed = max(vehicle.speed, 1.0)
+                steer += row[CURL] / (speed * speed)
+            throttle = 0.0
+            brake = 0.0
+            if change == MAINTAIN:
+                throttle = vehicle.throttle
+                if vehicle.speed > vehicle.previous_speed:
+                    throttle *= 0.99
+                elif vehicle.speed < vehicle.previous_speed:
+                    throttle *= 1.01
+            elif change == DECREASE:
+                brake = 1.0 if vehicle.throttle == 0.0 else 0.0
+            elif change == INCREASE:
+                throttle = 1.0
+            controls[i, v, 0] = steer
+            controls[i, v, 1] = throttle
+            controls[i, v, 2] = brake
+
+
+@jit
+def decode_continuous(actions, controls):
+    """Write the target controls of continuous actions (worlds, vehicles, 3), clipped to [-1, 1]."""
+    for i in range(actions.shape[0]):
+        for v in range(actions.shape[1]):
+            controls[i, v, 0] = min(max(actions[i, v, 0], -1.0), 1.0) * STEER_RANGE
+            controls[i, v, 1] = min(max(actions[i, v, 1], -1.0), 1.0) * MAX_ACCELERATION
+            controls[i, v, 2] = MAX_ACCELERATION * (1.0 + min(max(actions[i, v, 2], -1.0), 1.0)) / 2

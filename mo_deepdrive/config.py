@@ -1,0 +1,144 @@
+"""Validated settings: the environment's configuration, and the errors that every settings model shares."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, TypeVar
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field
+
+from mo_deepdrive.objectives import NAMES
+
+ScenarioName = Literal["one_waypoint", "static_obstacle", "intersection"]
+ActionType = Literal["discrete", "discrete-16", "continuous"]
+CostSign = Literal["maximise", "paper"]
+
+
+class Settings(BaseModel):
+    """Base of every settings model: strict, immutable, and closed to unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+S = TypeVar("S", bound=Settings)
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """A hint that names the known name nearest to ``name`` and lists them all."""
+    names = sorted(known)
+    close = difflib.get_close_matches(str(name), names, n=1)
+    guess = f"did you mean {close[0]!r}? " if close else ""
+    return f"{guess}known: {', '.join(names)}"
+
+
+def _keys_at(model: Any, path: tuple[int | str, ...]) -> list[str]:
+    """The field names of the settings model found by following ``path`` from ``model``."""
+    for key in path:
+        if not (isinstance(model, type) and issubclass(model, BaseModel)):
+            return []
+        if key not in model.model_fields:
+            continue  # the name of a union's member
+        model = model.model_fields[str(key)].annotation
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(model.model_fields)
+    return []
+
+
+def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
+    """Build ``model`` from ``values``.
+
+    Raises:
+        ValueError: naming every offending key, its value and what is allowed.
+    """
+    try:
+        return model.model_validate(dict(values))
+    except pydantic.ValidationError as error:
+        lines = []
+        for problem in error.errors(include_url=False):
+            path = problem["loc"]
+            name = ".".join(str(part) for part in path)
+            if problem["type"] == "extra_forbidden":
+                known = _keys_at(model, path[:-1])
+                lines.append(f"{name!r} is unknown; {nearest(path[-1], known)}")
+            elif problem["type"] == "missing":
+                lines.append(f"{name!r} is missing")
+            else:
+                prefix = f"{name!r} = {problem['input']!r}: " if path else ""
+                lines.append(prefix + problem["msg"].removeprefix("Value error, "))
+        raise ValueError(f"invalid {what}: " + "; ".join(lines)) from None
+
+
+class EnvConfig(Settings):
+    """Everything that determines an environment, apart from its seed.
+
+    Attributes:
+        scenario: which scenario.
+        action_type: "discrete" (the paper's 22), "discrete-16" or "continuous".
+        fixed_destination: the same destination in every episode (OneWaypoint, StaticObstacle).
+        time_limit: seconds after which an episode is truncated.
+        objectives: names and order of the objectives emitted; None for all of the scenario's.
+        cost_sign: "maximise" negates every cost; "paper" emits magnitudes.
+        simulation_frequency: physics steps per second.
+        decision_frequency: decisions per second; divides simulation_frequency.
+        constrain_controls: limit how fast steer and throttle move.
+        ignore_brake: the brake does nothing.
+        harmful_g_force: g-force above which the episode ends (g); None for never.
+        harmful_jerk: jerk above which the episode ends (m/s^3); None for never.
+        lane_margin: distance to the lane line below which lane violation counts (m).
+        end_on_lane_violation: end the episode more than 0.25 m outside the lane (Intersection).
+        yield_to_oncoming: progress of the left turn counts negative while the other approaches (Intersection).
+        end_together: the first vehicle to end ends the episode for both, as in the published code (Intersection).
+    """
+
+    scenario: ScenarioName
+    action_type: ActionType = "discrete"
+    fixed_destination: bool = False
+    time_limit: float = Field(default=60.0, gt=0.0, le=3600.0)
+    objectives: tuple[str, ...] | None = None
+    cost_sign: CostSign = "maximise"
+    simulation_frequency: int = Field(default=60, ge=1, le=1000)
+    decision_frequency: int = Field(default=10, ge=1, le=1000)
+    constrain_controls: bool = False
+    ignore_brake: bool = False
+    harmful_g_force: float | None = Field(default=1.0, gt=0.0)
+    harmful_jerk: float | None = Field(default=None, gt=0.0)
+    lane_margin: float = Field(default=0.0, ge=0.0, le=10.0)
+    end_on_lane_violation: bool = False
+    yield_to_oncoming: bool = True
+    end_together: bool = False
+
+    @pydantic.field_validator("objectives", mode="before")
+    @classmethod
+    def _objectives_as_tuple(cls, value: Any) -> Any:
+        return tuple(value) if isinstance(value, list) else value
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> EnvConfig:
+        if self.simulation_frequency % self.decision_frequency:
+            raise ValueError(
+                f"simulation_frequency = {self.simulation_frequency} must be a multiple of "
+                f"decision_frequency = {self.decision_frequency}"
+            )
+        if round(self.time_limit * self.decision_frequency) < 1:
+            raise ValueError(
+                f"time_limit = {self.time_limit} must hold at least one decision of 1/{self.decision_frequency} s"
+            )
+        if self.objectives is not None:
+            if not self.objectives or len(set(self.objectives)) != len(self.objectives):
+                raise ValueError(f"objectives = {list(self.objectives)} must be one or more names, each once")
+            for name in self.objectives:
+                if name not in NAMES:
+                    raise ValueError(f"objectives has {name!r}; {nearest(name, NAMES)}")
+        return self
+
+    @property
+    def physics_steps(self) -> int:
+        """Physics steps per decision."""
+        return self.simulation_frequency // self.decision_frequency
+
+    @property
+    def max_decisions(self) -> int:
+        """Decisions after which an episode is truncated."""
+        return round(self.time_limit * self.decision_frequency)

@@ -1,0 +1,168 @@
+"""What a vehicle observes: LAYOUT names every entry with its size, unit, bounds and scale; `write` fills them.
+
+Observations are float32 and in SI units. Learners divide by ``scale``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.scenarios import Scenario
+from mo_deepdrive.simulation import geometry
+from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
+from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.state import RUNNING
+
+# A vehicle that has left the road is seen straight ahead, at rest, this far away (m).
+ABSENT_DISTANCE = 100.0
+
+_TURN = math.pi
+_FAR = 2000.0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One observed quantity.
+
+    Attributes:
+        name: unique within LAYOUT.
+        unit: SI.
+        low, high: bounds of the observation space; None where they follow from the configuration (see `bounds`).
+        scale: nominal magnitude, by which learners divide.
+        needs: "" (always), "obstacle" or "lanes": the scenarios that have it.
+    """
+
+    name: str
+    unit: str
+    low: float | None
+    high: float | None
+    scale: float
+    needs: str = ""
+
+
+def _corner_entries() -> tuple[Entry, ...]:
+    corners = ("front_left", "front_right", "back_right", "back_left")
+    return tuple(
+        entry
+        for corner in corners
+        for entry in (
+            Entry(f"other_{corner}_angle", "rad", -_TURN, _TURN, 1.0, "lanes"),
+            Entry(f"other_{corner}_distance", "m", 0.0, _FAR, 20.0, "lanes"),
+        )
+    )
+
+
+LAYOUT: tuple[Entry, ...] = (
+    Entry("next_angle", "rad", -_TURN, _TURN, 1.0),
+    Entry("after_angle", "rad", -_TURN, _TURN, 1.0),
+    Entry("next_distance", "m", 0.0, _FAR, 20.0),
+    Entry("after_distance", "m", 0.0, _FAR, 20.0),
+    Entry("vx", "m/s", None, None, 5.0),
+    Entry("vy", "m/s", None, None, 5.0),
+    Entry("ax", "m/s^2", None, None, 5.0),
+    Entry("ay", "m/s^2", None, None, 5.0),
+    Entry("steer", "rad", None, None, 0.2),
+    Entry("throttle", "m/s^2", None, None, 1.0),
+    Entry("brake", "1", 0.0, 4.0, 1.0),
+    Entry("speed", "m/s", None, None, 5.0),
+    Entry("left_lane_distance", "m", -_FAR, _FAR, 1.5),
+    Entry("right_lane_distance", "m", -_FAR, _FAR, 1.5),
+    Entry("crossing", "1", 0.0, 1.0, 1.0),
+    Entry("obstacle_a_distance", "m", 0.0, _FAR, 20.0, "obstacle"),
+    Entry("obstacle_b_distance", "m", 0.0, _FAR, 20.0, "obstacle"),
+    Entry("obstacle_a_angle", "rad", -_TURN, _TURN, 1.0, "obstacle"),
+    Entry("obstacle_b_angle", "rad", -_TURN, _TURN, 1.0, "obstacle"),
+    Entry("other_relative_vx", "m/s", None, None, 5.0, "lanes"),
+    Entry("other_relative_vy", "m/s", None, None, 5.0, "lanes"),
+    Entry("other_vx", "m/s", None, None, 5.0, "lanes"),
+    Entry("other_vy", "m/s", None, None, 5.0, "lanes"),
+    Entry("other_ax", "m/s^2", None, None, 5.0, "lanes"),
+    Entry("other_ay", "m/s^2", None, None, 5.0, "lanes"),
+    *_corner_entries(),
+)
+
+
+def layout(scenario: Scenario) -> tuple[Entry, ...]:
+    """The entries observed in ``scenario``, in order."""
+    has = {"": True, "obstacle": scenario.obstacle, "lanes": scenario.lanes}
+    return tuple(entry for entry in LAYOUT if has[entry.needs])
+
+
+def scales(scenario: Scenario) -> NDArray[np.float64]:
+    """Nominal magnitude of every observed entry, shape (size,)."""
+    return np.array([entry.scale for entry in layout(scenario)])
+
+
+@jit
+def write(world, v, params, out):
+    """Write what vehicle ``v`` of ``world`` (vehicles,) observes into ``out`` (size,)."""
+    vehicle = world[v]
+    cos = vehicle.cos_heading
+    sin = vehicle.sin_heading
+    front_x = vehicle.front_x
+    front_y = vehicle.front_y
+    k = vehicle.next_waypoint
+    px = vehicle.waypoints[k, 0]
+    py = vehicle.waypoints[k, 1]
+    next_angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+    next_distance = geometry.distance(front_x, front_y, px, py)
+    after_angle = next_angle
+    after_distance = next_distance
+    if k + 1 < vehicle.n_waypoints:
+        px = vehicle.waypoints[k + 1, 0]
+        py = vehicle.waypoints[k + 1, 1]
+        after_angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+        after_distance += geometry.distance(front_x, front_y, px, py)
+    out[0] = next_angle
+    out[1] = after_angle
+    out[2] = next_distance
+    out[3] = after_distance
+    out[4] = vehicle.vx
+    out[5] = vehicle.vy
+    out[6] = vehicle.ax
+    out[7] = vehicle.ay
+    out[8] = vehicle.steer
+    out[9] = vehicle.throttle
+    out[10] = vehicle.brake
+    out[11] = vehicle.speed
+    out[12] = vehicle.left_lane_distance
+    out[13] = vehicle.right_lane_distance
+    out[14] = 1.0 if vehicle.crossing else 0.0
+    position = 15
+    if params.has_obstacle:
+        for end in range(2):
+            px = vehicle.obstacle[end, 0]
+            py = vehicle.obstacle[end, 1]
+            out[position + end] = geometry.distance(front_x, front_y, px, py)
+            out[position + 2 + end] = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+        position += 4
+    if params.has_lanes:
+        other = world[1 - v]
+        if other.end == RUNNING:
+            out[position] = other.vx - vehicle.vx
+            out[position + 1] = other.vy - vehicle.vy
+            out[position + 2] = other.vx
+            out[position + 3] = other.vy
+            out[position + 4] = other.ax
+            out[position + 5] = other.ay
+        else:
+            for offset in range(6):
+                out[position + offset] = 0.0
+        position += 6
+        for corner in range(4):
+            angle = 0.0
+            away = ABSENT_DISTANCE
+            if other.end == RUNNING:
+                ahead = HALF_LENGTH if corner < 2 else -HALF_LENGTH
+                right = HALF_WIDTH if corner == 1 or corner == 2 else -HALF_WIDTH
+                px, py = geometry.corner(
+                    other.x, other.y, other.cos_heading, other.sin_heading, ahead, right
+                )
+                angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+                away = geometry.distance(front_x, front_y, px, py)
+            out[position + 2 * corner] = angle
+            out[position + 2 * corner + 1] = away

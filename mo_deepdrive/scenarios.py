@@ -1,0 +1,264 @@
+"""The three scenarios, as data, and the functions that draw and place one.
+
+A scenario is one row of SCENARIOS. Every random number of an episode is one of DRAWS uniforms in [0, 1) that the
+caller hands in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
+moves by ``draws[:2] * destination_span``; ``draws[2:5]`` place the obstacle. Scenarios that do not use a draw have
+a span of zero.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mo_deepdrive.simulation import geometry, progress
+from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.state import (
+    ARRIVAL_RADIUS,
+    LANE_WIDTH,
+    LENGTH,
+    MAX_WAYPOINTS,
+    RUNNING,
+)
+
+DRAWS = 5
+FIXED_DRAW = 0.2
+
+# The original draws on a 1000 px square with a 50 px margin.
+PIXELS_PER_METRE = 405 / LENGTH / 4
+MAP_UNIT = 900 / PIXELS_PER_METRE
+MAP_ORIGIN = 50 / PIXELS_PER_METRE
+MAP_CENTRE = MAP_ORIGIN + MAP_UNIT / 2
+MAP_SIZE = 1000 / PIXELS_PER_METRE
+
+OBSTACLE_NEAREST = 0.1 * MAP_UNIT
+OBSTACLE_REACH = 0.6
+OBSTACLE_SHORTEST = 0.025 * MAP_UNIT
+OBSTACLE_STRETCH = 0.1 * MAP_UNIT
+
+HALF_LANE = LANE_WIDTH / 2
+
+
+def metres(p: float) -> float:
+    """World coordinate (m) of the map coordinate ``p`` in [0, 1]."""
+    return MAP_ORIGIN + MAP_UNIT * p
+
+
+@dataclass(frozen=True)
+class Route:
+    """Where a vehicle starts and the waypoints it heads for (m, rad)."""
+
+    start: tuple[float, float, float]
+    waypoints: tuple[tuple[float, float], ...]
+    start_span: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One scenario as data.
+
+    Attributes:
+        name: as in the ids and configs.
+        routes: one per vehicle.
+        objectives: names of the objectives that exist here, in order.
+        destination_span: how far the destination varies along x and y (m).
+        obstacle: whether a bicycle stands in the way.
+        lanes: whether lane lines exist (and with them lane distances and the other vehicle).
+        title: for people.
+    """
+
+    name: str
+    routes: tuple[Route, ...]
+    objectives: tuple[str, ...]
+    title: str
+    destination_span: tuple[float, float] = (0.0, 0.0)
+    obstacle: bool = False
+    lanes: bool = False
+
+    @property
+    def vehicles(self) -> int:
+        return len(self.routes)
+
+
+_OPEN_ROUTE = Route(start=(metres(0.1), metres(0.5), -math.pi / 2), waypoints=((metres(0.2), metres(0.0)),))
+_OPEN_SPAN = (0.5 * MAP_UNIT, MAP_UNIT)
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario(
+            name="one_waypoint",
+            title="OneWaypoint",
+            routes=(_OPEN_ROUTE,),
+            destination_span=_OPEN_SPAN,
+            objectives=("distance", "destination", "g_force", "jerk"),
+        ),
+        Scenario(
+            name="static_obstacle",
+            title="StaticObstacle",
+            routes=(_OPEN_ROUTE,),
+            destination_span=_OPEN_SPAN,
+            objectives=("distance", "destination", "g_force", "collision", "jerk"),
+            obstacle=True,
+        ),
+        Scenario(
+            name="intersection",
+            title="Intersection",
+            routes=(
+                Route(  # the unprotected left turn
+                    start=(27.0770290995851, 6.0, 0.0),
+                    start_span=12.0,
+                    waypoints=(
+                        (MAP_CENTRE + HALF_LANE, MAP_CENTRE - LANE_WIDTH),
+                        (MAP_CENTRE - LANE_WIDTH, MAP_CENTRE + HALF_LANE),
+                        (1.840549443086846, MAP_CENTRE + HALF_LANE),
+                    ),
+                ),
+                Route(  # straight on
+                    start=(MAP_CENTRE - HALF_LANE, 33.0, math.pi),
+                    start_span=14.0,
+                    waypoints=((MAP_CENTRE - HALF_LANE, 4.139197872452702),),
+                ),
+            ),
+            objectives=("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
+            lanes=True,
+        ),
+    )
+}
+
+
+@jit
+def given(pinned, drawn):
+    """A pinned value where there is one (NaN stands for none), else the drawn one."""
+    return drawn if math.isnan(pinned) else pinned
+
+
+@jit
+def draw_spawn(draws, params, pins, spawn):
+    """Fill ``spawn`` (record SPAWN) from (DRAWS,) uniforms; entries of ``pins`` that are not NaN win."""
+    vehicles = len(spawn.starts)
+    for v in range(vehicles):
+        spawn.starts[v, 0] = given(pins.starts[v, 0], params.starts[v, 0])
+        spawn.starts[v, 1] = given(pins.starts[v, 1], params.starts[v, 1] + draws[v] * params.start_span[v])
+        spawn.starts[v, 2] = given(pins.starts[v, 2], params.starts[v, 2])
+        for k in range(MAX_WAYPOINTS):
+            for axis in range(2):
+                spawn.waypoints[v, k, axis] = params.waypoints[v, k, axis]
+    last = params.n_waypoints[0] - 1
+    for axis in range(2):
+        draw = FIXED_DRAW if params.fixed_destination else draws[axis]
+        spawn.waypoints[0, last, axis] = given(
+            pins.waypoints[0, last, axis], params.waypoints[0, last, axis] + draw * params.destination_span[axis]
+        )
+    start_x = spawn.starts[0, 0]
+    start_y = spawn.starts[0, 1]
+    route_x = spawn.waypoints[0, last, 0] - start_x
+    route_y = spawn.waypoints[0, last, 1] - start_y
+    route = math.sqrt(route_x * route_x + route_y * route_y)
+    ratio = (OBSTACLE_REACH * draws[2] * route + OBSTACLE_NEAREST) / route if route > 0.0 else 0.0
+    half = (OBSTACLE_SHORTEST + OBSTACLE_STRETCH * draws[3]) / 2
+    for end in range(2):
+        side = half if end == 0 else -half
+        spawn.obstacle[end, 0] = given(
+            pins.obstacle[end, 0], start_x + ratio * route_x + side * math.cos(math.pi * draws[4])
+        )
+        spawn.obstacle[end, 1] = given(
+            pins.obstacle[end, 1], start_y + ratio * route_y + side * math.sin(math.pi * draws[4])
+        )
+
+
+@jit
+def distance_to_segment(px, py, ax, ay, bx, by):
+    """Distance (m) from the point p to the segment a-b."""
+    dx = bx - ax
+    dy = by - ay
+    square = dx * dx + dy * dy
+    along = 0.0
+    if square > 0.0:
+        along = min(max(((px - ax) * dx + (py - ay) * dy) / square, 0.0), 1.0)
+    return geometry.distance(px, py, ax + along * dx, ay + along * dy)
+
+
+@jit
+def spawn_is_fair(spawn, params):
+    """False where the bicycle touches the vehicle at its start or lies within 1 m of the destination."""
+    if not params.has_obstacle:
+        return True
+    last = params.n_waypoints[0] - 1
+    ax = spawn.obstacle[0, 0]
+    ay = spawn.obstacle[0, 1]
+    bx = spawn.obstacle[1, 0]
+    by = spawn.obstacle[1, 1]
+    goal = distance_to_segment(spawn.waypoints[0, last, 0], spawn.waypoints[0, last, 1], ax, ay, bx, by)
+    heading = spawn.starts[0, 2]
+    touches = geometry.segment_touches_box(
+        spawn.starts[0, 0], spawn.starts[0, 1], math.cos(heading), math.sin(heading), ax, ay, bx, by
+    )
+    return goal > ARRIVAL_RADIUS and not touches
+
+
+@jit
+def place(world, spawn, params):
+    """Put every vehicle of ``world`` (vehicles,) at rest at the start of its route."""
+    for v in range(len(world)):
+        vehicle = world[v]
+        heading = spawn.starts[v, 2]
+        vehicle.x = spawn.starts[v, 0]
+        vehicle.y = spawn.starts[v, 1]
+        vehicle.heading = heading
+        vehicle.start_heading = heading
+        vehicle.cos_heading = math.cos(heading)
+        vehicle.sin_heading = math.sin(heading)
+        vehicle.cos_before = vehicle.cos_heading
+        vehicle.sin_before = vehicle.sin_heading
+        vehicle.speed = 0.0
+        vehicle.previous_speed = 0.0
+        vehicle.yaw_step = 0.0
+        vehicle.vx = 0.0
+        vehicle.vy = 0.0
+        vehicle.ax = 0.0
+        vehicle.ay = 0.0
+        vehicle.g_force = 0.0
+        vehicle.jerk = 0.0
+        vehicle.steer = 0.0
+        vehicle.throttle = 0.0
+        vehicle.brake = 0.0
+        vehicle.travelled = 0.0
+        vehicle.decisions = 0
+        vehicle.end = RUNNING
+        vehicle.next_waypoint = 0
+        vehicle.n_waypoints = params.n_waypoints[v]
+        before_x = vehicle.x
+        before_y = vehicle.y
+        along = 0.0
+        for k in range(MAX_WAYPOINTS):
+            px = spawn.waypoints[v, k, 0]
+            py = spawn.waypoints[v, k, 1]
+            along += geometry.distance(before_x, before_y, px, py)
+            vehicle.waypoints[k, 0] = px
+            vehicle.waypoints[k, 1] = py
+            vehicle.along[k] = along
+            before_x = px
+            before_y = py
+        for end in range(2):
+            for axis in range(2):
+                vehicle.obstacle[end, axis] = spawn.obstacle[end, axis]
+        for k in range(len(vehicle.objectives)):
+            vehicle.objectives[k] = 0.0
+        progress.follow(vehicle)
+        vehicle.furthest = max(0.0, vehicle.route_distance)
+        vehicle.lane_centre = params.lane_centre[v]
+        vehicle.left_lane_distance = HALF_LANE
+        vehicle.right_lane_distance = HALF_LANE
+        vehicle.crossing = False
+        vehicle.approaching = False
+        if params.has_lanes:
+            progress.find_lane(vehicle, params)
+
+
+def pin_nothing(spawn: np.ndarray) -> None:
+    """Mark every entry of a SPAWN record array as not pinned."""
+    for name in spawn.dtype.names or ():
+        spawn[name] = np.nan

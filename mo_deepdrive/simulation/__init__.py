@@ -1,0 +1,1 @@
+"""The driving simulator: pure compiled functions over caller-owned record arrays."""

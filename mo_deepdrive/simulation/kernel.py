@@ -1,0 +1,194 @@
+"""The kernel: place worlds, and move a batch of worlds by one decision.
+
+Every buffer belongs to the caller and is shaped (worlds, vehicles, ...). The kernel allocates nothing, draws
+nothing, reads no global state and never resets a world by itself. One world and a row of a batch run through the
+same code.
+"""
+
+from __future__ import annotations
+
+from mo_deepdrive import observation
+from mo_deepdrive.objectives import INDEX
+from mo_deepdrive.scenarios import draw_spawn, place, spawn_is_fair
+from mo_deepdrive.simulation import progress
+from mo_deepdrive.simulation.collision import hits_obstacle, vehicles_collide
+from mo_deepdrive.simulation.dynamics import drive
+from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.state import (
+    ARRIVED,
+    BACKWARDS,
+    BACKWARDS_LIMIT,
+    CIRCLING,
+    CIRCLING_LIMIT,
+    COLLISION,
+    HARMFUL_G_FORCE,
+    HARMFUL_JERK,
+    LANE_TOLERANCE,
+    OFF_LANE,
+    OTHER_VEHICLE,
+    RUNNING,
+    SKIPPED_WAYPOINT,
+    TIME_LIMIT,
+)
+
+# Indices of the objectives within vehicle.objectives.
+DISTANCE = INDEX["distance"]
+DESTINATION = INDEX["destination"]
+G_FORCE = INDEX["g_force"]
+CRASH = INDEX["collision"]
+JERK = INDEX["jerk"]
+LANE_VIOLATION = INDEX["lane_violation"]
+
+
+@jit
+def lane_excess(vehicle, params):
+    """Metres outside the lane: max(0, margin - left) + max(0, margin - right)."""
+    margin = params.lane_margin
+    return max(0.0, margin - vehicle.left_lane_distance) + max(0.0, margin - vehicle.right_lane_distance)
+
+
+@jit
+def ending(vehicle, collided, arrived, params):
+    """Why the vehicle's episode ends after this decision (RUNNING if it does not), in order of precedence."""
+    if collided:
+        return COLLISION
+    if vehicle.g_force > params.harmful_g_force:
+        return HARMFUL_G_FORCE
+    if vehicle.jerk > params.harmful_jerk:
+        return HARMFUL_JERK
+    if (
+        params.end_on_lane_violation
+        and min(vehicle.left_lane_distance, vehicle.right_lane_distance) < -LANE_TOLERANCE
+    ):
+        return OFF_LANE
+    if abs(vehicle.heading - vehicle.start_heading) > CIRCLING_LIMIT:
+        return CIRCLING
+    if vehicle.n_waypoints > 1 and progress.skipped(vehicle):
+        return SKIPPED_WAYPOINT
+    if vehicle.route_distance < vehicle.furthest - BACKWARDS_LIMIT:
+        return BACKWARDS
+    if arrived:
+        return ARRIVED
+    if vehicle.decisions >= params.max_decisions:
+        return TIME_LIMIT
+    return RUNNING
+
+
+@jit
+def step_world(world, controls, params, path):
+    """Move the running vehicles of ``world`` (vehicles,) by one decision and measure their objectives.
+
+    Args:
+        world: records of dtype VEHICLE, changed in place; vehicles that have ended stay as they are.
+        controls: (vehicles, 3) target steer (rad), throttle (m/s^2) and brake.
+        params: record of dtype PARAMS.
+        path: (vehicles, physics_steps + 1, 4) scratch buffer.
+    """
+    vehicles = len(world)
+    moved = 0.0
+    all_running = True
+    for v in range(vehicles):
+        vehicle = world[v]
+        for k in range(len(vehicle.objectives)):
+            vehicle.objectives[k] = 0.0
+        if vehicle.end == RUNNING:
+            moved += drive(vehicle, controls[v], params, path[v])
+        else:
+            all_running = False
+
+    collided = False
+    if params.has_obstacle and all_running:
+        collided = hits_obstacle(world[0].obstacle, moved, params, path[0])
+    if vehicles > 1 and all_running:
+        collided = vehicles_collide(world[0], world[1], moved, params, path)
+
+    # Everything that depends on where both vehicles now are comes before either is judged.
+    for v in range(vehicles):
+        vehicle = world[v]
+        if vehicle.end == RUNNING:
+            before = vehicle.route_distance
+            arrived = progress.follow(vehicle)
+            vehicle.objectives[DISTANCE] = vehicle.route_distance - before
+            vehicle.objectives[DESTINATION] = 1.0 if arrived else 0.0
+            if params.has_lanes:
+                progress.find_lane(vehicle, params)
+        else:
+            vehicle.approaching = False
+    if params.yield_to_oncoming and vehicles > 1 and world[0].crossing and world[1].approaching:
+        world[0].objectives[DISTANCE] = -abs(world[0].objectives[DISTANCE])
+
+    ended = False
+    for v in range(vehicles):
+        vehicle = world[v]
+        if vehicle.end == RUNNING:
+            vehicle.decisions += 1
+            vehicle.objectives[G_FORCE] = vehicle.g_force
+            vehicle.objectives[CRASH] = 1.0 if collided else 0.0
+            vehicle.objectives[JERK] = vehicle.jerk
+            if params.has_lanes:
+                vehicle.objectives[LANE_VIOLATION] = lane_excess(vehicle, params)
+            arrived = vehicle.objectives[DESTINATION] == 1.0
+            vehicle.end = ending(vehicle, collided, arrived, params)
+            if vehicle.end != ARRIVED:
+                vehicle.objectives[DESTINATION] = 0.0
+            vehicle.furthest = max(vehicle.furthest, vehicle.route_distance)
+        ended = ended or vehicle.end != RUNNING
+    if params.end_together and ended:
+        for v in range(vehicles):
+            if world[v].end == RUNNING:
+                world[v].end = OTHER_VEHICLE
+
+
+@jit
+def observe_world(world, params, observations, terminated, truncated):
+    """Write what the vehicles of one world observe and whether they have ended."""
+    for v in range(len(world)):
+        observation.write(world, v, params, observations[v])
+        end = world[v].end
+        terminated[v] = end != RUNNING and end != TIME_LIMIT
+        truncated[v] = end == TIME_LIMIT
+
+
+@jit
+def step_batch(worlds, controls, params, path, observations, rewards, terminated, truncated):
+    """Move a batch of worlds by one decision.
+
+    Args:
+        worlds: (worlds, vehicles) of VEHICLE, changed in place.
+        controls: (worlds, vehicles, 3) target controls, from actions.decode_*.
+        params: record of dtype PARAMS.
+        path: (vehicles, physics_steps + 1, 4) scratch buffer.
+        observations: (worlds, vehicles, size) float32, written.
+        rewards: (worlds, vehicles, objectives) float32, written; zero for vehicles that had ended before.
+        terminated, truncated: (worlds, vehicles) bool, written; they stay True until the world is placed anew.
+    """
+    for i in range(worlds.shape[0]):
+        world = worlds[i]
+        step_world(world, controls[i], params, path)
+        observe_world(world, params, observations[i], terminated[i], truncated[i])
+        for v in range(worlds.shape[1]):
+            for k in range(params.n_objectives):
+                rewards[i, v, k] = params.objective_sign[k] * world[v].objectives[params.objective_index[k]]
+
+
+@jit
+def reset_batch(worlds, rows, draws, pins, params, spawn, fair, observations, terminated, truncated):
+    """Place the worlds ``rows`` anew.
+
+    Args:
+        worlds: (worlds, vehicles) of VEHICLE.
+        rows: (k,) indices of the worlds to place.
+        draws: (k, DRAWS) uniforms in [0, 1).
+        pins: record of dtype SPAWN; entries that are not NaN replace what would be drawn.
+        params: record of dtype PARAMS.
+        spawn: scratch record of dtype SPAWN.
+        fair: (k,) bool, written; a world whose draw is not fair is left as it was, to be drawn again.
+        observations, terminated, truncated: as in step_batch, written for the worlds placed.
+    """
+    for j in range(len(rows)):
+        i = rows[j]
+        draw_spawn(draws[j], params, pins, spawn)
+        fair[j] = spawn_is_fair(spawn, params)
+        if fair[j]:
+            place(worlds[i], spawn, params)
+            observe_world(worlds[i], params, observations[i], terminated[i], truncated[i])

@@ -1,0 +1,81 @@
+"""From a configuration and its scenario to the record that the kernel reads."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mo_deepdrive.config import EnvConfig, nearest
+from mo_deepdrive.objectives import INDEX, signs
+from mo_deepdrive.scenarios import MAP_CENTRE, SCENARIOS, Scenario
+from mo_deepdrive.simulation.state import (
+    BRAKE_FRICTION,
+    PARAMS,
+    SPEED_FRICTION,
+    YAW_FRICTION,
+)
+
+ORIGINAL_FREQUENCY = 60  # Hz, at which the frictions are stated
+OPEN_ROAD_ONLY = ("fixed_destination",)
+LANES_ONLY = ("lane_margin", "end_on_lane_violation", "yield_to_oncoming", "end_together")
+
+
+def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
+    """The names of the objectives that an environment of this configuration emits, in order.
+
+    Raises:
+        ValueError: if the scenario lacks one of them.
+    """
+    scenario = SCENARIOS[config.scenario]
+    if config.objectives is None:
+        return scenario.objectives
+    for name in config.objectives:
+        if name not in scenario.objectives:
+            raise ValueError(f"objectives has {name!r}, which {scenario.title} lacks; {nearest(name, scenario.objectives)}")
+    return config.objectives
+
+
+def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
+    absent = OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY
+    for name in absent:
+        if getattr(config, name) != type(config).model_fields[name].default:
+            raise ValueError(f"{name} = {getattr(config, name)!r} has no meaning in {scenario.title}; leave it out")
+
+
+def make_params(config: EnvConfig) -> np.record:
+    """The PARAMS record of a configuration.
+
+    Raises:
+        ValueError: if a setting has no meaning in the scenario.
+    """
+    scenario = SCENARIOS[config.scenario]
+    _check_scenario(config, scenario)
+    names = chosen_objectives(config)
+    params = np.zeros(1, dtype=PARAMS)
+    row = params[0]
+    row.dt = 1.0 / config.simulation_frequency
+    row.physics_steps = config.physics_steps
+    friction_steps = ORIGINAL_FREQUENCY / config.simulation_frequency
+    row.yaw_friction = YAW_FRICTION**friction_steps
+    row.speed_friction = SPEED_FRICTION**friction_steps
+    row.log_brake_friction = math.log(BRAKE_FRICTION) * friction_steps
+    row.max_decisions = config.max_decisions
+    row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
+    row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
+    for name in ("constrain_controls", "ignore_brake", "fixed_destination", *LANES_ONLY):
+        row[name] = getattr(config, name)
+    row.has_obstacle = scenario.obstacle
+    row.has_lanes = scenario.lanes
+    row.n_objectives = len(names)
+    row.objective_index[: len(names)] = [INDEX[name] for name in names]
+    row.objective_sign[: len(names)] = signs(names) if config.cost_sign == "maximise" else 1.0
+    for v, route in enumerate(scenario.routes):
+        row.n_waypoints[v] = len(route.waypoints)
+        row.starts[v] = route.start
+        row.lane_centre[v] = route.start[0]
+        row.start_span[v] = route.start_span
+        row.waypoints[v, : len(route.waypoints)] = route.waypoints
+    row.destination_span[:] = scenario.destination_span
+    row.map_centre = MAP_CENTRE
+    return row

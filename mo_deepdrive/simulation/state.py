@@ -1,0 +1,162 @@
+"""The state of a vehicle and the parameters of a simulation, as NumPy records.
+
+State is one record array of shape (worlds, vehicles): copying it is a checkpoint, assigning the copy
+back resumes exactly. Nothing else in the simulator remembers anything.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+MAX_VEHICLES = 2
+MAX_WAYPOINTS = 3
+
+# Vehicle constants of DeepDrive Zero (m, m/s^2). The wheelbase is split over the *width*, as in the original.
+WIDTH = 2.300675555555556
+LENGTH = 5.17652
+REAR_AXLE = WIDTH / 8
+CENTRE_OF_GRAVITY = WIDTH / 2 + 0.05 * WIDTH
+AXLE_B = CENTRE_OF_GRAVITY - REAR_AXLE
+AXLE_A = (WIDTH - REAR_AXLE) - CENTRE_OF_GRAVITY
+STEER_RANGE = np.pi / 6
+MAX_ACCELERATION = 3.625
+GRAVITY = 9.807
+TOP_SPEED = 100.0
+YAW_FRICTION = 0.95
+SPEED_FRICTION = 0.999
+BRAKE_FRICTION = 0.96
+LANE_WIDTH = 3.048
+ARRIVAL_RADIUS = 1.0
+BACKWARDS_LIMIT = 2.0
+LANE_TOLERANCE = 0.25
+CIRCLING_LIMIT = np.radians(400.0)
+
+# Why a vehicle's episode ended; the position is the code in ``vehicle.end``.
+ENDS: tuple[str, ...] = (
+    "",
+    "collision",
+    "harmful_g_force",
+    "harmful_jerk",
+    "off_lane",
+    "circling",
+    "skipped_waypoint",
+    "backwards",
+    "arrived",
+    "time_limit",
+    "other_vehicle",
+)
+RUNNING = ENDS.index("")
+COLLISION = ENDS.index("collision")
+HARMFUL_G_FORCE = ENDS.index("harmful_g_force")
+HARMFUL_JERK = ENDS.index("harmful_jerk")
+OFF_LANE = ENDS.index("off_lane")
+CIRCLING = ENDS.index("circling")
+SKIPPED_WAYPOINT = ENDS.index("skipped_waypoint")
+BACKWARDS = ENDS.index("backwards")
+ARRIVED = ENDS.index("arrived")
+TIME_LIMIT = ENDS.index("time_limit")
+OTHER_VEHICLE = ENDS.index("other_vehicle")
+
+_FLOAT = np.float64
+
+VEHICLE = np.dtype(
+    (
+        np.record,
+        [
+            # pose and motion (m, rad, m/s, rad per physics step, m/s^2, m/s^3)
+            ("x", _FLOAT),
+            ("y", _FLOAT),
+            ("heading", _FLOAT),
+            ("speed", _FLOAT),
+            ("yaw_step", _FLOAT),
+            ("vx", _FLOAT),
+            ("vy", _FLOAT),
+            ("ax", _FLOAT),
+            ("ay", _FLOAT),
+            ("g_force", _FLOAT),
+            ("jerk", _FLOAT),
+            # cosine and sine of the heading, and of the heading one physics step ago
+            ("cos_heading", _FLOAT),
+            ("sin_heading", _FLOAT),
+            ("cos_before", _FLOAT),
+            ("sin_before", _FLOAT),
+            # held controls (rad, m/s^2, 1) and the speed at the previous decision
+            ("steer", _FLOAT),
+            ("throttle", _FLOAT),
+            ("brake", _FLOAT),
+            ("previous_speed", _FLOAT),
+            # where it stands along its route (m, rad)
+            ("front_x", _FLOAT),
+            ("front_y", _FLOAT),
+            ("travelled", _FLOAT),
+            ("route_distance", _FLOAT),
+            ("furthest", _FLOAT),
+            ("start_heading", _FLOAT),
+            ("lane_centre", _FLOAT),
+            ("left_lane_distance", _FLOAT),
+            ("right_lane_distance", _FLOAT),
+            ("next_waypoint", np.int64),
+            ("n_waypoints", np.int64),
+            ("crossing", np.bool_),
+            ("approaching", np.bool_),
+            # the episode so far
+            ("decisions", np.int64),
+            ("end", np.int64),
+            ("objectives", _FLOAT, (6,)),
+            # the scenario drawn at reset: waypoints, distance along the route to each, obstacle
+            ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
+            ("along", _FLOAT, (MAX_WAYPOINTS,)),
+            ("obstacle", _FLOAT, (2, 2)),
+        ],
+    )
+)
+
+# One scenario as it is placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad).
+SPAWN = np.dtype(
+    (
+        np.record,
+        [
+            ("starts", _FLOAT, (MAX_VEHICLES, 3)),
+            ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
+            ("obstacle", _FLOAT, (2, 2)),
+        ],
+    )
+)
+
+# Everything the kernel needs to know of an environment's configuration.
+PARAMS = np.dtype(
+    (
+        np.record,
+        [
+            ("dt", _FLOAT),
+            ("physics_steps", np.int64),
+            ("yaw_friction", _FLOAT),
+            ("speed_friction", _FLOAT),
+            ("log_brake_friction", _FLOAT),
+            ("max_decisions", np.int64),
+            ("harmful_g_force", _FLOAT),
+            ("harmful_jerk", _FLOAT),
+            ("lane_margin", _FLOAT),
+            ("constrain_controls", np.bool_),
+            ("ignore_brake", np.bool_),
+            ("end_on_lane_violation", np.bool_),
+            ("yield_to_oncoming", np.bool_),
+            ("end_together", np.bool_),
+            ("has_obstacle", np.bool_),
+            ("has_lanes", np.bool_),
+            # which objectives are emitted, in which order and with which sign
+            ("n_objectives", np.int64),
+            ("objective_index", np.int64, (6,)),
+            ("objective_sign", _FLOAT, (6,)),
+            # the scenario: see scenarios.py
+            ("n_waypoints", np.int64, (MAX_VEHICLES,)),
+            ("starts", _FLOAT, (MAX_VEHICLES, 3)),
+            ("start_span", _FLOAT, (MAX_VEHICLES,)),
+            ("lane_centre", _FLOAT, (MAX_VEHICLES,)),
+            ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
+            ("destination_span", _FLOAT, (2,)),
+            ("fixed_destination", np.bool_),
+            ("map_centre", _FLOAT),
+        ],
+    )
+)
