@@ -98,9 +98,9 @@ def scales(scenario: Scenario) -> NDArray[np.float64]:
 
 
 @jit
-def write(world, v, params, out):
-    """Write what vehicle ``v`` of ``world`` (vehicles,) observes into ``out`` (size,)."""
-    vehicle = world[v]
+def write(worlds, i, v, params, out):
+    """Write what vehicle ``v`` of world ``i`` observes into ``out`` (worlds, vehicles, size)."""
+    vehicle = worlds[i, v]
     cos = vehicle.cos_heading
     sin = vehicle.sin_heading
     front_x = vehicle.front_x
@@ -117,41 +117,41 @@ def write(world, v, params, out):
         py = vehicle.waypoints[k + 1, 1]
         after_angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
         after_distance += geometry.distance(front_x, front_y, px, py)
-    out[0] = next_angle
-    out[1] = after_angle
-    out[2] = next_distance
-    out[3] = after_distance
-    out[4] = vehicle.vx
-    out[5] = vehicle.vy
-    out[6] = vehicle.ax
-    out[7] = vehicle.ay
-    out[8] = vehicle.steer
-    out[9] = vehicle.throttle
-    out[10] = vehicle.brake
-    out[11] = vehicle.speed
-    out[12] = vehicle.left_lane_distance
-    out[13] = vehicle.right_lane_distance
-    out[14] = 1.0 if vehicle.crossing else 0.0
+    out[i, v, 0] = next_angle
+    out[i, v, 1] = after_angle
+    out[i, v, 2] = next_distance
+    out[i, v, 3] = after_distance
+    out[i, v, 4] = vehicle.vx
+    out[i, v, 5] = vehicle.vy
+    out[i, v, 6] = vehicle.ax
+    out[i, v, 7] = vehicle.ay
+    out[i, v, 8] = vehicle.steer
+    out[i, v, 9] = vehicle.throttle
+    out[i, v, 10] = vehicle.brake
+    out[i, v, 11] = vehicle.speed
+    out[i, v, 12] = vehicle.left_lane_distance
+    out[i, v, 13] = vehicle.right_lane_distance
+    out[i, v, 14] = 1.0 if vehicle.crossing else 0.0
     position = 15
     if params.has_obstacle:
         for end in range(2):
             px = vehicle.obstacle[end, 0]
             py = vehicle.obstacle[end, 1]
-            out[position + end] = geometry.distance(front_x, front_y, px, py)
-            out[position + 2 + end] = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+            out[i, v, position + end] = geometry.distance(front_x, front_y, px, py)
+            out[i, v, position + 2 + end] = geometry.angle_to(front_x, front_y, cos, sin, px, py)
         position += 4
     if params.has_lanes:
-        other = world[1 - v]
+        other = worlds[i, 1 - v]
         if other.end == RUNNING:
-            out[position] = other.vx - vehicle.vx
-            out[position + 1] = other.vy - vehicle.vy
-            out[position + 2] = other.vx
-            out[position + 3] = other.vy
-            out[position + 4] = other.ax
-            out[position + 5] = other.ay
+            out[i, v, position] = other.vx - vehicle.vx
+            out[i, v, position + 1] = other.vy - vehicle.vy
+            out[i, v, position + 2] = other.vx
+            out[i, v, position + 3] = other.vy
+            out[i, v, position + 4] = other.ax
+            out[i, v, position + 5] = other.ay
         else:
             for offset in range(6):
-                out[position + offset] = 0.0
+                out[i, v, position + offset] = 0.0
         position += 6
         for corner in range(4):
             angle = 0.0
@@ -164,5 +164,5 @@ def write(world, v, params, out):
                 )
                 angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
                 away = geometry.distance(front_x, front_y, px, py)
-            out[position + 2 * corner] = angle
-            out[position + 2 * corner + 1] = away
+            out[i, v, position + 2 * corner] = angle
+            out[i, v, position + 2 * corner + 1] = away

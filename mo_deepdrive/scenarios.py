@@ -136,19 +136,19 @@ def given(pinned, drawn):
 
 
 @jit
-def draw_spawn(draws, params, pins, spawn):
-    """Fill ``spawn`` (record SPAWN) from (DRAWS,) uniforms; entries of ``pins`` that are not NaN win."""
+def draw_spawn(draws, j, params, pins, spawn):
+    """Fill ``spawn`` (record SPAWN) from the uniforms ``draws[j]`` (DRAWS,); entries of ``pins`` that are not NaN win."""
     vehicles = len(spawn.starts)
     for v in range(vehicles):
         spawn.starts[v, 0] = given(pins.starts[v, 0], params.starts[v, 0])
-        spawn.starts[v, 1] = given(pins.starts[v, 1], params.starts[v, 1] + draws[v] * params.start_span[v])
+        spawn.starts[v, 1] = given(pins.starts[v, 1], params.starts[v, 1] + draws[j, v] * params.start_span[v])
         spawn.starts[v, 2] = given(pins.starts[v, 2], params.starts[v, 2])
         for k in range(MAX_WAYPOINTS):
             for axis in range(2):
                 spawn.waypoints[v, k, axis] = params.waypoints[v, k, axis]
     last = params.n_waypoints[0] - 1
     for axis in range(2):
-        draw = FIXED_DRAW if params.fixed_destination else draws[axis]
+        draw = FIXED_DRAW if params.fixed_destination else draws[j, axis]
         spawn.waypoints[0, last, axis] = given(
             pins.waypoints[0, last, axis], params.waypoints[0, last, axis] + draw * params.destination_span[axis]
         )
@@ -157,15 +157,15 @@ def draw_spawn(draws, params, pins, spawn):
     route_x = spawn.waypoints[0, last, 0] - start_x
     route_y = spawn.waypoints[0, last, 1] - start_y
     route = math.sqrt(route_x * route_x + route_y * route_y)
-    ratio = (OBSTACLE_REACH * draws[2] * route + OBSTACLE_NEAREST) / route if route > 0.0 else 0.0
-    half = (OBSTACLE_SHORTEST + OBSTACLE_STRETCH * draws[3]) / 2
+    ratio = (OBSTACLE_REACH * draws[j, 2] * route + OBSTACLE_NEAREST) / route if route > 0.0 else 0.0
+    half = (OBSTACLE_SHORTEST + OBSTACLE_STRETCH * draws[j, 3]) / 2
     for end in range(2):
         side = half if end == 0 else -half
         spawn.obstacle[end, 0] = given(
-            pins.obstacle[end, 0], start_x + ratio * route_x + side * math.cos(math.pi * draws[4])
+            pins.obstacle[end, 0], start_x + ratio * route_x + side * math.cos(math.pi * draws[j, 4])
         )
         spawn.obstacle[end, 1] = given(
-            pins.obstacle[end, 1], start_y + ratio * route_y + side * math.sin(math.pi * draws[4])
+            pins.obstacle[end, 1], start_y + ratio * route_y + side * math.sin(math.pi * draws[j, 4])
         )
 
 
@@ -200,10 +200,10 @@ def spawn_is_fair(spawn, params):
 
 
 @jit
-def place(world, spawn, params):
-    """Put every vehicle of ``world`` (vehicles,) at rest at the start of its route."""
-    for v in range(len(world)):
-        vehicle = world[v]
+def place(worlds, i, spawn, params):
+    """Put every vehicle of world ``i`` at rest at the start of its route."""
+    for v in range(worlds.shape[1]):
+        vehicle = worlds[i, v]
         heading = spawn.starts[v, 2]
         vehicle.x = spawn.starts[v, 0]
         vehicle.y = spawn.starts[v, 1]

@@ -17,46 +17,46 @@ LONGEST_MOVE = WIDTH / 4
 
 
 @jit
-def sweep(path, i):
+def sweep(path, v, i):
     """Bound on how far any point of the vehicle moves in physics step ``i`` of ``path`` (m)."""
-    turn = distance(path[i, PATH_COS], path[i, PATH_SIN], path[i - 1, PATH_COS], path[i - 1, PATH_SIN])
-    move = distance(path[i, PATH_X], path[i, PATH_Y], path[i - 1, PATH_X], path[i - 1, PATH_Y])
+    turn = distance(path[v, i, PATH_COS], path[v, i, PATH_SIN], path[v, i - 1, PATH_COS], path[v, i - 1, PATH_SIN])
+    move = distance(path[v, i, PATH_X], path[v, i, PATH_Y], path[v, i - 1, PATH_X], path[v, i - 1, PATH_Y])
     return move + turn * RADIUS
 
 
 @jit
-def pose(path, i, part):
-    """x, y, cos, sin at the fraction ``part`` of physics step ``i``; exactly row ``i`` where part is 1."""
+def pose(path, v, i, part):
+    """x, y, cos, sin at the fraction ``part`` of physics step ``i`` of vehicle ``v``; exactly row ``i`` where part is 1."""
     if part == 1.0:
-        return path[i, PATH_X], path[i, PATH_Y], path[i, PATH_COS], path[i, PATH_SIN]
+        return path[v, i, PATH_X], path[v, i, PATH_Y], path[v, i, PATH_COS], path[v, i, PATH_SIN]
     rest = 1.0 - part
-    cos = rest * path[i - 1, PATH_COS] + part * path[i, PATH_COS]
-    sin = rest * path[i - 1, PATH_SIN] + part * path[i, PATH_SIN]
+    cos = rest * path[v, i - 1, PATH_COS] + part * path[v, i, PATH_COS]
+    sin = rest * path[v, i - 1, PATH_SIN] + part * path[v, i, PATH_SIN]
     norm = math.sqrt(cos * cos + sin * sin)
     if norm == 0.0:
-        cos, sin, norm = path[i, PATH_COS], path[i, PATH_SIN], 1.0
-    x = rest * path[i - 1, PATH_X] + part * path[i, PATH_X]
-    y = rest * path[i - 1, PATH_Y] + part * path[i, PATH_Y]
+        cos, sin, norm = path[v, i, PATH_COS], path[v, i, PATH_SIN], 1.0
+    x = rest * path[v, i - 1, PATH_X] + part * path[v, i, PATH_X]
+    y = rest * path[v, i - 1, PATH_Y] + part * path[v, i, PATH_Y]
     return x, y, cos / norm, sin / norm
 
 
 @jit
-def hits_obstacle(obstacle, moved, params, path):
-    """Whether the vehicle touches the segment ``obstacle`` (2, 2) anywhere on its path of length ``moved`` (m)."""
+def hits_obstacle(vehicle, moved, params, path):
+    """Whether the vehicle touches its obstacle, a segment, anywhere on its path of length ``moved`` (m)."""
     n = params.physics_steps
-    ax = obstacle[0, 0]
-    ay = obstacle[0, 1]
-    bx = obstacle[1, 0]
-    by = obstacle[1, 1]
+    ax = vehicle.obstacle[0, 0]
+    ay = vehicle.obstacle[0, 1]
+    bx = vehicle.obstacle[1, 0]
+    by = vehicle.obstacle[1, 1]
     reach = RADIUS + distance(ax, ay, bx, by) / 2
     mid_x = (ax + bx) / 2
     mid_y = (ay + by) / 2
-    if distance(path[n, PATH_X], path[n, PATH_Y], mid_x, mid_y) > reach + moved:
+    if distance(path[0, n, PATH_X], path[0, n, PATH_Y], mid_x, mid_y) > reach + moved:
         return False
     for i in range(1, n + 1):
-        pieces = 1 + int(sweep(path, i) / LONGEST_MOVE)
+        pieces = 1 + int(sweep(path, 0, i) / LONGEST_MOVE)
         for piece in range(1, pieces + 1):
-            x, y, cos, sin = pose(path, i, piece / pieces)
+            x, y, cos, sin = pose(path, 0, i, piece / pieces)
             if distance(x, y, mid_x, mid_y) <= reach and segment_touches_box(x, y, cos, sin, ax, ay, bx, by):
                 return True
     return False
@@ -68,10 +68,10 @@ def vehicles_collide(first, second, moved, params, path):
     if distance(first.x, first.y, second.x, second.y) > 2 * RADIUS + moved:
         return False
     for i in range(1, params.physics_steps + 1):
-        pieces = 1 + int(max(sweep(path[0], i), sweep(path[1], i)) / LONGEST_MOVE)
+        pieces = 1 + int(max(sweep(path, 0, i), sweep(path, 1, i)) / LONGEST_MOVE)
         for piece in range(1, pieces + 1):
-            ax, ay, a_cos, a_sin = pose(path[0], i, piece / pieces)
-            bx, by, b_cos, b_sin = pose(path[1], i, piece / pieces)
+            ax, ay, a_cos, a_sin = pose(path, 0, i, piece / pieces)
+            bx, by, b_cos, b_sin = pose(path, 1, i, piece / pieces)
             near = distance(ax, ay, bx, by) <= 2 * RADIUS
             if near and boxes_overlap(ax, ay, a_cos, a_sin, bx, by, b_cos, b_sin):
                 return True

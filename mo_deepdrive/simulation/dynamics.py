@@ -26,6 +26,7 @@ from mo_deepdrive.simulation.state import (
     GRAVITY,
     TOP_SPEED,
 )
+from mo_deepdrive.simulation.trigonometry import sine_cosine
 
 SLIP_RATIO = AXLE_A / (AXLE_A + AXLE_B)
 MAX_STEER_CHANGE = 0.03  # rad per physics step, under constrain_controls
@@ -41,28 +42,30 @@ def limited(change, limit):
 
 
 @jit
-def drive(vehicle, target, params, path):
+def drive(vehicle, i, v, controls, params, path):
     """Move ``vehicle`` through one decision and record its poses.
 
     Args:
         vehicle: record of dtype VEHICLE, changed in place.
-        target: (3,) target steer (rad), throttle (m/s^2) and brake (1).
+        i, v: which world and vehicle it is.
+        controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake (1).
         params: record of dtype PARAMS.
-        path: (physics_steps + 1, 4) buffer for x, y, cos(heading), sin(heading).
+        path: (vehicles, physics_steps + 1, 4) buffer for x, y, cos(heading), sin(heading).
 
     Returns:
         The length of the path driven (m).
     """
     n = params.physics_steps
     dt = params.dt
+    rate = 1.0 / dt
     steer = vehicle.steer
     throttle = vehicle.throttle
     brake = vehicle.brake
-    target_brake = 0.0 if params.ignore_brake else target[2]
+    target_brake = 0.0 if params.ignore_brake else controls[i, v, 2]
     if target_brake == 0.0:
         brake = 0.0
-    steer_change = target[0] - steer
-    throttle_change = target[1] - throttle
+    steer_change = controls[i, v, 0] - steer
+    throttle_change = controls[i, v, 1] - throttle
     if params.constrain_controls:
         steer_change = limited(steer_change, MAX_STEER_CHANGE * n)
         throttle_change = limited(throttle_change, MAX_THROTTLE_CHANGE * n)
@@ -78,13 +81,11 @@ def drive(vehicle, target, params, path):
 
     clipped = abs(steer) > math.pi or abs(end_steer) > math.pi
     steer_step = steer_change / n
-    steer_cos = math.cos(steer)
-    steer_sin = math.sin(steer)
+    steer_sin, steer_cos = sine_cosine(steer)
     turn_cos = 1.0
     turn_sin = 0.0
     if steer_step != 0.0 and not clipped:
-        turn_cos = math.cos(steer_step)
-        turn_sin = math.sin(steer_step)
+        turn_sin, turn_cos = sine_cosine(steer_step)
 
     x = vehicle.x
     y = vehicle.y
@@ -104,21 +105,20 @@ def drive(vehicle, target, params, path):
     moved = 0.0
     yaw_gain = dt / AXLE_B
 
-    path[0, PATH_X] = x
-    path[0, PATH_Y] = y
-    path[0, PATH_COS] = cos_heading
-    path[0, PATH_SIN] = sin_heading
-    for i in range(1, n + 1):
+    path[v, 0, PATH_X] = x
+    path[v, 0, PATH_Y] = y
+    path[v, 0, PATH_COS] = cos_heading
+    path[v, 0, PATH_SIN] = sin_heading
+    for step in range(1, n + 1):
         if clipped:
-            clipped_steer = limited(steer + i * steer_step, math.pi)
-            steer_cos = math.cos(clipped_steer)
-            steer_sin = math.sin(clipped_steer)
+            clipped_steer = limited(steer + step * steer_step, math.pi)
+            steer_sin, steer_cos = sine_cosine(clipped_steer)
         else:
             turned = steer_cos * turn_cos - steer_sin * turn_sin
             steer_sin = steer_sin * turn_cos + steer_cos * turn_sin
             steer_cos = turned
         drag *= drag_change
-        push = throttle + i * (throttle_change / n)
+        push = throttle + step * (throttle_change / n)
         if speed > TOP_SPEED:
             push = 0.0
 
@@ -138,24 +138,23 @@ def drive(vehicle, target, params, path):
         heading += yaw
         cos_before = cos_heading
         sin_before = sin_heading
-        cos_heading = math.cos(heading)
-        sin_heading = math.sin(heading)
+        sin_heading, cos_heading = sine_cosine(heading)
 
-        new_vx = dx / dt
-        new_vy = dy / dt
-        new_ax = (new_vx - vx) / dt
-        new_ay = (new_vy - vy) / dt
-        jerk_x = (new_ax - ax) / dt
-        jerk_y = (new_ay - ay) / dt
+        new_vx = dx * rate
+        new_vy = dy * rate
+        new_ax = (new_vx - vx) * rate
+        new_ay = (new_vy - vy) * rate
+        jerk_x = (new_ax - ax) * rate
+        jerk_y = (new_ay - ay) * rate
         vx = new_vx
         vy = new_vy
         ax = new_ax
         ay = new_ay
         moved += abs(move)
-        path[i, PATH_X] = x
-        path[i, PATH_Y] = y
-        path[i, PATH_COS] = cos_heading
-        path[i, PATH_SIN] = sin_heading
+        path[v, step, PATH_X] = x
+        path[v, step, PATH_Y] = y
+        path[v, step, PATH_COS] = cos_heading
+        path[v, step, PATH_SIN] = sin_heading
 
     vehicle.previous_speed = vehicle.speed
     vehicle.x = x

@@ -57,9 +57,10 @@ class _Cache(caching.FunctionCache):
 def jit(function: F) -> F:
     """Compile ``function`` in nopython mode, without the GIL, with IEEE arithmetic and a disk cache.
 
+    Functions are inlined into their callers: a call passes every array as seven words and counts a reference.
     Where no cache folder is writable the function is compiled anew in every process.
     """
-    compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    compiled = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
     if not numba.config.DISABLE_JIT:
         try:
             compiled._cache = _Cache(function)

@@ -75,36 +75,37 @@ def ending(vehicle, collided, arrived, params):
 
 
 @jit
-def step_world(world, controls, params, path):
-    """Move the running vehicles of ``world`` (vehicles,) by one decision and measure their objectives.
+def step_world(worlds, i, controls, params, path):
+    """Move the running vehicles of world ``i`` by one decision and measure their objectives.
 
     Args:
-        world: records of dtype VEHICLE, changed in place; vehicles that have ended stay as they are.
-        controls: (vehicles, 3) target steer (rad), throttle (m/s^2) and brake.
+        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
+        i: which world. (Arrays are passed whole: a view costs an atomic reference count.)
+        controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake.
         params: record of dtype PARAMS.
         path: (vehicles, physics_steps + 1, 4) scratch buffer.
     """
-    vehicles = len(world)
+    vehicles = worlds.shape[1]
     moved = 0.0
     all_running = True
     for v in range(vehicles):
-        vehicle = world[v]
+        vehicle = worlds[i, v]
         for k in range(len(vehicle.objectives)):
             vehicle.objectives[k] = 0.0
         if vehicle.end == RUNNING:
-            moved += drive(vehicle, controls[v], params, path[v])
+            moved += drive(vehicle, i, v, controls, params, path)
         else:
             all_running = False
 
     collided = False
     if params.has_obstacle and all_running:
-        collided = hits_obstacle(world[0].obstacle, moved, params, path[0])
+        collided = hits_obstacle(worlds[i, 0], moved, params, path)
     if vehicles > 1 and all_running:
-        collided = vehicles_collide(world[0], world[1], moved, params, path)
+        collided = vehicles_collide(worlds[i, 0], worlds[i, 1], moved, params, path)
 
     # Everything that depends on where both vehicles now are comes before either is judged.
     for v in range(vehicles):
-        vehicle = world[v]
+        vehicle = worlds[i, v]
         if vehicle.end == RUNNING:
             before = vehicle.route_distance
             arrived = progress.follow(vehicle)
@@ -114,12 +115,12 @@ def step_world(world, controls, params, path):
                 progress.find_lane(vehicle, params)
         else:
             vehicle.approaching = False
-    if params.yield_to_oncoming and vehicles > 1 and world[0].crossing and world[1].approaching:
-        world[0].objectives[DISTANCE] = -abs(world[0].objectives[DISTANCE])
+    if params.yield_to_oncoming and vehicles > 1 and worlds[i, 0].crossing and worlds[i, 1].approaching:
+        worlds[i, 0].objectives[DISTANCE] = -abs(worlds[i, 0].objectives[DISTANCE])
 
     ended = False
     for v in range(vehicles):
-        vehicle = world[v]
+        vehicle = worlds[i, v]
         if vehicle.end == RUNNING:
             vehicle.decisions += 1
             vehicle.objectives[G_FORCE] = vehicle.g_force
@@ -135,18 +136,18 @@ def step_world(world, controls, params, path):
         ended = ended or vehicle.end != RUNNING
     if params.end_together and ended:
         for v in range(vehicles):
-            if world[v].end == RUNNING:
-                world[v].end = OTHER_VEHICLE
+            if worlds[i, v].end == RUNNING:
+                worlds[i, v].end = OTHER_VEHICLE
 
 
 @jit
-def observe_world(world, params, observations, terminated, truncated):
-    """Write what the vehicles of one world observe and whether they have ended."""
-    for v in range(len(world)):
-        observation.write(world, v, params, observations[v])
-        end = world[v].end
-        terminated[v] = end != RUNNING and end != TIME_LIMIT
-        truncated[v] = end == TIME_LIMIT
+def observe_world(worlds, i, params, observations, terminated, truncated):
+    """Write what the vehicles of world ``i`` observe and whether they have ended."""
+    for v in range(worlds.shape[1]):
+        observation.write(worlds, i, v, params, observations)
+        end = worlds[i, v].end
+        terminated[i, v] = end != RUNNING and end != TIME_LIMIT
+        truncated[i, v] = end == TIME_LIMIT
 
 
 @jit
@@ -163,12 +164,11 @@ def step_batch(worlds, controls, params, path, observations, rewards, terminated
         terminated, truncated: (worlds, vehicles) bool, written; they stay True until the world is placed anew.
     """
     for i in range(worlds.shape[0]):
-        world = worlds[i]
-        step_world(world, controls[i], params, path)
-        observe_world(world, params, observations[i], terminated[i], truncated[i])
+        step_world(worlds, i, controls, params, path)
+        observe_world(worlds, i, params, observations, terminated, truncated)
         for v in range(worlds.shape[1]):
             for k in range(params.n_objectives):
-                rewards[i, v, k] = params.objective_sign[k] * world[v].objectives[params.objective_index[k]]
+                rewards[i, v, k] = params.objective_sign[k] * worlds[i, v].objectives[params.objective_index[k]]
 
 
 @jit
@@ -187,8 +187,8 @@ def reset_batch(worlds, rows, draws, pins, params, spawn, fair, observations, te
     """
     for j in range(len(rows)):
         i = rows[j]
-        draw_spawn(draws[j], params, pins, spawn)
+        draw_spawn(draws, j, params, pins, spawn)
         fair[j] = spawn_is_fair(spawn, params)
         if fair[j]:
-            place(worlds[i], spawn, params)
-            observe_world(worlds[i], params, observations[i], terminated[i], truncated[i])
+            place(worlds, i, spawn, params)
+            observe_world(worlds, i, params, observations, terminated, truncated)

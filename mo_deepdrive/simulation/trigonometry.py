@@ -1,0 +1,45 @@
+"""Sine and cosine of one angle together, inlined into the kernel.
+
+The C library's functions are calls that the compiler cannot schedule around; half of a physics step's time went
+there. Here the angle is reduced by multiples of pi/2, split into two parts (Cody and Waite), to [-pi/4, pi/4],
+where Taylor polynomials of degree 15 and 16 are exact to the last bits (error below 3e-16; see the tests).
+"""
+
+from __future__ import annotations
+
+import math
+
+from mo_deepdrive.simulation.jit import jit
+
+# pi/2 in two parts: the first has 33 significant bits, so its products with small integers are exact.
+HALF_PI_HIGH = 1.57079632673412561417e00
+HALF_PI_LOW = 6.07710050650619224932e-11
+TWO_OVER_PI = 2 / math.pi
+LARGEST = 1.0e4  # rad; beyond it the reduction loses digits and the C library takes over
+
+S3, S5, S7, S9 = -1 / 6, 1 / 120, -1 / 5040, 1 / 362880
+S11, S13, S15 = -1 / 39916800, 1 / 6227020800, -1 / 1307674368000
+C4, C6, C8, C10 = 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800
+C12, C14, C16 = 1 / 479001600, -1 / 87178291200, 1 / 20922789888000
+
+
+@jit
+def sine_cosine(angle):
+    """(sin(angle), cos(angle)) of a finite angle (rad)."""
+    if not abs(angle) < LARGEST:
+        return math.sin(angle), math.cos(angle)
+    quarter = math.floor(angle * TWO_OVER_PI + 0.5)
+    r = (angle - quarter * HALF_PI_HIGH) - quarter * HALF_PI_LOW
+    z = r * r
+    z2 = z * z
+    z4 = z2 * z2
+    sine = r + r * z * ((S3 + z * S5) + z2 * (S7 + z * S9) + z4 * ((S11 + z * S13) + z2 * S15))
+    cosine = (1.0 - 0.5 * z) + z2 * ((C4 + z * C6) + z2 * (C8 + z * C10) + z4 * ((C12 + z * C14) + z2 * C16))
+    turns = int(quarter) & 3
+    if turns & 1:
+        sine, cosine = cosine, sine
+    if turns & 2:
+        sine = -sine
+    if (turns + 1) & 2:
+        cosine = -cosine
+    return sine, cosine
