@@ -21,7 +21,7 @@ from mo_deepdrive.simulation.state import RUNNING
 ABSENT_DISTANCE = 100.0
 
 _TURN = math.pi
-_FAR = 2000.0
+FAR = 2000.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def _corner_entries() -> tuple[Entry, ...]:
         for corner in corners
         for entry in (
             Entry(f"other_{corner}_angle", "rad", -_TURN, _TURN, 1.0, "lanes"),
-            Entry(f"other_{corner}_distance", "m", 0.0, _FAR, 20.0, "lanes"),
+            Entry(f"other_{corner}_distance", "m", 0.0, FAR, 20.0, "lanes"),
         )
     )
 
@@ -59,8 +59,8 @@ def _corner_entries() -> tuple[Entry, ...]:
 LAYOUT: tuple[Entry, ...] = (
     Entry("next_angle", "rad", -_TURN, _TURN, 1.0),
     Entry("after_angle", "rad", -_TURN, _TURN, 1.0),
-    Entry("next_distance", "m", 0.0, _FAR, 20.0),
-    Entry("after_distance", "m", 0.0, _FAR, 20.0),
+    Entry("next_distance", "m", 0.0, FAR, 20.0),
+    Entry("after_distance", "m", 0.0, FAR, 20.0),
     Entry("vx", "m/s", None, None, 5.0),
     Entry("vy", "m/s", None, None, 5.0),
     Entry("ax", "m/s^2", None, None, 5.0),
@@ -69,11 +69,11 @@ LAYOUT: tuple[Entry, ...] = (
     Entry("throttle", "m/s^2", None, None, 1.0),
     Entry("brake", "1", 0.0, 4.0, 1.0),
     Entry("speed", "m/s", None, None, 5.0),
-    Entry("left_lane_distance", "m", -_FAR, _FAR, 1.5),
-    Entry("right_lane_distance", "m", -_FAR, _FAR, 1.5),
+    Entry("left_lane_distance", "m", -FAR, FAR, 1.5),
+    Entry("right_lane_distance", "m", -FAR, FAR, 1.5),
     Entry("crossing", "1", 0.0, 1.0, 1.0),
-    Entry("obstacle_a_distance", "m", 0.0, _FAR, 20.0, "obstacle"),
-    Entry("obstacle_b_distance", "m", 0.0, _FAR, 20.0, "obstacle"),
+    Entry("obstacle_a_distance", "m", 0.0, FAR, 20.0, "obstacle"),
+    Entry("obstacle_b_distance", "m", 0.0, FAR, 20.0, "obstacle"),
     Entry("obstacle_a_angle", "rad", -_TURN, _TURN, 1.0, "obstacle"),
     Entry("obstacle_b_angle", "rad", -_TURN, _TURN, 1.0, "obstacle"),
     Entry("other_relative_vx", "m/s", None, None, 5.0, "lanes"),
@@ -166,3 +166,13 @@ def write(worlds, i, v, params, out):
                 away = geometry.distance(front_x, front_y, px, py)
             out[i, v, position + 2 * corner] = angle
             out[i, v, position + 2 * corner + 1] = away
+
+
+def bounds(scenario: Scenario, limits: dict[str, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Low and high of every observed entry, shape (size,) each; ``limits`` holds the bounds by unit or name."""
+    low, high = [], []
+    for entry in layout(scenario):
+        limit = limits.get(entry.name, limits.get(entry.unit, 0.0))
+        low.append(-limit if entry.low is None else entry.low)
+        high.append(limit if entry.high is None else entry.high)
+    return np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.scenarios import DRAWS, SCENARIOS, pin_nothing
-from mo_deepdrive.simulation.kernel import reset_batch, step_batch
+from mo_deepdrive.simulation.dynamics import PATH_WIDTH
+from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.state import ENDS, SPAWN, VEHICLE
 
@@ -52,7 +54,7 @@ class Simulator:
     save. Randomness is handed in by the caller.
     """
 
-    def __init__(self, config: EnvConfig, worlds: int):
+    def __init__(self, config: EnvConfig, worlds: int, threads: int = 1):
         self.config = config
         self.scenario = SCENARIOS[config.scenario]
         self.objectives = chosen_objectives(config)
@@ -66,12 +68,40 @@ class Simulator:
         self.terminated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.truncated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._controls = np.zeros((worlds, vehicles, 3))
-        self._path = np.zeros((vehicles, config.physics_steps + 1, 4))
         self._spawn = np.zeros(1, dtype=SPAWN)[0]
         self._no_pins = np.zeros(1, dtype=SPAWN)
         pin_nothing(self._no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
-        self._table = None if self.continuous else action_sets.action_table(config.action_type)
+        self._table = np.zeros((0, 4)) if self.continuous else action_sets.action_table(config.action_type)
+        self._divide(min(threads, worlds))
+
+    def _divide(self, threads: int) -> None:
+        """Divide the worlds into consecutive parts, one per thread."""
+        self._parts = [self._part(rows) for rows in np.array_split(np.arange(len(self.state)), threads)]
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The parts are views of the buffers and the pool is a resource: a copy makes its own."""
+        return {**self.__dict__, "_parts": len(self._parts), "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._divide(state["_parts"])
+
+    def _part(self, rows: NDArray[np.int64]) -> tuple[Any, ...]:
+        """The arguments of `step_batch` for consecutive rows: views of the buffers and a scratch path of its own."""
+        part = slice(rows[0], rows[-1] + 1)
+        path = np.zeros((self.scenario.vehicles, self.config.physics_steps + 1, PATH_WIDTH))
+        return (
+            self.state[part],
+            self._controls[part],
+            self.params,
+            path,
+            self.observations[part],
+            self.rewards[part],
+            self.terminated[part],
+            self.truncated[part],
+        )
 
     def place(self, rows: NDArray[np.int64], draw: Draw, pins: np.record | None = None) -> None:
         """Start new episodes in the worlds ``rows``; ``draw(rows)`` gives (len(rows), DRAWS) uniforms in [0, 1).
@@ -105,22 +135,41 @@ class Simulator:
         """Move every running vehicle by one decision.
 
         Args:
-            actions: checked (worlds, vehicles) int64, or (worlds, vehicles, 3) floats.
+            actions: (worlds, vehicles) integers, or (worlds, vehicles, 3) real numbers in [-1, 1] (clipped).
+
+        Raises:
+            ValueError: for actions that are out of range, not finite or of the wrong type; no state has changed.
         """
         if self.continuous:
-            action_sets.decode_continuous(actions, self._controls)
+            if actions.dtype.kind not in "fiu":
+                raise ValueError(f"actions have dtype {actions.dtype}; expected real numbers")
+            actions = np.ascontiguousarray(actions, dtype=np.float64)
+            bad = action_sets.decode_continuous(actions, self._controls)
         else:
-            action_sets.decode_discrete(self.state, actions, self._table, self._controls)
-        step_batch(
-            self.state,
-            self._controls,
-            self.params,
-            self._path,
-            self.observations,
-            self.rewards,
-            self.terminated,
-            self.truncated,
-        )
+            if actions.dtype.kind not in "iu":
+                raise ValueError(f"actions have dtype {actions.dtype}; expected integers")
+            actions = np.ascontiguousarray(actions, dtype=np.int64)
+            bad = action_sets.decode_discrete(self.state, actions, self._table, self._controls)
+        if bad >= 0:
+            allowed = "finite numbers" if self.continuous else f"integers in [0, {len(self._table)})"
+            raise ValueError(f"action {actions[bad].tolist()} of world {bad} is not allowed; expected {allowed}")
+        if self._pool is None:
+            step_batch(*self._parts[0])
+        else:
+            others = [self._pool.submit(step_batch, *part) for part in self._parts[1:]]
+            step_batch(*self._parts[0])
+            for other in others:
+                other.result()
+
+    def over(self) -> NDArray[np.bool_]:
+        """Which worlds have no vehicle left on the road, shape (worlds,)."""
+        ended = self.terminated | self.truncated
+        return ended[:, 0] if ended.shape[1] == 1 else ended.all(axis=1)
+
+    def restore(self, state: NDArray[Any]) -> None:
+        """Overwrite the state (worlds, vehicles) and bring the observations and flags in line with it."""
+        self.state[:] = state
+        observe_batch(self.state, self.params, self.observations, self.terminated, self.truncated)
 
     def end_names(self, row: int) -> tuple[str, ...]:
         """Why each vehicle of world ``row`` has ended ("" while it runs)."""

@@ -151,6 +151,13 @@ def observe_world(worlds, i, params, observations, terminated, truncated):
 
 
 @jit
+def observe_batch(worlds, params, observations, terminated, truncated):
+    """Write what all vehicles of all worlds observe, from the state alone."""
+    for i in range(worlds.shape[0]):
+        observe_world(worlds, i, params, observations, terminated, truncated)
+
+
+@jit
 def step_batch(worlds, controls, params, path, observations, rewards, terminated, truncated):
     """Move a batch of worlds by one decision.
 

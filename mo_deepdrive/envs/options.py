@@ -1,0 +1,60 @@
+"""Reset options: pin a scenario instead of drawing it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mo_deepdrive.config import nearest
+from mo_deepdrive.scenarios import Scenario, pin_nothing
+from mo_deepdrive.simulation.state import SPAWN
+
+FARTHEST = 250.0  # m; a pinned coordinate lies within it, so that observations stay in their space
+
+
+def option_names(scenario: Scenario) -> tuple[str, ...]:
+    """The options that ``reset`` understands in this scenario."""
+    if scenario.vehicles > 1:
+        return ("starts",)
+    return ("start", "destination", "obstacle") if scenario.obstacle else ("start", "destination")
+
+
+def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.ndarray:
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.array([])
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise ValueError(f"reset option {name!r} = {value!r} must be {form}: finite numbers in m and rad")
+    if (np.abs(numbers) > FARTHEST).any():
+        raise ValueError(f"reset option {name!r} = {value!r} must lie within {FARTHEST:g} m of the origin")
+    return numbers
+
+
+def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.record | None:
+    """The SPAWN record that pins what ``options`` name and leaves the rest to be drawn; None for no options.
+
+    Raises:
+        ValueError: on unknown options, wrong shapes, or numbers that are not finite.
+    """
+    if not options:
+        return None
+    known = option_names(scenario)
+    for name in options:
+        if name not in known:
+            raise ValueError(f"unknown reset option {name!r} in {scenario.title}; {nearest(name, known)}")
+    array = np.zeros(1, dtype=SPAWN)
+    pin_nothing(array)
+    pins = array[0]
+    if "start" in options:
+        pins.starts[0] = _numbers("start", options["start"], (3,), "(x, y, heading)")
+    if "starts" in options:
+        pins.starts[:] = _numbers("starts", options["starts"], (2, 3), "((x, y, heading), (x, y, heading))")
+    if "destination" in options:
+        last = len(scenario.routes[0].waypoints) - 1
+        pins.waypoints[0, last] = _numbers("destination", options["destination"], (2,), "(x, y)")
+    if "obstacle" in options:
+        pins.obstacle[:] = _numbers("obstacle", options["obstacle"], (2, 2), "((x, y), (x, y))")
+    return pins

@@ -1,0 +1,68 @@
+"""The spaces of an environment, derived from its configuration: finite, and never left."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+
+from mo_deepdrive import actions, observation
+from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.objectives import signs
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.params import chosen_objectives
+from mo_deepdrive.simulation.state import GRAVITY, LENGTH, STEER_RANGE, TOP_SPEED
+
+# Held throttle stays below this (m/s^2): "maintain speed" raises it only while friction outweighs it, and friction
+# at top speed takes 6 m/s^2.
+TOP_THROTTLE = 10.0
+
+
+def limits(config: EnvConfig) -> dict[str, float]:
+    """Largest magnitudes that the dynamics allow, by unit (m/s, m/s^2, m/s^3, g, ...) and entry name."""
+    rate = float(config.simulation_frequency)
+    speed = TOP_SPEED + TOP_THROTTLE / rate + 1.0
+    acceleration = 2 * speed * rate
+    return {
+        "m/s": speed,
+        "m/s^2": acceleration,
+        "m/s^3": 2 * acceleration * rate,
+        "g": acceleration / GRAVITY,
+        "steer": STEER_RANGE,
+        "throttle": TOP_THROTTLE,
+        # One decision's drive, the swing of the front, and the step to the next waypoint.
+        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
+        "lane_violation": 2 * observation.FAR + 2 * config.lane_margin,
+    }
+
+
+def observation_space(config: EnvConfig) -> spaces.Box:
+    """What one vehicle observes: float32, shape (size,), SI units; entries in ``observation.layout``."""
+    low, high = observation.bounds(SCENARIOS[config.scenario], limits(config))
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def action_space(config: EnvConfig) -> spaces.Discrete | spaces.Box:
+    """What one vehicle may do: Discrete(22), Discrete(16) or Box(-1, 1, (3,)) (steer, acceleration, brake)."""
+    if config.action_type == actions.CONTINUOUS:
+        return spaces.Box(-1.0, 1.0, (3,), dtype=np.float32)
+    return spaces.Discrete(len(actions.action_table(config.action_type)))
+
+
+def reward_space(config: EnvConfig) -> spaces.Box:
+    """The vector reward of one vehicle and decision: float32, shape (d,), finite."""
+    limit = limits(config)
+    largest = {
+        "distance": limit["distance"],
+        "destination": 1.0,
+        "g_force": limit["g"],
+        "collision": 1.0,
+        "jerk": limit["m/s^3"],
+        "lane_violation": limit["lane_violation"],
+    }
+    names = chosen_objectives(config)
+    high = np.array([largest[name] for name in names])
+    low = np.array([-largest[name] if name == "distance" else 0.0 for name in names])
+    if config.cost_sign == "maximise":
+        sign = signs(names)
+        low, high = np.where(sign > 0, low, -high), np.where(sign > 0, high, 0.0)
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

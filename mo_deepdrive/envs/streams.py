@@ -1,0 +1,73 @@
+"""One random stream per world, drawn in blocks so that a reset costs no Python call per world."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from mo_deepdrive.scenarios import DRAWS
+
+BLOCK = 16
+_WORD = (1 << 64) - 1
+
+
+class Streams:
+    """Generators, one per world; world i draws what a single environment with the same seed would draw."""
+
+    def __init__(self, seeds: list[int | None]):
+        self._generators: list[np.random.Generator] = []
+        self._seeds: list[int] = []
+        for seed in seeds:
+            generator, used = seeding.np_random(seed)
+            self._generators.append(generator)
+            self._seeds.append(used)
+        self._blocks = np.zeros((len(seeds), BLOCK, DRAWS))
+        self._cursors = np.full(len(seeds), BLOCK, dtype=np.int64)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        return tuple(self._seeds)
+
+    @property
+    def generators(self) -> tuple[np.random.Generator, ...]:
+        return tuple(self._generators)
+
+    def reseed(self, seeds: list[int | None], mask: NDArray[np.bool_]) -> None:
+        """Restart the streams of the worlds in ``mask`` whose seed is not None."""
+        for i in np.flatnonzero(mask):
+            if seeds[i] is not None:
+                self._generators[i], self._seeds[i] = seeding.np_random(seeds[i])
+                self._cursors[i] = BLOCK
+
+    def draw(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The next DRAWS uniforms of each world in ``rows``, shape (len(rows), DRAWS)."""
+        cursors = self._cursors[rows]
+        empty = rows[cursors == BLOCK]
+        if len(empty):
+            for i in empty:
+                self._generators[i].random(out=self._blocks[i])
+            self._cursors[empty] = 0
+            cursors = self._cursors[rows]
+        self._cursors[rows] = cursors + 1
+        return self._blocks[rows, cursors]
+
+    def get_state(self) -> dict[str, NDArray]:
+        """Generator states (N, 4) uint64 (PCG64 state and increment, high and low words), blocks and cursors."""
+        words = np.zeros((len(self._generators), 4), dtype=np.uint64)
+        for row, generator in zip(words, self._generators, strict=True):
+            state = generator.bit_generator.state["state"]
+            row[:] = [state["state"] >> 64, state["state"] & _WORD, state["inc"] >> 64, state["inc"] & _WORD]
+        return {"generators": words, "blocks": self._blocks.copy(), "cursors": self._cursors.copy()}
+
+    def set_state(self, state: dict[str, NDArray]) -> None:
+        """Resume from :meth:`get_state`."""
+        for row, generator in zip(state["generators"], self._generators, strict=True):
+            high, low, inc_high, inc_low = (int(word) for word in row)
+            bit_generator = generator.bit_generator
+            bit_generator.state = {
+                **bit_generator.state,
+                "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
+            }
+        self._blocks = np.array(state["blocks"])
+        self._cursors = np.array(state["cursors"])

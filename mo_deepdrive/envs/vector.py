@@ -1,0 +1,268 @@
+"""The native vector environment: N worlds moved by one kernel call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.envs import spaces as env_spaces
+from mo_deepdrive.envs.options import make_pins
+from mo_deepdrive.envs.streams import Streams
+from mo_deepdrive.simulation.state import ARRIVED, ENDS, RUNNING
+from mo_deepdrive.simulator import Simulator
+
+END_NAMES = np.array(ENDS, dtype=object)
+
+
+class DrivingVectorEnv(VectorEnv):
+    """N independent worlds of one scenario, stepped together in compiled code.
+
+    World i behaves bit for bit like the single environment seeded with ``seed + i``.
+
+    Shapes: with one vehicle observations (N, size), rewards (N, d), terminated and truncated (N,), actions (N,) or
+    (N, 3). In Intersection every array has a vehicle axis: observations (N, 2, size), rewards (N, 2, d), terminated
+    and truncated (N, 2), actions (N, 2) or (N, 2, 3). There a vehicle's flags stay True from the decision on which
+    it ends until its world starts anew, which it does when both have ended, and ``infos["acted"]`` (N, 2) tells
+    which vehicles were on the road in this step.
+
+    At the end of a world's episode ``infos["end"]`` says why (see the single environment) and ``infos["success"]``
+    whether it arrived, per vehicle in Intersection; under SAME_STEP both are in ``infos["final_info"]`` beside
+    ``infos["final_obs"]`` (rows valid where ``infos["_final_obs"]``).
+
+    Args:
+        num_envs: N.
+        scenario: "one_waypoint", "static_obstacle" or "intersection".
+        autoreset_mode: NEXT_STEP (a finished world starts anew in the next step, which ignores its action and pays
+            nothing), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
+        threads: how many threads share a step; worth it from about 2,000 worlds on. The result is the same.
+        render_mode: None or "rgb_array" (``render()`` gives one frame per world).
+        max_episode_steps: if given, decisions after which an episode is truncated (``time_limit`` in decisions).
+        **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
+
+    Raises:
+        ValueError: for unknown or ill-typed arguments.
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        scenario: str,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int = 1,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+        **options: Any,
+    ):
+        if not isinstance(num_envs, int) or num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs!r} must be a positive integer")
+        if not isinstance(threads, int) or threads < 1:
+            raise ValueError(f"threads = {threads!r} must be a positive integer")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
+        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        if max_episode_steps is not None:
+            config = config.model_copy(update={"time_limit": max_episode_steps / config.decision_frequency})
+        self.num_envs = num_envs
+        self.config = config
+        self.render_mode = render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": config.decision_frequency,
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.simulator = Simulator(config, num_envs, threads)
+        self.objectives = self.simulator.objectives
+        self.reward_dim = len(self.objectives)
+        self.vehicles = self.simulator.scenario.vehicles
+        self.single_observation_space = self._per_vehicle(env_spaces.observation_space(config))
+        self.single_action_space = self._per_vehicle(env_spaces.action_space(config))
+        self.reward_space = self._per_vehicle(env_spaces.reward_space(config))
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._streams: Streams | None = None
+        # Worlds whose episode is over and that have not been reset (NEXT_STEP and DISABLED).
+        self._over = np.ones(num_envs, dtype=np.bool_)
+        self._viewers: list[Any] = []
+
+    def _per_vehicle(self, space: spaces.Space) -> Any:
+        if self.vehicles == 1:
+            return space
+        if isinstance(space, spaces.Discrete):
+            return spaces.MultiDiscrete([int(space.n)] * self.vehicles)
+        assert isinstance(space, spaces.Box)
+        tile = (self.vehicles, 1)
+        return spaces.Box(np.tile(space.low, tile), np.tile(space.high, tile), dtype=np.float32)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:
+        """The seed of every world."""
+        return self._seeded().seeds
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:
+        """The generator of every world."""
+        return self._seeded().generators
+
+    def _seeded(self) -> Streams:
+        if self._streams is None:
+            self._streams = Streams([None] * self.num_envs)
+        return self._streams
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start new episodes.
+
+        Args:
+            seed: an int seeds world i with ``seed + i``; a list seeds every world; None goes on drawing.
+            options: ``"reset_mask"`` (N,) bool resets only those worlds; the rest as in the single environment.
+        """
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        pins = make_pins(options, self.simulator.scenario)
+        seeds = self._seeds(seed)
+        if self._streams is None:
+            self._streams = Streams(seeds)
+        else:
+            self._streams.reseed(seeds, mask)
+        self.simulator.place(np.flatnonzero(mask), self._streams.draw, pins)
+        self._over[mask] = False
+        return self._shaped(self.simulator.observations), {}
+
+    def _mask(self, mask: Any) -> NDArray[np.bool_]:
+        if mask is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ValueError(f"reset option 'reset_mask' = {mask!r} must be a bool array of shape ({self.num_envs},)")
+        if not mask.any():
+            raise ValueError("reset option 'reset_mask' must hold at least one True")
+        return mask
+
+    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed has {len(seed)} entries; a list needs one for each of the {self.num_envs} worlds")
+        return list(seed)
+
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Move every world by one decision; see the class for shapes and infos."""
+        sim = self.simulator
+        if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
+            worlds = np.flatnonzero(self._over)[:5].tolist()
+            raise ResetNeeded(
+                f"step() on worlds whose episode is over or has not begun (first ones: {worlds}); reset them first"
+            )
+        if self._streams is None:
+            raise ResetNeeded("step() before the first reset()")
+        infos: dict[str, Any] = {}
+        acted = sim.state["end"] == RUNNING if self.vehicles > 1 else None
+        sim.step(self._batched(actions))
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
+            sim.place(np.flatnonzero(self._over), self._streams.draw)
+        over = sim.over()
+        if acted is not None:
+            infos["acted"] = acted
+            infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
+        rewards = self._shaped(sim.rewards)
+        terminated = self._shaped(sim.terminated)
+        truncated = self._shaped(sim.truncated)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            rows = np.flatnonzero(over)
+            if len(rows):
+                infos["final_obs"] = self._shaped(sim.observations)
+                infos["_final_obs"] = over
+                infos["final_info"] = self._why(over)
+                infos["_final_info"] = over
+                sim.place(rows, self._streams.draw)
+        else:
+            self._over = over
+            if over.any():
+                infos.update(self._why(over))
+        return self._shaped(sim.observations), rewards, terminated, truncated, infos
+
+    def _batched(self, actions: Any) -> NDArray[Any]:
+        """``actions`` as the simulator takes them: (N, vehicles) or (N, vehicles, 3)."""
+        array = np.asarray(actions)
+        if array.shape != self.action_space.shape:
+            raise ValueError(f"actions have shape {array.shape}; expected {self.action_space.shape}")
+        return array[:, None] if self.vehicles == 1 else array
+
+    def _shaped(self, buffer: NDArray[Any]) -> NDArray[Any]:
+        """A copy of a buffer (N, vehicles, ...), without the vehicle axis where there is one vehicle."""
+        return buffer[:, 0].copy() if self.vehicles == 1 else buffer.copy()
+
+    def _why(self, over: NDArray[np.bool_]) -> dict[str, Any]:
+        ends = self.simulator.state["end"]
+        if self.vehicles == 1:
+            ends = ends[:, 0]
+        mask = over if self.vehicles == 1 else over[:, None]
+        return {
+            "end": np.where(mask, END_NAMES[ends], None),
+            "_end": over.copy(),
+            "success": mask & (ends == ARRIVED),
+            "_success": over.copy(),
+        }
+
+    def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:
+        """Per world and vehicle a dict of named SI floats."""
+        return tuple(self.simulator.telemetry(row) for row in range(self.num_envs))
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Everything that determines the future, as plain arrays: hand it to :meth:`set_state` to resume exactly."""
+        return {
+            "state": self.simulator.state.view(np.uint8).copy(),
+            "over": self._over.copy(),
+            **self._seeded().get_state(),
+        }
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Resume from :meth:`get_state` of an environment with the same arguments.
+
+        Raises:
+            ValueError: if the state belongs to an environment of another size or version.
+        """
+        mine = self.get_state()
+        for name, array in mine.items():
+            if name not in state or np.shape(state[name]) != array.shape:
+                raise ValueError(
+                    f"state {name!r} has shape {np.shape(state.get(name))}; this environment needs {array.shape}"
+                )
+        self.simulator.restore(np.asarray(state["state"]).view(self.simulator.state.dtype))
+        self._over = np.array(state["over"], dtype=np.bool_)
+        self._seeded().set_state(state)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One RGB frame per world under ``render_mode="rgb_array"``, else None."""
+        if self.render_mode is None:
+            return None
+        from mo_deepdrive.rendering import Viewer
+
+        if not self._viewers:
+            self._viewers = [Viewer(self.config, self.render_mode) for _ in range(self.num_envs)]
+        return tuple(viewer.draw(self.simulator.state[row]) for row, viewer in enumerate(self._viewers))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release what rendering holds."""
+        for viewer in self._viewers:
+            viewer.close()
+        self._viewers = []
