@@ -1,0 +1,64 @@
+"""A2C on time-step scalarised rewards: the baseline.
+
+The reward of a decision is u(r_t), the critic is scalar and nothing is accrued (Mnih et al. 2016; paper, section 5).
+Under a linear utility this optimises what MO-A2C optimises.
+"""
+
+from __future__ import annotations
+
+import torch
+from pydantic import Field
+
+from algorithms.base import ActorCritic, ActorCriticConfig, Learner
+from algorithms.returns import discounted_sum
+from algorithms.rollout import Rollout
+from algorithms.worlds import Worlds
+
+
+class A2CConfig(ActorCriticConfig):
+    """Hyperparameters of A2C.
+
+    Attributes:
+        value_scale: nominal size of a scalar return, by which the critic's output is multiplied.
+    """
+
+    value_scale: float = Field(default=10.0, gt=0.0)
+
+
+class A2CLearner(Learner):
+    """Scalar critic on u(r_t)."""
+
+    config: A2CConfig
+
+    def input_size(self, worlds: Worlds) -> int:
+        return worlds.observation_size
+
+    def value_size(self, worlds: Worlds) -> int:
+        return 1
+
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        return observations / self.observation_scales
+
+    def values(self, inputs: torch.Tensor) -> torch.Tensor:
+        return self.config.value_scale * self.critic(inputs)
+
+    def losses(self, rollout: Rollout, entropy_weight: float) -> dict[str, torch.Tensor]:
+        gamma = self.config.gamma
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        values = self.values(inputs[:-1])
+        following = self.next_values(rollout, inputs, values).squeeze(-1)
+        values = values.squeeze(-1)
+        going_on = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        deltas = self.utility(rollout.rewards) + gamma * following - values.detach()
+        advantages = discounted_sum(deltas, going_on, gamma * self.config.gae_lambda)
+        targets = advantages + values.detach()
+        value_loss = ((targets - values) / self.config.value_scale).square()
+        return self.policy_losses(rollout, inputs, advantages, value_loss, entropy_weight)
+
+
+class A2C(ActorCritic):
+    """Advantage actor-critic on time-step scalarised rewards."""
+
+    name = "a2c"
+    Config = A2CConfig
+    learner = A2CLearner

@@ -1,0 +1,121 @@
+"""MO-A2C: advantage actor-critic with a vector critic on the accrued-reward-augmented state, for a known utility.
+
+State S_t = (s_t, R_t) with the accrued reward R_t = sum_{i<t} gamma^i r_i. The critic predicts one value per
+objective, v(S_t), with targets r_t + gamma v(S_{t+1}) (lambda-returns per objective). The actor follows one of three
+advantages (paper, section 4.2; Reymond et al. 2023; Hayes et al. 2022):
+
+- ``utility_difference``: sums, decaying by lambda, of
+  U_t = u(R_{t+1} + gamma^{t+1} v(S_{t+1})) - u(R_t + gamma^t v(S_t));
+- ``as_printed``: the same without gamma^{t+1}, as the paper prints eq. 4.2;
+- ``utility_gradient``: the advantages per objective weighted with the gradient of u at the expected return, which is
+  the policy gradient of u(E[R]) (SER).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from algorithms.base import ActorCritic, ActorCriticConfig, Learner
+from algorithms.returns import AdvantageForm, discounted_sum, utility_differences, utility_gradient
+from algorithms.rollout import Rollout
+from algorithms.worlds import Worlds
+
+# Weight of the past when an episode's return enters the running mean that utility_gradient needs.
+RETURN_MEMORY = 0.99
+
+
+class MOA2CConfig(ActorCriticConfig):
+    """Hyperparameters of MO-A2C.
+
+    Attributes:
+        advantage: "utility_difference", "as_printed" or "utility_gradient".
+        observe_discount: append gamma^t to the augmented state, on which the consistent advantage depends too.
+    """
+
+    advantage: AdvantageForm = "utility_difference"
+    observe_discount: bool = True
+
+
+class MOA2CLearner(Learner):
+    """Vector critic on the augmented state."""
+
+    config: MOA2CConfig
+
+    def input_size(self, worlds: Worlds) -> int:
+        return worlds.observation_size + len(worlds.objectives) + self.config.observe_discount
+
+    def value_size(self, worlds: Worlds) -> int:
+        return len(worlds.objectives)
+
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        parts = [observations / self.observation_scales, accrued / self.objective_scales]
+        if self.config.observe_discount:
+            parts.append(discounts.unsqueeze(-1))
+        return torch.cat(parts, dim=-1)
+
+    def values(self, inputs: torch.Tensor) -> torch.Tensor:
+        return self.objective_scales * self.critic(inputs)
+
+    def losses(self, rollout: Rollout, entropy_weight: float) -> dict[str, torch.Tensor]:
+        gamma, decay = self.config.gamma, self.config.gae_lambda
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        values = self.values(inputs[:-1])
+        following = self.next_values(rollout, inputs, values)
+        known = values.detach()
+        going_on = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        deltas = rollout.rewards + gamma * following - known
+        vector_advantages = discounted_sum(deltas, going_on.unsqueeze(-1), gamma * decay)
+        targets = vector_advantages + known
+        value_loss = ((targets - values) / self.objective_scales).square().mean(-1)
+        if self.config.advantage == "utility_gradient":
+            advantages = vector_advantages @ utility_gradient(self.utility, self.expected_return)
+        else:
+            differences = utility_differences(
+                self.utility,
+                rollout.accrued[:-1],
+                rollout.rewards,
+                rollout.discounts[:-1],
+                known,
+                following,
+                gamma,
+                as_printed=self.config.advantage == "as_printed",
+            )
+            advantages = discounted_sum(differences, going_on, decay)
+        return self.policy_losses(rollout, inputs, advantages, value_loss, entropy_weight)
+
+    @property
+    def expected_return(self) -> torch.Tensor:
+        """Running mean (d,) of the discounted returns of finished episodes; zeros before the first."""
+        return self._expected_return
+
+    def finished(self, discounted_returns: NDArray[np.float64]) -> None:
+        if not len(discounted_returns):
+            return
+        mean = torch.tensor(discounted_returns.mean(axis=0), dtype=torch.float32, device=self.device)
+        keep = RETURN_MEMORY ** len(discounted_returns) if self._episodes else 0.0
+        self._expected_return = keep * self._expected_return + (1.0 - keep) * mean
+        self._episodes += len(discounted_returns)
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        own = {"expected_return": self._expected_return, "episodes": torch.tensor(self._episodes)}
+        return {**super().get_state(), **own}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        super().set_state(state)
+        self._expected_return = state["expected_return"].to(self.device)
+        self._episodes = int(state["episodes"])
+
+    def __init__(self, worlds: Worlds, *arguments: object):
+        super().__init__(worlds, *arguments)  # type: ignore[arg-type]
+        self._expected_return = torch.zeros(len(worlds.objectives), device=self.device)
+        self._episodes = 0
+
+
+class MOA2C(ActorCritic):
+    """Multi-objective advantage actor-critic for a known utility."""
+
+    name = "mo_a2c"
+    Config = MOA2CConfig
+    learner = MOA2CLearner

@@ -1,0 +1,78 @@
+"""Networks of the actor-critics: small multilayer perceptrons and action distributions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+
+LOG_TWO_PI = math.log(2 * math.pi)
+
+
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator, output_gain: float) -> nn.Sequential:
+    """Linear layers with ReLU between them (paper, appendix A), orthogonally initialised from ``generator``."""
+    sizes = [inputs, *hidden, outputs]
+    layers: list[nn.Module] = []
+    for i, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
+        layer = nn.utils.skip_init(nn.Linear, fan_in, fan_out)
+        last = i == len(sizes) - 2
+        nn.init.orthogonal_(layer.weight, gain=output_gain if last else math.sqrt(2), generator=generator)
+        nn.init.zeros_(layer.bias)
+        layers.append(layer)
+        if not last:
+            layers.append(nn.ReLU())
+    return nn.Sequential(*layers)
+
+
+class CategoricalActor(nn.Module):
+    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...)."""
+
+    def __init__(self, inputs: int, hidden: Sequence[int], actions: int, generator: torch.Generator):
+        super().__init__()
+        self.body = mlp(inputs, hidden, actions, generator, output_gain=0.01)
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """One action per row: argmax of p / e with e ~ Exp(1) is a draw from p."""
+        probabilities = self.body(x).softmax(-1)
+        noise = torch.empty_like(probabilities).exponential_(generator=generator)
+        return (probabilities / noise).argmax(-1)
+
+    def greedy(self, x: torch.Tensor) -> torch.Tensor:
+        """The most probable action per row."""
+        return self.body(x).argmax(-1)
+
+    def log_probability(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
+        log_p = self.body(x).log_softmax(-1)
+        entropy = -(log_p.exp() * log_p).sum(-1)
+        return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), entropy
+
+
+class GaussianActor(nn.Module):
+    """Diagonal Gaussian policy with a free log standard deviation; actions are float tensors (..., k).
+
+    The environment clips actions to its box; the log-probability is that of the unclipped sample.
+    """
+
+    def __init__(self, inputs: int, hidden: Sequence[int], actions: int, generator: torch.Generator):
+        super().__init__()
+        self.body = mlp(inputs, hidden, actions, generator, output_gain=0.01)
+        self.log_std = nn.Parameter(torch.full((actions,), -0.5))
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """One action per row."""
+        mean = self.body(x)
+        return torch.normal(mean, self.log_std.exp().expand_as(mean), generator=generator)
+
+    def greedy(self, x: torch.Tensor) -> torch.Tensor:
+        """The mean action per row."""
+        return self.body(x)
+
+    def log_probability(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-density of ``actions`` and entropy of the policy, each (...)."""
+        z = (actions - self.body(x)) / self.log_std.exp()
+        log_density = (-0.5 * z.square() - self.log_std - 0.5 * LOG_TWO_PI).sum(-1)
+        entropy = (self.log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum()
+        return log_density, entropy.expand(log_density.shape)

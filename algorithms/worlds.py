@@ -1,0 +1,202 @@
+"""One shape for every environment that the trainers learn on.
+
+`make_env` gives the native vector environment for our ids and MOSyncVectorEnv for any other MO-Gymnasium id;
+`Worlds` presents both in the shapes (environments, vehicles, ...) with true final observations and a mask of the
+samples that count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+from numpy.typing import NDArray
+
+import mo_deepdrive  # noqa: F401  (registers the ids)
+from mo_deepdrive import observation
+from mo_deepdrive.envs.vector import DrivingVectorEnv
+from mo_deepdrive.objectives import scales as objective_scales
+
+
+def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:
+    """``num_envs`` copies of a MO-Gymnasium environment as a vector environment with vector rewards (N, d)."""
+    spec = gymnasium.spec(env_id.rpartition(":")[2])
+    arguments = arguments or {}
+    if spec.vector_entry_point is not None:
+        return gymnasium.make_vec(
+            env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments
+        )
+    return MOSyncVectorEnv([lambda: mo_gymnasium.make(env_id, **arguments) for _ in range(num_envs)])
+
+
+@dataclass
+class Step:
+    """What one step of all worlds gives.
+
+    Attributes:
+        observations: (N, V, o) what the next action is taken on; after the end of an episode the next episode's.
+        rewards: (N, V, d).
+        terminated, truncated: (N, V) whether the vehicle's episode ended in this step.
+        acted: (N, V) False where the sample does not count: the vehicle was not on the road, or the world was
+            only being reset.
+        final: (N, V, o) true observations after the step: those of the episode that ended where one did.
+        succeeded: (N, V) whether the episode that ended reached its goal; all False where the environment does
+            not say.
+        ends: (N,) or (N, V) why episodes ended, as the environment says in ``info["end"]``; None where it does not.
+    """
+
+    observations: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    acted: NDArray[np.bool_]
+    final: NDArray[np.float32]
+    succeeded: NDArray[np.bool_]
+    ends: NDArray[Any] | None
+
+
+class Worlds:
+    """A vector environment in the trainers' shapes.
+
+    Args:
+        env: a vector environment with vector rewards: DrivingVectorEnv under SAME_STEP, or MOSyncVectorEnv.
+
+    Attributes:
+        num_envs, vehicles: N and V.
+        objectives: names of the d components of the reward.
+        observation_scales: (o,) nominal magnitudes.
+        objective_scales: (d,) nominal magnitudes of a return.
+        actions: number of discrete actions, or of continuous axes.
+        continuous: which of the two.
+
+    Raises:
+        ValueError: for spaces that the trainers do not handle.
+    """
+
+    def __init__(self, env: VectorEnv):
+        self.env = env
+        self.num_envs = env.num_envs
+        inner = env.unwrapped
+        self.native = isinstance(inner, DrivingVectorEnv)
+        space = env.single_action_space
+        if isinstance(inner, DrivingVectorEnv):
+            if inner.autoreset_mode is not AutoresetMode.SAME_STEP:
+                raise ValueError(f"autoreset_mode = {inner.autoreset_mode} must be SAME_STEP for training")
+            self.vehicles = inner.vehicles
+            self.objectives: tuple[str, ...] = inner.objectives
+            self.observation_scales = observation.scales(inner.simulator.scenario).astype(np.float32)
+            self.objective_scales = objective_scales(self.objectives).astype(np.float32)
+            if isinstance(space, spaces.MultiDiscrete):
+                space = spaces.Discrete(int(space.nvec[0]))
+        else:
+            self.vehicles = 1
+            d = int(inner.reward_space.shape[0])  # type: ignore[attr-defined]
+            self.objectives = tuple(f"objective_{i}" for i in range(d))
+            self.observation_scales = _foreign_scales(env.single_observation_space)
+            self.objective_scales = np.ones(d, dtype=np.float32)
+        if isinstance(space, spaces.Discrete):
+            self.continuous, self.actions = False, int(space.n)
+            self._first_action = int(space.start)
+        elif isinstance(space, spaces.Box):
+            self.continuous, self.actions = True, int(space.shape[-1])
+            if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
+                raise ValueError(f"action space {space} must be bounded")
+            self._centre = (space.high + space.low) / 2
+            self._reach = (space.high - space.low) / 2
+        else:
+            raise ValueError(f"action space {space} is neither Discrete nor Box")
+        self.observation_size = len(self.observation_scales)
+        self._was_over = np.zeros((self.num_envs, 1), dtype=np.bool_)
+
+    def reset(self, seed: int | None = None) -> NDArray[np.float32]:
+        """Start every world anew; world i is seeded with ``seed + i``. Observations (N, V, o)."""
+        raw, _ = self.env.reset(seed=seed)
+        self._was_over[:] = False
+        return self._observations(raw)
+
+    def step(self, actions: NDArray[Any]) -> Step:
+        """Act in every world.
+
+        Args:
+            actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and stretched to the box).
+        """
+        if self.vehicles == 1:
+            actions = actions[:, 0]
+        if self.native:
+            return self._native_step(actions)
+        if self.continuous:
+            actions = self._centre + self._reach * np.clip(actions, -1.0, 1.0)
+            actions = actions.astype(self.env.single_action_space.dtype)
+        else:
+            actions = actions + self._first_action
+        raw, rewards, terminated, truncated, infos = self.env.step(actions)
+        acted = ~self._was_over
+        self._was_over = (terminated | truncated)[:, None]
+        observations = self._observations(raw)
+        ends = infos.get("end")
+        success = infos.get("success", np.zeros(self.num_envs, dtype=np.bool_)).astype(np.bool_)
+        return Step(
+            observations=observations,
+            rewards=np.asarray(rewards, dtype=np.float32)[:, None],
+            terminated=terminated[:, None],
+            truncated=truncated[:, None],
+            acted=acted,
+            final=observations,
+            succeeded=success[:, None] & self._was_over,
+            ends=ends,
+        )
+
+    def _native_step(self, actions: NDArray[Any]) -> Step:
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        final = infos.get("final_obs", observations)
+        ends = None
+        success = np.zeros((self.num_envs, self.vehicles), dtype=np.bool_)
+        if "final_info" in infos:
+            ends = infos["final_info"]["end"]
+            success = infos["final_info"]["success"].reshape(self.num_envs, self.vehicles)
+        if self.vehicles == 1:
+            observations, rewards, final = observations[:, None], rewards[:, None], final[:, None]
+            terminated, truncated = terminated[:, None], truncated[:, None]
+            acted = np.ones((self.num_envs, 1), dtype=np.bool_)
+        else:
+            acted = infos["acted"]
+            # The flags of a vehicle stay up until its world starts anew; here they mark the step of the end.
+            terminated, truncated = terminated & acted, truncated & acted
+        return Step(observations, rewards, terminated, truncated, acted, final, success, ends)
+
+    def _observations(self, raw: Any) -> NDArray[np.float32]:
+        if self.native:
+            return raw if self.vehicles > 1 else raw[:, None]
+        space = self.env.single_observation_space
+        if isinstance(space, spaces.Discrete):
+            one_hot = np.eye(int(space.n), dtype=np.float32)[np.asarray(raw) - int(space.start)]
+            return one_hot[:, None]
+        return np.asarray(raw, dtype=np.float32).reshape(self.num_envs, 1, -1)
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """What resuming these worlds exactly takes, as arrays; empty where the environment cannot say."""
+        inner = self.env.unwrapped
+        return inner.get_state() if isinstance(inner, DrivingVectorEnv) else {}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Resume from :meth:`get_state`."""
+        inner = self.env.unwrapped
+        if isinstance(inner, DrivingVectorEnv):
+            inner.set_state(state)
+
+
+def _foreign_scales(space: spaces.Space[Any]) -> NDArray[np.float32]:
+    """Magnitudes of a foreign observation: its bounds where they are finite and not huge, else 1."""
+    if isinstance(space, spaces.Discrete):
+        return np.ones(int(space.n), dtype=np.float32)
+    if not isinstance(space, spaces.Box):
+        raise ValueError(f"observation space {space} is neither Box nor Discrete")
+    bound = np.maximum(np.abs(space.low), np.abs(space.high)).astype(np.float64).reshape(-1)
+    known = np.isfinite(bound) & (bound > 0.0) & (bound < 1e4)
+    return np.where(known, bound, 1.0).astype(np.float32)

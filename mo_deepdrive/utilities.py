@@ -1,0 +1,234 @@
+"""Utility functions: from a vector return to the scalar that a user cares about.
+
+A utility takes returns (or rewards) of shape (..., d), oriented to be maximised as the environments emit them, as a
+NumPy array or a torch tensor, and gives shape (...) of the same kind, differentiable where it is smooth. The paper
+states its utilities on magnitudes (appendix D); `make_utility` knows each objective's sign and turns them.
+
+A new utility is one function of magnitudes (or of oriented returns) and one row in the tables below; a user's own
+is named by its dotted path, ``package.module:function``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from mo_deepdrive.config import nearest
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+
+Function = Callable[[Any], Any]
+
+
+class Utility:
+    """A named utility over d objectives.
+
+    Attributes:
+        name: the registry name or dotted path.
+        objectives: the names of the d components it reads, in order.
+        weights: (d,) weights on maximised returns where the utility is linear, else None.
+    """
+
+    def __init__(self, name: str, objectives: Sequence[str], function: Function, weights: Sequence[float] | None = None):
+        self.name = name
+        self.objectives = tuple(objectives)
+        self.weights = None if weights is None else tuple(float(w) for w in weights)
+        self._function = function
+
+    def __call__(self, returns: Any) -> Any:
+        """Utility of ``returns`` (..., d): shape (...).
+
+        Raises:
+            ValueError: if the last axis is not d long.
+        """
+        if returns.shape[-1] != len(self.objectives):
+            raise ValueError(
+                f"utility {self.name!r} reads {len(self.objectives)} objectives {self.objectives}; "
+                f"the returns have {returns.shape[-1]}"
+            )
+        return self._function(returns)
+
+
+def _where(condition: Any, first: Any, second: Any) -> Any:
+    if isinstance(condition, (np.ndarray, np.bool_)):
+        return np.where(condition, first, second)
+    import torch
+
+    return torch.where(condition, first, second)
+
+
+def _one_waypoint_nonlinear(m: dict[str, Any]) -> Any:
+    d, r, g, j = m["distance"], m["destination"], m["g_force"], m["jerk"]
+    fast = 0.5 * d + d * r - 0.1 * g - 0.1 * j
+    slow = 0.5 * d + r - (0.1 * g) ** 2 - (0.1 * j) ** 2
+    return _where(d > 2.0, fast, slow)
+
+
+def _obstacle_nonlinear(m: dict[str, Any]) -> Any:
+    d, r, g, c, j = m["distance"], m["destination"], m["g_force"], m["collision"], m["jerk"]
+    gain = 0.5 * d + r - 4.0 * c
+    retreat = gain - (0.03 * g) ** 4 - (3.3e-5 * j) ** 4
+    advance = gain - 2.0 * (0.03 * g) ** 2
+    return _where(d == 0.0, 0.0 * d - 10.0, _where(d < 0.0, retreat, advance))
+
+
+def _intersection_nonlinear(m: dict[str, Any]) -> Any:
+    lane = 0.06 * m["lane_violation"]
+    standing = m["distance"] == 0.0
+    base = _obstacle_nonlinear(m)
+    return _where(standing, base, base - lane)
+
+
+# Linear utilities of the paper: weights on magnitudes.
+LINEAR: dict[str, dict[str, float]] = {
+    "one_waypoint_linear": {"distance": 0.5, "destination": 1.0, "g_force": -0.03, "jerk": -3.3e-5},
+    "static_obstacle_linear": {
+        "distance": 0.3,
+        "destination": 1.0,
+        "collision": -1.0,
+        "g_force": -0.03,
+        "jerk": -3.3e-5,
+    },
+    "intersection_linear": {
+        "distance": 0.5,
+        "destination": 10.0,
+        "collision": -4.0,
+        "g_force": -0.03,
+        "jerk": -0.0006,
+        "lane_violation": -0.06,
+    },
+}
+
+# Non-linear utilities of the paper: the objectives each needs and its formula on magnitudes.
+NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
+    "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
+    "static_obstacle_nonlinear": (
+        ("distance", "destination", "g_force", "collision", "jerk"),
+        _obstacle_nonlinear,
+    ),
+    "intersection_nonlinear": (
+        ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
+        _intersection_nonlinear,
+    ),
+}
+
+
+def _vector(name: str, argument: str, values: Any, d: int) -> list[float]:
+    if values is None:
+        raise ValueError(f"utility {name!r} needs the argument {argument!r}: {d} numbers")
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != d or not all(math.isfinite(number) for number in numbers):
+        raise ValueError(f"{argument} = {values!r} must be {d} finite numbers for utility {name!r}")
+    return numbers
+
+
+def _like(values: list[float], returns: Any) -> Any:
+    if isinstance(returns, np.ndarray):
+        return np.asarray(values, dtype=returns.dtype)
+    return returns.new_tensor(values)
+
+
+def linear(objectives: Sequence[str], weights: Any = None) -> Utility:
+    """sum_i w_i R_i."""
+    w = _vector("linear", "weights", weights, len(objectives))
+    return Utility("linear", objectives, lambda returns: (returns * _like(w, returns)).sum(-1), w)
+
+
+def augmented_chebyshev(objectives: Sequence[str], weights: Any = None, ideal: Any = None, rho: float = 0.05) -> Utility:
+    """-(max_i w_i (z_i - R_i) + rho sum_i w_i (z_i - R_i)) with ideal point z (Steuer and Choo 1983)."""
+    d = len(objectives)
+    w = _vector("augmented_chebyshev", "weights", weights, d)
+    z = _vector("augmented_chebyshev", "ideal", ideal, d)
+    if not (isinstance(rho, (int, float)) and math.isfinite(rho) and rho >= 0):
+        raise ValueError(f"rho = {rho!r} must be a finite number of at least 0")
+
+    def function(returns: Any) -> Any:
+        gaps = _like(w, returns) * (_like(z, returns) - returns)
+        worst = gaps.max(-1) if isinstance(gaps, np.ndarray) else gaps.amax(-1)
+        return -(worst + rho * gaps.sum(-1))
+
+    return Utility("augmented_chebyshev", objectives, function)
+
+
+def generalised_gini(objectives: Sequence[str], weights: Any = None, scales: Any = None) -> Utility:
+    """sum_i w_i (R / s)_(i) over the components sorted in increasing order; weights must not increase (Weymark 1981)."""
+    d = len(objectives)
+    w = _vector("generalised_gini", "weights", weights, d)
+    s = _vector("generalised_gini", "scales", [1.0] * d if scales is None else scales, d)
+    if any(later > earlier for earlier, later in zip(w, w[1:], strict=False)) or w[-1] < 0.0:
+        raise ValueError(f"weights = {w} of generalised_gini must not increase and not be negative")
+    if any(scale <= 0.0 for scale in s):
+        raise ValueError(f"scales = {s} of generalised_gini must be positive")
+
+    def function(returns: Any) -> Any:
+        scaled = returns / _like(s, returns)
+        ordered = np.sort(scaled, axis=-1) if isinstance(scaled, np.ndarray) else scaled.sort(-1).values
+        return (ordered * _like(w, returns)).sum(-1)
+
+    return Utility("generalised_gini", objectives, function)
+
+
+STANDARD: dict[str, Callable[..., Utility]] = {
+    "linear": linear,
+    "augmented_chebyshev": augmented_chebyshev,
+    "generalised_gini": generalised_gini,
+}
+UTILITIES: tuple[str, ...] = (*LINEAR, *NONLINEAR, *STANDARD)
+
+
+def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximise", **arguments: Any) -> Utility:
+    """The utility called ``name`` for an environment that emits ``objectives``.
+
+    Args:
+        name: one of UTILITIES, or the dotted path ``package.module:function`` of a function from returns (..., d),
+            oriented as the environment emits them, to (...).
+        objectives: the names of the environment's reward components, in order.
+        cost_sign: the environment's setting: "maximise" or "paper".
+        **arguments: of the utility, for example ``weights``.
+
+    Raises:
+        ValueError: for an unknown name, missing objectives or unfit arguments.
+    """
+    objectives = tuple(objectives)
+    if ":" in name:
+        return Utility(name, objectives, _own(name, arguments))
+    if name in STANDARD:
+        try:
+            return STANDARD[name](objectives, **arguments)
+        except TypeError as error:
+            raise ValueError(f"utility {name!r}: {error}") from None
+    if name not in LINEAR and name not in NONLINEAR:
+        raise ValueError(f"utility {name!r} is unknown; {nearest(name, UTILITIES)}; or package.module:function")
+    if arguments:
+        raise ValueError(f"utility {name!r} takes no arguments; got {sorted(arguments)}")
+    needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
+    if sorted(needed) != sorted(objectives):
+        raise ValueError(f"utility {name!r} is defined on {needed}; the environment emits {objectives}")
+    signs = [1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[objective]].sign) for objective in objectives]
+    if name in LINEAR:
+        weights = [LINEAR[name][objective] * sign for objective, sign in zip(objectives, signs, strict=True)]
+        return Utility(name, objectives, lambda returns: (returns * _like(weights, returns)).sum(-1), weights)
+    formula = NONLINEAR[name][1]
+
+    def function(returns: Any) -> Any:
+        magnitudes = {objective: returns[..., i] * signs[i] for i, objective in enumerate(objectives)}
+        return formula(magnitudes)
+
+    return Utility(name, objectives, function)
+
+
+def _own(path: str, arguments: dict[str, Any]) -> Function:
+    module_name, _, attribute = path.partition(":")
+    try:
+        function = getattr(importlib.import_module(module_name), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"utility {path!r} cannot be imported: {error}") from None
+    if not callable(function):
+        raise ValueError(f"utility {path!r} is not callable")
+    return (lambda returns: function(returns, **arguments)) if arguments else function
