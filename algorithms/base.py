@@ -102,7 +102,9 @@ class Learner(ABC):
         self.device = device
         scales = worlds.objective_scales if config.objective_scales is None else config.objective_scales
         if len(scales) != len(worlds.objectives):
-            raise ValueError(f"objective_scales = {list(scales)} needs {len(worlds.objectives)} numbers: {worlds.objectives}")
+            raise ValueError(
+                f"objective_scales = {list(scales)} needs {len(worlds.objectives)} numbers: {worlds.objectives}"
+            )
         self.observation_scales = torch.tensor(worlds.observation_scales, device=device)
         self.objective_scales = torch.tensor(np.asarray(scales, dtype=np.float32), device=device)
         inputs = self.input_size(worlds)
@@ -130,6 +132,7 @@ class Learner(ABC):
 
     def finished(self, discounted_returns: NDArray[np.float64]) -> None:
         """Take note of the discounted returns (E, d) of episodes that ended; most learners need none."""
+        return
 
     def update(self, rollout: Rollout, learning_rate: float, entropy_weight: float) -> dict[str, float]:
         """One gradient step on ``rollout``."""
@@ -165,7 +168,12 @@ class Learner(ABC):
         """v (..., value size) in the units of the returns."""
 
     def policy_losses(
-        self, rollout: Rollout, inputs: torch.Tensor, advantages: torch.Tensor, value_loss: torch.Tensor, entropy_weight: float
+        self,
+        rollout: Rollout,
+        inputs: torch.Tensor,
+        advantages: torch.Tensor,
+        value_loss: torch.Tensor,
+        entropy_weight: float,
     ) -> dict[str, torch.Tensor]:
         """The policy-gradient loss with entropy bonus, plus the critic's; samples that did not act do not count."""
         weight = rollout.acted.to(advantages.dtype)

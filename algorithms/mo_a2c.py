@@ -21,6 +21,7 @@ from algorithms.base import ActorCritic, ActorCriticConfig, Learner
 from algorithms.returns import AdvantageForm, discounted_sum, utility_differences, utility_gradient
 from algorithms.rollout import Rollout
 from algorithms.worlds import Worlds
+from mo_deepdrive.utilities import Utility
 
 # Weight of the past when an episode's return enters the running mean that utility_gradient needs.
 RETURN_MEMORY = 0.99
@@ -42,6 +43,14 @@ class MOA2CLearner(Learner):
     """Vector critic on the augmented state."""
 
     config: MOA2CConfig
+
+    def __init__(
+        self, worlds: Worlds, utility: Utility, config: MOA2CConfig, generator: torch.Generator, device: torch.device
+    ):
+        super().__init__(worlds, utility, config, generator, device)
+        # Running mean (d,) of the discounted returns of finished episodes, and how many there were.
+        self._expected_return = torch.zeros(len(worlds.objectives), device=device)
+        self._episodes = 0
 
     def input_size(self, worlds: Worlds) -> int:
         return worlds.observation_size + len(worlds.objectives) + self.config.observe_discount
@@ -70,7 +79,7 @@ class MOA2CLearner(Learner):
         targets = vector_advantages + known
         value_loss = ((targets - values) / self.objective_scales).square().mean(-1)
         if self.config.advantage == "utility_gradient":
-            advantages = vector_advantages @ utility_gradient(self.utility, self.expected_return)
+            advantages = vector_advantages @ utility_gradient(self.utility, self._expected_return)
         else:
             differences = utility_differences(
                 self.utility,
@@ -84,11 +93,6 @@ class MOA2CLearner(Learner):
             )
             advantages = discounted_sum(differences, going_on, decay)
         return self.policy_losses(rollout, inputs, advantages, value_loss, entropy_weight)
-
-    @property
-    def expected_return(self) -> torch.Tensor:
-        """Running mean (d,) of the discounted returns of finished episodes; zeros before the first."""
-        return self._expected_return
 
     def finished(self, discounted_returns: NDArray[np.float64]) -> None:
         if not len(discounted_returns):
@@ -106,11 +110,6 @@ class MOA2CLearner(Learner):
         super().set_state(state)
         self._expected_return = state["expected_return"].to(self.device)
         self._episodes = int(state["episodes"])
-
-    def __init__(self, worlds: Worlds, *arguments: object):
-        super().__init__(worlds, *arguments)  # type: ignore[arg-type]
-        self._expected_return = torch.zeros(len(worlds.objectives), device=self.device)
-        self._episodes = 0
 
 
 class MOA2C(ActorCritic):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import nn
@@ -11,11 +12,13 @@ from torch import nn
 LOG_TWO_PI = math.log(2 * math.pi)
 
 
-def mlp(inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator, output_gain: float) -> nn.Sequential:
+def mlp(
+    inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator, output_gain: float
+) -> nn.Sequential:
     """Linear layers with ReLU between them (paper, appendix A), orthogonally initialised from ``generator``."""
     sizes = [inputs, *hidden, outputs]
     layers: list[nn.Module] = []
-    for i, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
+    for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
         layer = nn.utils.skip_init(nn.Linear, fan_in, fan_out)
         last = i == len(sizes) - 2
         nn.init.orthogonal_(layer.weight, gain=output_gain if last else math.sqrt(2), generator=generator)

@@ -118,7 +118,13 @@ class Collector:
             if over.any():
                 self._final[t][over] = step.final[over]
                 ended.append(
-                    (np.nonzero(over)[1], self.returns[over], self.accrued[over], self.lengths[over], step.succeeded[over])
+                    (
+                        np.nonzero(over)[1],
+                        self.returns[over],
+                        self.accrued[over],
+                        self.lengths[over],
+                        step.succeeded[over],
+                    )
                 )
                 self._restart(over)
             if not step.acted.all():
@@ -156,7 +162,7 @@ class Collector:
 
     def get_state(self) -> dict[str, NDArray]:
         """What runs on between rollouts, the worlds included."""
-        own = {
+        own: dict[str, NDArray] = {
             "observations": self.observations,
             "accrued": self.accrued,
             "discounts": self.discounts,

@@ -29,10 +29,8 @@ def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None
     spec = gymnasium.spec(env_id.rpartition(":")[2])
     arguments = arguments or {}
     if spec.vector_entry_point is not None:
-        return gymnasium.make_vec(
-            env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments
-        )
-    return MOSyncVectorEnv([lambda: mo_gymnasium.make(env_id, **arguments) for _ in range(num_envs)])
+        return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
+    return MOSyncVectorEnv(lambda: mo_gymnasium.make(env_id, **arguments) for _ in range(num_envs))
 
 
 @dataclass

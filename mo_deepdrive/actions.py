@@ -1,7 +1,8 @@
 """The action sets: tables of discrete actions, and the decoders that turn actions into target controls.
 
 A discrete action is a row: target ``steer = decay * held + offset + curl / max(speed, 1)^2`` and a speed change.
-Only "decay steer" depends on the held steer; the others set the wheel anew. The target controls are steer (rad), throttle (m/s^2) and brake (1); see ``simulation.dynamics.drive``.
+Only "decay steer" depends on the held steer; the others set the wheel anew. Target controls are steer (rad),
+throttle (m/s^2) and brake (1); see ``simulation.dynamics.drive``.
 """
 
 from __future__ import annotations
@@ -77,15 +78,10 @@ def decode_discrete(worlds, actions, table, controls):
         actions: (worlds, vehicles) integers in [0, len(table)).
         table: (actions, 4), from :func:`action_table`.
         controls: (worlds, vehicles, 3), written: steer (rad), throttle (m/s^2), brake.
-
-    Returns:
-        The first world with an action outside the table, or -1.
     """
     for i in range(actions.shape[0]):
         for v in range(actions.shape[1]):
             action = actions[i, v]
-            if action < 0 or action >= table.shape[0]:
-                return i
             vehicle = worlds[i, v]
             change = table[action, SPEED_CHANGE]
             steer = table[action, DECAY] * vehicle.steer + table[action, OFFSET]
@@ -107,22 +103,13 @@ def decode_discrete(worlds, actions, table, controls):
             controls[i, v, 0] = steer
             controls[i, v, 1] = throttle
             controls[i, v, 2] = brake
-    return -1
 
 
 @jit
 def decode_continuous(actions, controls):
-    """Write the target controls of continuous actions (worlds, vehicles, 3), clipped to [-1, 1].
-
-    Returns:
-        The first world with an action that is not finite, or -1.
-    """
+    """Write the target controls of continuous actions (worlds, vehicles, 3), clipped to [-1, 1]."""
     for i in range(actions.shape[0]):
         for v in range(actions.shape[1]):
-            for axis in range(3):
-                if not math.isfinite(actions[i, v, axis]):
-                    return i
             controls[i, v, 0] = min(max(actions[i, v, 0], -1.0), 1.0) * STEER_RANGE
             controls[i, v, 1] = min(max(actions[i, v, 1], -1.0), 1.0) * MAX_ACCELERATION
             controls[i, v, 2] = MAX_ACCELERATION * (1.0 + min(max(actions[i, v, 2], -1.0), 1.0)) / 2
-    return -1

@@ -159,9 +159,7 @@ def write(worlds, i, v, params, out):
             if other.end == RUNNING:
                 ahead = HALF_LENGTH if corner < 2 else -HALF_LENGTH
                 right = HALF_WIDTH if corner == 1 or corner == 2 else -HALF_WIDTH
-                px, py = geometry.corner(
-                    other.x, other.y, other.cos_heading, other.sin_heading, ahead, right
-                )
+                px, py = geometry.corner(other.x, other.y, other.cos_heading, other.sin_heading, ahead, right)
                 angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
                 away = geometry.distance(front_x, front_y, px, py)
             out[i, v, position + 2 * corner] = angle

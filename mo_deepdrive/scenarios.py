@@ -137,7 +137,7 @@ def given(pinned, drawn):
 
 @jit
 def draw_spawn(draws, j, params, pins, spawn):
-    """Fill ``spawn`` (record SPAWN) from the uniforms ``draws[j]`` (DRAWS,); entries of ``pins`` that are not NaN win."""
+    """Fill ``spawn`` (record SPAWN) from the uniforms ``draws[j]`` (DRAWS,); entries of ``pins`` not NaN win."""
     vehicles = len(spawn.starts)
     for v in range(vehicles):
         spawn.starts[v, 0] = given(pins.starts[v, 0], params.starts[v, 0])

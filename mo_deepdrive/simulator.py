@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
 from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.scenarios import DRAWS, SCENARIOS, pin_nothing
+from mo_deepdrive.scenarios import SCENARIOS, pin_nothing
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
@@ -44,6 +45,20 @@ TELEMETRY = {
         "ay",
     )
 }
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Consecutive worlds that one thread moves: views of the buffers and a scratch path of its own."""
+
+    rows: slice
+    worlds: NDArray[Any]
+    controls: NDArray[np.float64]
+    path: NDArray[np.float64]
+    observations: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
 
 
 class Simulator:
@@ -88,19 +103,17 @@ class Simulator:
         self.__dict__.update(state)
         self._divide(state["_parts"])
 
-    def _part(self, rows: NDArray[np.int64]) -> tuple[Any, ...]:
-        """The arguments of `step_batch` for consecutive rows: views of the buffers and a scratch path of its own."""
-        part = slice(rows[0], rows[-1] + 1)
-        path = np.zeros((self.scenario.vehicles, self.config.physics_steps + 1, PATH_WIDTH))
-        return (
-            self.state[part],
-            self._controls[part],
-            self.params,
-            path,
-            self.observations[part],
-            self.rewards[part],
-            self.terminated[part],
-            self.truncated[part],
+    def _part(self, rows: NDArray[np.int64]) -> _Part:
+        part = slice(int(rows[0]), int(rows[-1]) + 1)
+        return _Part(
+            rows=part,
+            worlds=self.state[part],
+            controls=self._controls[part],
+            path=np.zeros((self.scenario.vehicles, self.config.physics_steps + 1, PATH_WIDTH)),
+            observations=self.observations[part],
+            rewards=self.rewards[part],
+            terminated=self.terminated[part],
+            truncated=self.truncated[part],
         )
 
     def place(self, rows: NDArray[np.int64], draw: Draw, pins: np.record | None = None) -> None:
@@ -140,31 +153,59 @@ class Simulator:
         Raises:
             ValueError: for actions that are out of range, not finite or of the wrong type; no state has changed.
         """
-        if self.continuous:
-            if actions.dtype.kind not in "fiu":
-                raise ValueError(f"actions have dtype {actions.dtype}; expected real numbers")
-            actions = np.ascontiguousarray(actions, dtype=np.float64)
-            bad = action_sets.decode_continuous(actions, self._controls)
-        else:
-            if actions.dtype.kind not in "iu":
-                raise ValueError(f"actions have dtype {actions.dtype}; expected integers")
-            actions = np.ascontiguousarray(actions, dtype=np.int64)
-            bad = action_sets.decode_discrete(self.state, actions, self._table, self._controls)
-        if bad >= 0:
-            allowed = "finite numbers" if self.continuous else f"integers in [0, {len(self._table)})"
-            raise ValueError(f"action {actions[bad].tolist()} of world {bad} is not allowed; expected {allowed}")
+        actions = self._checked(actions)
         if self._pool is None:
-            step_batch(*self._parts[0])
+            self._run(self._parts[0], actions)
+            return
+        others = [self._pool.submit(self._run, part, actions) for part in self._parts[1:]]
+        self._run(self._parts[0], actions)
+        for other in others:
+            other.result()
+
+    def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
+        kinds, dtype, allowed = (
+            ("fiu", np.float64, "finite numbers")
+            if self.continuous
+            else (
+                "iu",
+                np.int64,
+                f"integers in [0, {len(self._table)})",
+            )
+        )
+        if actions.dtype.kind not in kinds:
+            raise ValueError(f"actions have dtype {actions.dtype}; expected {allowed}")
+        actions = np.ascontiguousarray(actions, dtype=dtype)
+        if self.continuous:
+            fine = bool(np.isfinite(actions).all())
         else:
-            others = [self._pool.submit(step_batch, *part) for part in self._parts[1:]]
-            step_batch(*self._parts[0])
-            for other in others:
-                other.result()
+            fine = bool(actions.min() >= 0 and actions.max() < len(self._table))
+        if not fine:
+            each = np.isfinite(actions).all(-1) if self.continuous else (actions >= 0) & (actions < len(self._table))
+            row = int(np.flatnonzero(~each.all(axis=1))[0])
+            raise ValueError(f"action {actions[row].tolist()} of world {row} is not allowed; expected {allowed}")
+        return actions
+
+    def _run(self, part: _Part, actions: NDArray[Any]) -> None:
+        """Decode the actions of one part and move its worlds."""
+        if self.continuous:
+            action_sets.decode_continuous(actions[part.rows], part.controls)
+        else:
+            action_sets.decode_discrete(part.worlds, actions[part.rows], self._table, part.controls)
+        step_batch(
+            part.worlds,
+            part.controls,
+            self.params,
+            part.path,
+            part.observations,
+            part.rewards,
+            part.terminated,
+            part.truncated,
+        )
 
     def over(self) -> NDArray[np.bool_]:
         """Which worlds have no vehicle left on the road, shape (worlds,)."""
-        ended = self.terminated | self.truncated
-        return ended[:, 0] if ended.shape[1] == 1 else ended.all(axis=1)
+        ended: NDArray[np.bool_] = self.terminated | self.truncated
+        return ended[:, 0] if ended.shape[1] == 1 else np.all(ended, axis=1)
 
     def restore(self, state: NDArray[Any]) -> None:
         """Overwrite the state (worlds, vehicles) and bring the observations and flags in line with it."""

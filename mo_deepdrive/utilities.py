@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,9 @@ class Utility:
         weights: (d,) weights on maximised returns where the utility is linear, else None.
     """
 
-    def __init__(self, name: str, objectives: Sequence[str], function: Function, weights: Sequence[float] | None = None):
+    def __init__(
+        self, name: str, objectives: Sequence[str], function: Function, weights: Sequence[float] | None = None
+    ):
         self.name = name
         self.objectives = tuple(objectives)
         self.weights = None if weights is None else tuple(float(w) for w in weights)
@@ -140,7 +143,9 @@ def linear(objectives: Sequence[str], weights: Any = None) -> Utility:
     return Utility("linear", objectives, lambda returns: (returns * _like(w, returns)).sum(-1), w)
 
 
-def augmented_chebyshev(objectives: Sequence[str], weights: Any = None, ideal: Any = None, rho: float = 0.05) -> Utility:
+def augmented_chebyshev(
+    objectives: Sequence[str], weights: Any = None, ideal: Any = None, rho: float = 0.05
+) -> Utility:
     """-(max_i w_i (z_i - R_i) + rho sum_i w_i (z_i - R_i)) with ideal point z (Steuer and Choo 1983)."""
     d = len(objectives)
     w = _vector("augmented_chebyshev", "weights", weights, d)
@@ -157,11 +162,11 @@ def augmented_chebyshev(objectives: Sequence[str], weights: Any = None, ideal: A
 
 
 def generalised_gini(objectives: Sequence[str], weights: Any = None, scales: Any = None) -> Utility:
-    """sum_i w_i (R / s)_(i) over the components sorted in increasing order; weights must not increase (Weymark 1981)."""
+    """sum_i w_i (R / s)_(i), components in increasing order, weights not increasing (Weymark 1981)."""
     d = len(objectives)
     w = _vector("generalised_gini", "weights", weights, d)
     s = _vector("generalised_gini", "scales", [1.0] * d if scales is None else scales, d)
-    if any(later > earlier for earlier, later in zip(w, w[1:], strict=False)) or w[-1] < 0.0:
+    if any(later > earlier for earlier, later in pairwise(w)) or w[-1] < 0.0:
         raise ValueError(f"weights = {w} of generalised_gini must not increase and not be negative")
     if any(scale <= 0.0 for scale in s):
         raise ValueError(f"scales = {s} of generalised_gini must be positive")

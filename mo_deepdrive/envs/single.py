@@ -102,7 +102,7 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
         if self.simulator.scenario.vehicles != 1:
             raise ValueError(f"scenario = {scenario!r} has more than one vehicle; use gymnasium.make_vec")
         self.objectives = self.simulator.objectives
-        self.observation_space = env_spaces.observation_space(config)
+        self.observation_space = env_spaces.observation_space(config)  # type: ignore[assignment]
         self.action_space = env_spaces.action_space(config)
         self.reward_space = env_spaces.reward_space(config)
         self.reward_dim = len(self.objectives)
@@ -124,7 +124,7 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
             self.render()
         return self.simulator.observations[0, 0].copy(), {}
 
-    def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:  # type: ignore[override]
+    def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
         """Drive for one decision.
 
         Returns:

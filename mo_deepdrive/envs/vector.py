@@ -109,12 +109,12 @@ class DrivingVectorEnv(VectorEnv):
         return spaces.Box(np.tile(space.low, tile), np.tile(space.high, tile), dtype=np.float32)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of every world."""
         return self._seeded().seeds
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The generator of every world."""
         return self._seeded().generators
 
@@ -212,16 +212,16 @@ class DrivingVectorEnv(VectorEnv):
         return buffer[:, 0].copy() if self.vehicles == 1 else buffer.copy()
 
     def _why(self, over: NDArray[np.bool_]) -> dict[str, Any]:
-        ends = self.simulator.state["end"]
+        """Why the episodes of the worlds ``over`` ended, in Gymnasium's form of vector infos."""
+        codes = self.simulator.state["end"][over]
+        shape: tuple[int, ...] = (self.num_envs, self.vehicles)
         if self.vehicles == 1:
-            ends = ends[:, 0]
-        mask = over if self.vehicles == 1 else over[:, None]
-        return {
-            "end": np.where(mask, END_NAMES[ends], None),
-            "_end": over.copy(),
-            "success": mask & (ends == ARRIVED),
-            "_success": over.copy(),
-        }
+            codes, shape = codes[:, 0], (self.num_envs,)
+        end = np.full(shape, None, dtype=object)
+        end[over] = END_NAMES[codes]
+        success = np.zeros(shape, dtype=np.bool_)
+        success[over] = codes == ARRIVED
+        return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
     def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:
         """Per world and vehicle a dict of named SI floats."""
@@ -243,10 +243,9 @@ class DrivingVectorEnv(VectorEnv):
         """
         mine = self.get_state()
         for name, array in mine.items():
-            if name not in state or np.shape(state[name]) != array.shape:
-                raise ValueError(
-                    f"state {name!r} has shape {np.shape(state.get(name))}; this environment needs {array.shape}"
-                )
+            found = np.shape(state[name]) if name in state else None
+            if found != array.shape:
+                raise ValueError(f"state {name!r} has shape {found}; this environment needs {array.shape}")
         self.simulator.restore(np.asarray(state["state"]).view(self.simulator.state.dtype))
         self._over = np.array(state["over"], dtype=np.bool_)
         self._seeded().set_state(state)

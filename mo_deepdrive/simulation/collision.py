@@ -26,7 +26,7 @@ def sweep(path, v, i):
 
 @jit
 def pose(path, v, i, part):
-    """x, y, cos, sin at the fraction ``part`` of physics step ``i`` of vehicle ``v``; exactly row ``i`` where part is 1."""
+    """x, y, cos, sin of vehicle ``v`` at the fraction ``part`` of physics step ``i``; row ``i`` where it is 1."""
     if part == 1.0:
         return path[v, i, PATH_X], path[v, i, PATH_Y], path[v, i, PATH_COS], path[v, i, PATH_SIN]
     rest = 1.0 - part

@@ -60,8 +60,8 @@ def jit(function: F) -> F:
     Functions are inlined into their callers: a call passes every array as seven words and counts a reference.
     Where no cache folder is writable the function is compiled anew in every process.
     """
-    compiled = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
-    if not numba.config.DISABLE_JIT:
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
+    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         try:
             compiled._cache = _Cache(function)
         except RuntimeError as error:

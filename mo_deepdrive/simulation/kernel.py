@@ -56,10 +56,7 @@ def ending(vehicle, collided, arrived, params):
         return HARMFUL_G_FORCE
     if vehicle.jerk > params.harmful_jerk:
         return HARMFUL_JERK
-    if (
-        params.end_on_lane_violation
-        and min(vehicle.left_lane_distance, vehicle.right_lane_distance) < -LANE_TOLERANCE
-    ):
+    if params.end_on_lane_violation and min(vehicle.left_lane_distance, vehicle.right_lane_distance) < -LANE_TOLERANCE:
         return OFF_LANE
     if abs(vehicle.heading - vehicle.start_heading) > CIRCLING_LIMIT:
         return CIRCLING

@@ -32,7 +32,9 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
         return scenario.objectives
     for name in config.objectives:
         if name not in scenario.objectives:
-            raise ValueError(f"objectives has {name!r}, which {scenario.title} lacks; {nearest(name, scenario.objectives)}")
+            raise ValueError(
+                f"objectives has {name!r}, which {scenario.title} lacks; {nearest(name, scenario.objectives)}"
+            )
     return config.objectives
 
 
