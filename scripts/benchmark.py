@@ -1,0 +1,228 @@
+"""Measure speed and memory: ``python scripts/benchmark.py [--quick] [--output FILE.csv]``.
+
+Everything is measured in one run, the best of several repetitions, so that ratios hold on a noisy machine. Peers are
+measured where they are installed (``pip install highway-env`` for mo-highway-fast-v0).
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from rich.console import Console
+from rich.table import Table
+
+import mo_deepdrive  # noqa: F401  (registers the ids)
+from algorithms import ALGORITHMS
+from algorithms.worlds import make_env
+from mo_deepdrive.utilities import make_utility
+
+IDS = {
+    "OneWaypoint": "mo-deepdrive-one-waypoint-v0",
+    "StaticObstacle": "mo-deepdrive-static-obstacle-v0",
+    "Intersection": "mo-deepdrive-intersection-v0",
+}
+PEERS = ("minecart-v0", "mo-highway-fast-v0")
+STEPS_PER_REPETITION = 100
+
+FIRST_STEP = """
+import mo_deepdrive, mo_gymnasium
+env = mo_gymnasium.make("mo-deepdrive-one-waypoint-v0")
+env.reset(seed=0)
+env.step(0)
+"""
+
+MEMORY = """
+import resource
+import gymnasium, mo_deepdrive
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def grown(count):
+    env = gymnasium.make_vec("mo-deepdrive-{name}-v0", num_envs=count)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(20):
+        env.step(env.action_space.sample())
+    return env
+small = grown(1)
+before = peak()
+large = grown(4096)
+print((peak() - before) / 1024, peak() / 1024)
+"""
+
+
+@dataclass
+class Row:
+    """One measurement and what it is to be compared with."""
+
+    what: str
+    value: float
+    unit: str
+    target: str = ""
+
+
+def best(run: Callable[[], int], repetitions: int) -> float:
+    """Units per second of the fastest of ``repetitions`` calls; ``run`` returns how many units it did."""
+    fastest = 0.0
+    for _ in range(repetitions):
+        started = time.perf_counter()
+        units = run()
+        fastest = max(fastest, units / (time.perf_counter() - started))
+    return fastest
+
+
+def vector_rate(env_id: str, worlds: int, threads: int, repetitions: int) -> float:
+    """Worlds stepped per second by the native vector environment under random actions, autoreset included."""
+    env = gymnasium.make_vec(env_id, num_envs=worlds, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    shape = (STEPS_PER_REPETITION, *env.action_space.shape)
+    actions = rng.integers(0, 22, shape)
+
+    def run() -> int:
+        for action in actions:
+            env.step(action)
+        return worlds * len(actions)
+
+    run()
+    return best(run, repetitions)
+
+
+def kernel_rate(env_id: str, worlds: int, repetitions: int) -> float:
+    """Worlds stepped per second by the kernel alone (decoding included), without autoreset."""
+    env = gymnasium.make_vec(env_id, num_envs=worlds, autoreset_mode=AutoresetMode.SAME_STEP)
+    env.reset(seed=0)
+    simulator = env.unwrapped.simulator  # type: ignore[attr-defined]
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 22, (10, worlds, simulator.scenario.vehicles))
+    start = simulator.state.copy()
+    fastest = 0.0
+    for _ in range(10 * repetitions):
+        simulator.state[:] = start
+        started = time.perf_counter()
+        for action in actions:
+            simulator.step(action)
+        fastest = max(fastest, worlds * len(actions) / (time.perf_counter() - started))
+    return fastest
+
+
+def single_rate(env_id: str, repetitions: int, steps: int) -> float | None:
+    """Steps per second of ``mo_gymnasium.make(env_id)`` under random actions; None where it is not installed."""
+    try:
+        env = mo_gymnasium.make(env_id)
+    except (gymnasium.error.Error, ImportError):
+        return None
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(steps)]
+
+    def run() -> int:
+        for action in actions:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        return len(actions)
+
+    run()
+    return best(run, repetitions)
+
+
+def training_rate(algorithm: str, total: int) -> float:
+    """Environment steps per second of training end to end: 256 worlds x 16 steps, the paper's network."""
+    env = make_env(IDS["OneWaypoint"], 256)
+    utility = make_utility("one_waypoint_linear", env.unwrapped.objectives)  # type: ignore[attr-defined]
+    agent = ALGORITHMS[algorithm](env, utility, seed=0, steps=16, hidden=[64, 32])
+    rates: list[float] = []
+    agent.train(total, log=lambda step, metrics: rates.append(metrics["time/steps_per_second"]), log_interval=50)
+    return rates[-1]
+
+
+def first_step_seconds() -> tuple[float, float]:
+    """Seconds of a fresh interpreter from start to the first step: with a cold compilation cache, then a warm one."""
+    seconds = []
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        for _ in range(2):
+            started = time.perf_counter()
+            subprocess.run([sys.executable, "-c", FIRST_STEP], check=True, env=environment)
+            seconds.append(time.perf_counter() - started)
+    return seconds[0], seconds[1]
+
+
+def memory_megabytes(scenario: str) -> tuple[float, float]:
+    """Growth and total of peak resident memory for 4096 worlds (MB)."""
+    code = MEMORY.replace("{name}", scenario)
+    output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    growth, total = output.split()
+    return float(growth), float(total)
+
+
+def measure(repetitions: int, training_steps: int, with_threads: bool) -> list[Row]:
+    """All measurements."""
+    rows: list[Row] = []
+    targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M"}
+    for title, env_id in IDS.items():
+        rows.append(Row(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "worlds/s"))
+        rate = vector_rate(env_id, 1024, 1, repetitions)
+        rows.append(Row(f"{title}, make_vec, N = 1024, 1 thread", rate, "worlds/s", targets[title]))
+        if with_threads:
+            one = vector_rate(env_id, 4096, 1, repetitions)
+            two = vector_rate(env_id, 4096, 2, repetitions)
+            rows.append(Row(f"{title}, make_vec, N = 4096, 2 threads", two, "worlds/s"))
+            rows.append(Row(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8"))
+    ours = single_rate(IDS["OneWaypoint"], repetitions, 5000)
+    assert ours is not None
+    rows.append(Row("OneWaypoint, mo_gymnasium.make", ours, "steps/s", "60 k"))
+    for peer in PEERS:
+        rate_of_peer = single_rate(peer, max(1, repetitions // 3), 300)
+        if rate_of_peer is not None:
+            rows.append(Row(f"{peer}, mo_gymnasium.make", rate_of_peer, "steps/s"))
+            rows.append(Row(f"OneWaypoint / {peer}, single", ours / rate_of_peer, "x"))
+    for algorithm, target in (("a2c", "400 k"), ("mo_a2c", "300 k")):
+        rate = training_rate(algorithm, training_steps)
+        rows.append(Row(f"{algorithm} training, 256 x 16, 1 thread", rate, "steps/s", target))
+    cold, warm = first_step_seconds()
+    rows.append(Row("import and first step, cold cache", cold, "s", "< 20"))
+    rows.append(Row("import and first step, warm cache", warm, "s", "< 1.5"))
+    for scenario in ("one-waypoint", "intersection"):
+        growth, total = memory_megabytes(scenario)
+        rows.append(Row(f"{scenario}, 4096 worlds, growth of resident memory", growth, "MB"))
+        rows.append(Row(f"{scenario}, 4096 worlds, resident memory of the process", total, "MB", "< 300"))
+    return rows
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer repetitions")
+    parser.add_argument("--output", type=Path, help="also write the table as CSV")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    repetitions = 3 if arguments.quick else 15
+    rows = measure(repetitions, 400_000 if arguments.quick else 3_000_000, with_threads=(os.cpu_count() or 1) > 1)
+    table = Table("measurement", "value", "unit", "goal")
+    for row in rows:
+        table.add_row(row.what, f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}", row.unit, row.target)
+    Console().print(table)
+    if arguments.output is not None:
+        with arguments.output.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["measurement", "value", "unit", "goal"])
+            writer.writerows([row.what, f"{row.value:.6g}", row.unit, row.target] for row in rows)
+
+
+if __name__ == "__main__":
+    main()
