@@ -9,7 +9,8 @@ from __future__ import annotations
 import torch
 from pydantic import Field
 
-from algorithms.base import ActorCritic, ActorCriticConfig, Learner
+from algorithms.base import ActorCritic
+from algorithms.learner import ActorCriticConfig, Learner
 from algorithms.returns import discounted_sum
 from algorithms.rollout import Rollout
 from algorithms.worlds import Worlds

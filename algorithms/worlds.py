@@ -7,6 +7,7 @@ samples that count.
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,8 +26,17 @@ from mo_deepdrive.objectives import scales as objective_scales
 
 
 def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:
-    """``num_envs`` copies of a MO-Gymnasium environment as a vector environment with vector rewards (N, d)."""
-    spec = gymnasium.spec(env_id.rpartition(":")[2])
+    """``num_envs`` copies of a MO-Gymnasium environment as a vector environment with vector rewards (N, d).
+
+    Args:
+        env_id: a registered id, or ``module:id`` to import the module that registers it first.
+        num_envs: N.
+        arguments: keyword arguments of the environment.
+    """
+    module, _, name = env_id.rpartition(":")
+    if module:
+        importlib.import_module(module)
+    spec = gymnasium.spec(name)
     arguments = arguments or {}
     if spec.vector_entry_point is not None:
         return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)

@@ -1,0 +1,193 @@
+"""One vehicle's learner: settings, networks, optimiser and the losses that all actor-critics share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from algorithms.checkpoints import below
+from algorithms.networks import CategoricalActor, GaussianActor, mlp
+from algorithms.rollout import Rollout
+from algorithms.worlds import Worlds
+from mo_deepdrive.config import Settings
+from mo_deepdrive.utilities import Utility
+
+
+class ActorCriticConfig(Settings):
+    """Hyperparameters that all actor-critics share.
+
+    Attributes:
+        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        gamma: discount.
+        gae_lambda: decay of the advantage estimator; 0 is one step, 1 the whole rollout.
+        steps: decisions per world and update.
+        hidden: sizes of the hidden layers of actor and critic.
+        entropy_start, entropy_end, entropy_until: weight of the entropy bonus, moving geometrically from the first
+            to the second over this fraction of training.
+        value_coefficient: weight of the critic's loss.
+        max_grad_norm: clipping of the gradient's norm.
+        normalise_advantages: bring the advantages of an update to mean 0 and deviation 1.
+        objective_scales: nominal size of each objective's return; None for the environment's own.
+    """
+
+    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    learning_rate_end: float | None = Field(default=None, ge=0.0, le=1.0)
+    gamma: float = Field(default=0.99, ge=0.0, le=1.0)
+    gae_lambda: float = Field(default=0.95, ge=0.0, le=1.0)
+    steps: int = Field(default=16, ge=1, le=4096)
+    hidden: list[int] = Field(default=[64, 32], min_length=1)
+    entropy_start: float = Field(default=0.01, ge=0.0)
+    entropy_end: float = Field(default=0.01, ge=0.0)
+    entropy_until: float = Field(default=1.0, gt=0.0, le=1.0)
+    value_coefficient: float = Field(default=0.5, gt=0.0)
+    max_grad_norm: float = Field(default=0.5, gt=0.0)
+    normalise_advantages: bool = True
+    objective_scales: list[float] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ActorCriticConfig:
+        if any(size < 1 for size in self.hidden):
+            raise ValueError(f"hidden = {self.hidden} must be positive layer sizes")
+        if (self.entropy_start == 0.0) != (self.entropy_end == 0.0):
+            raise ValueError(
+                f"entropy_start = {self.entropy_start} and entropy_end = {self.entropy_end} must both be positive "
+                "or both be 0: the weight moves geometrically between them"
+            )
+        if self.objective_scales is not None and any(scale <= 0.0 for scale in self.objective_scales):
+            raise ValueError(f"objective_scales = {self.objective_scales} must be positive")
+        return self
+
+    def entropy_at(self, progress: float) -> float:
+        """Weight of the entropy bonus at ``progress`` in [0, 1]."""
+        if self.entropy_start == 0.0:
+            return 0.0
+        part = min(1.0, progress / self.entropy_until)
+        return self.entropy_start * (self.entropy_end / self.entropy_start) ** part
+
+    def learning_rate_at(self, progress: float) -> float:
+        """Adam's step size at ``progress`` in [0, 1]."""
+        end = self.learning_rate if self.learning_rate_end is None else self.learning_rate_end
+        return self.learning_rate + (end - self.learning_rate) * min(1.0, progress)
+
+
+class Learner(ABC):
+    """Networks and optimiser of one vehicle.
+
+    Subclasses say what the networks see and predict, and how a rollout changes them.
+    """
+
+    def __init__(self, worlds: Worlds, utility: Utility, config: Any, generator: torch.Generator, device: torch.device):
+        self.utility = utility
+        self.config = config
+        self.device = device
+        scales = worlds.objective_scales if config.objective_scales is None else config.objective_scales
+        if len(scales) != len(worlds.objectives):
+            raise ValueError(
+                f"objective_scales = {list(scales)} needs {len(worlds.objectives)} numbers: {worlds.objectives}"
+            )
+        self.observation_scales = torch.tensor(worlds.observation_scales, device=device)
+        self.objective_scales = torch.tensor(np.asarray(scales, dtype=np.float32), device=device)
+        inputs = self.input_size(worlds)
+        kind = GaussianActor if worlds.continuous else CategoricalActor
+        self.actor = kind(inputs, config.hidden, worlds.actions, generator).to(device)
+        self.critic = mlp(inputs, config.hidden, self.value_size(worlds), generator, output_gain=1.0).to(device)
+        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+
+    @abstractmethod
+    def input_size(self, worlds: Worlds) -> int:
+        """Width of what the networks see."""
+
+    @abstractmethod
+    def value_size(self, worlds: Worlds) -> int:
+        """Width of what the critic predicts."""
+
+    @abstractmethod
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """What the networks see, (..., inputs), from (..., o), (..., d) and (...)."""
+
+    @abstractmethod
+    def losses(self, rollout: Rollout, entropy_weight: float) -> dict[str, torch.Tensor]:
+        """The loss to descend as "total", and its parts, from the rollout of this vehicle (no vehicle axis)."""
+
+    def finished(self, discounted_returns: NDArray[np.float64]) -> None:
+        """Take note of the discounted returns (E, d) of episodes that ended; most learners need none."""
+        return
+
+    def update(self, rollout: Rollout, learning_rate: float, entropy_weight: float) -> dict[str, float]:
+        """One gradient step on ``rollout``."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate
+        losses = self.losses(rollout, entropy_weight)
+        self.optimiser.zero_grad()
+        losses["total"].backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
+        self.optimiser.step()
+        return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
+
+    def next_values(self, rollout: Rollout, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, ...) without gradient: 0 after termination, of the true final state after truncation.
+
+        Args:
+            inputs: (T + 1, N, inputs) what the networks saw.
+            values: (T, N, value size) v(S_t).
+        """
+        with torch.no_grad():
+            following = torch.cat([values[1:].detach(), self.values(inputs[-1:])])
+            following[rollout.terminated] = 0.0
+            cut = rollout.truncated & ~rollout.terminated
+            if cut.any():
+                factors = rollout.discounts[:-1][cut]
+                accrued = rollout.accrued[:-1][cut] + factors.unsqueeze(-1) * rollout.rewards[cut]
+                final = self.inputs(rollout.final[cut], accrued, factors * self.config.gamma)
+                following[cut] = self.values(final)
+        return following
+
+    @abstractmethod
+    def values(self, inputs: torch.Tensor) -> torch.Tensor:
+        """v (..., value size) in the units of the returns."""
+
+    def policy_losses(
+        self,
+        rollout: Rollout,
+        inputs: torch.Tensor,
+        advantages: torch.Tensor,
+        value_loss: torch.Tensor,
+        entropy_weight: float,
+    ) -> dict[str, torch.Tensor]:
+        """The policy-gradient loss with entropy bonus, plus the critic's; samples that did not act do not count."""
+        weight = rollout.acted.to(advantages.dtype)
+        weight = weight / weight.sum().clamp(min=1.0)
+        if self.config.normalise_advantages:
+            mean = (weight * advantages).sum()
+            deviation = (weight * (advantages - mean).square()).sum().sqrt()
+            advantages = (advantages - mean) / (deviation + 1e-8)
+        log_probability, entropies = self.actor.log_probability(inputs[:-1], rollout.actions)
+        policy_loss = -(weight * advantages.detach() * log_probability).sum()
+        critic_loss = (weight * value_loss).sum()
+        entropy = (weight * entropies).sum()
+        total = policy_loss + self.config.value_coefficient * critic_loss - entropy_weight * entropy
+        return {"total": total, "loss/policy": policy_loss, "loss/value": critic_loss, "policy/entropy": entropy}
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights and the optimiser's state as named tensors."""
+        state = {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
+        state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
+        for index, entries in self.optimiser.state_dict()["state"].items():
+            state |= {f"optimiser.{index}.{name}": tensor for name, tensor in entries.items()}
+        return state
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        self.actor.load_state_dict(below(state, "actor."))
+        self.critic.load_state_dict(below(state, "critic."))
+        entries: dict[int, dict[str, torch.Tensor]] = {}
+        for name, tensor in below(state, "optimiser.").items():
+            index, _, entry = name.partition(".")
+            entries.setdefault(int(index), {})[entry] = tensor
+        self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": entries})
