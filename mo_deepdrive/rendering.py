@@ -21,7 +21,7 @@ from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, ENDS, LANE_WIDTH, RUNNING, TIME_LIMIT
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, ENDS, LANE_WIDTH, MAX_WAYPOINTS, RUNNING, TIME_LIMIT
 
 with contextlib.redirect_stdout(io.StringIO()):  # pygame greets on import; standard output belongs to the program
     import pygame
@@ -43,27 +43,28 @@ GROUND, FINE_GRID, GRID = (232, 233, 228), (223, 225, 220), (207, 210, 205)
 GRASS, KERB, ASPHALT = (176, 190, 160), (205, 205, 196), (72, 76, 84)
 EDGE_LINE, CENTRE_LINE = (232, 232, 228), (236, 190, 74)
 VEHICLE_COLOURS = ((38, 116, 232), (240, 126, 38))
-BLACK, WHITE, GREY = (0, 0, 0), (255, 255, 255), (190, 190, 190)
-SHADOW, TYRE, GLASS = (0, 0, 0, 45), (24, 26, 30), (34, 46, 62)
-SHADOW_OFFSET = (0.12, -0.16)  # m
-HEADLIGHT, TAIL_LIGHT, BRAKE_LIGHT = (255, 244, 190), (122, 22, 28), (255, 36, 40)
-BICYCLE, WARNING = (196, 30, 84), (196, 30, 84, 30)
-PANEL, TILE, RULE = (24, 28, 36), (36, 42, 53), (54, 62, 76)
-TEXT, DIM = (240, 243, 248), (150, 160, 176)
-END_COLOURS = {RUNNING: TILE, ARRIVED: (38, 150, 92), TIME_LIMIT: (170, 122, 34)}
-FAILURE = (204, 58, 62)
+BLACK, WHITE, GREY, SHADOW, SHADOW_OFFSET = (0, 0, 0), (255, 255, 255), (190, 190, 190), (0, 0, 0, 45), (0.12, -0.16)
+TYRE, GLASS, HEADLIGHT = (24, 26, 30), (34, 46, 62), (255, 244, 190)
+TAIL_LIGHT, BRAKE_LIGHT, GLOW = (122, 22, 28), (255, 36, 40), (255, 36, 40, 90)
+OBSTACLE, WARNING = (196, 30, 84), (196, 30, 84, 30)
+PANEL, TILE, RULE, TEXT, DIM = (24, 28, 36), (36, 42, 53), (54, 62, 76), (240, 243, 248), (150, 160, 176)
+FAILURE, END_COLOURS = (204, 58, 62), {RUNNING: TILE, ARRIVED: (38, 150, 92), TIME_LIMIT: (170, 122, 34)}
+READINGS = (("speed", "m/s"), ("g_force", "g"), ("jerk", "m/s³"), ("route_distance", "m"))  # fields and units
 
+CIRCLE = np.stack([np.cos(np.linspace(0.0, math.tau, 49)), np.sin(np.linspace(0.0, math.tau, 49))], axis=1)
 # Right halves of a car's parts (m to the right, m ahead of its centre).
-FENDER = [(0.0, 2.588), (0.55, 2.55), (0.85, 2.42), (1.0, 2.12), (1.04, 1.2), (1.02, 0.0)]
-BODY = np.array([*FENDER, (1.04, -1.2), (1.0, -2.2), (0.86, -2.48), (0.55, -2.57), (0.0, -2.588)])
-HOOD = np.array([(0.0, 2.34), (0.5, 2.3), (0.66, 1.05), (0.0, 1.05)])
+NOSE = ((0.0, 2.588), (0.55, 2.55), (0.85, 2.42), (1.0, 2.12), (1.04, 1.2), (1.02, 0.0))
+BODY = np.array([*NOSE, (1.04, -1.2), (1.0, -2.2), (0.86, -2.48), (0.55, -2.57), (0.0, -2.588)])
+BONNET = np.array([(0.0, 2.34), (0.5, 2.3), (0.66, 1.05), (0.0, 1.05)])
 CABIN = np.array([(0.0, 1.12), (0.5, 1.06), (0.86, 0.84), (0.86, -1.4), (0.72, -1.86), (0.0, -1.92)])
 ROOF = np.array([(0.0, 0.3), (0.64, 0.24), (0.7, -0.2), (0.68, -1.1), (0.6, -1.3), (0.0, -1.34)])
 FRONT_LAMP = np.array([(0.5, 2.5), (0.82, 2.4), (0.97, 2.08), (0.66, 2.2)])
 REAR_LAMP = np.array([(0.46, -2.52), (0.84, -2.44), (0.98, -2.14), (0.8, -2.2), (0.46, -2.34)])
+BRAKE_GLOW = (0.7, -2.5) + 0.55 * CIRCLE
 MIRROR = np.array([(1.0, 0.92), (1.24, 0.82), (1.24, 0.66), (1.0, 0.7)])
 WHEEL = np.array([(-0.15, 0.44), (0.15, 0.44), (0.15, -0.44), (-0.15, -0.44)])
 FRONT_HUB, REAR_HUB = (0.98, 1.5), (0.98, -1.5)
+SIDES = np.array([(1, 1), (-1, 1)])  # right, left
 # The tubes of a bicycle that is 1 long (along it, above its axles): rear triangle, front triangle, fork, saddle.
 FRAME = (
     np.array([(0.2, 0.0), (0.46, 0.0), (0.37, 0.26), (0.2, 0.0)]),
@@ -81,13 +82,13 @@ def mix(colour: Colour, other: Colour, share: float) -> Colour:
 def turned(points: Points, angle: float) -> Points:
     """``points`` turned counter-clockwise by ``angle`` (rad) about the origin."""
     cos, sin = math.cos(angle), math.sin(angle)
-    return np.dot(points, np.array([[cos, sin], [-sin, cos]]))
+    rotated: Points = points @ np.array([[cos, sin], [-sin, cos]])
+    return rotated
 
 
-def arc(start: float, end: float) -> Points:
-    """Points (25, 2) of the unit circle between two angles (rad)."""
-    angles = np.linspace(start, end, 25)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+def titled(name: str) -> str:
+    """A name of the code as people write it."""
+    return name.replace("_", " ").capitalize()
 
 
 def reach_of(world: NDArray[Any]) -> float:
@@ -121,14 +122,13 @@ class Canvas:
 
     def line(self, start: ArrayLike, end: ArrayLike, width: float, colour: Colour) -> None:
         """A straight line with blunt ends."""
-        along = np.subtract(end, start)
-        side = np.array([along[1], -along[0]]) * (width / 2 / max(math.hypot(*along), 1e-9))
-        self.polygon(np.array([start - side, start + side, end + side, end - side]), colour)
+        a, b = np.array(start), np.array(end)
+        side = (b - a)[::-1] * (1, -1) * (width / 2 / max(math.dist(a, b), 1e-9))
+        self.polygon([a - side, a + side, b + side, b - side], colour)
 
     def ring(self, centre: Points, radius: float, width: float, colour: Colour) -> None:
         """A ring of outer ``radius``; a disc if it is as wide."""
-        circle = arc(0.0, math.tau)
-        self.polygon(np.concatenate([centre + radius * circle, centre + (radius - width) * circle[::-1]]), colour)
+        self.polygon(np.concatenate([centre + radius * CIRCLE, centre + (radius - width) * CIRCLE[::-1]]), colour)
 
     def grid(self) -> None:
         """A line for every metre and a stronger one for every fifth; none where they would lie too densely."""
@@ -181,7 +181,7 @@ class Canvas:
         length = math.hypot(*along)
         axes = np.stack([along, (-along[1], along[0])])
         self.ring(ends.mean(axis=0), 0.5 * length + 0.5, 0.5 * length + 0.5, WARNING)
-        self.line(ends[0], ends[1], 0.12, BICYCLE)
+        self.line(ends[0], ends[1], 0.12, OBSTACLE)
         for hub in (0.2, 0.8):
             self.ring(ends[0] + hub * along, 0.2 * length, 0.055 * length, TYRE)
         for tube in FRAME:
@@ -192,29 +192,19 @@ class Canvas:
     def vehicle(self, vehicle: Any, colour: Colour) -> None:
         """A car; pale when its episode has ended."""
         paint = colour if vehicle.end == RUNNING else mix(colour, GREY, 0.6)
-        braking = vehicle.brake > 0.0
-        parts: list[tuple[Points, Colour]] = [
-            (BODY, mix(paint, BLACK, 0.35)),
-            (BODY * (0.95, 0.98), paint),
-            (HOOD, mix(paint, WHITE, 0.14)),
-            (CABIN, GLASS),
-            (ROOF, mix(paint, WHITE, 0.22)),
-            (MIRROR, mix(paint, BLACK, 0.35)),
-            (FRONT_LAMP, HEADLIGHT),
-            ((0.7, -2.5) + 0.55 * arc(0.0, math.tau), (*BRAKE_LIGHT, 90 if braking else 0)),
-            (REAR_LAMP, BRAKE_LIGHT if braking else TAIL_LIGHT),
-            (WHEEL + REAR_HUB, TYRE),
-        ]
-        position, mirror = np.array([vehicle.x, vehicle.y]), np.array([-1, 1])
+        glow, light = ([(BRAKE_GLOW, GLOW)], BRAKE_LIGHT) if vehicle.brake > 0.0 else ([], TAIL_LIGHT)
+        trim, bonnet, roof = mix(paint, BLACK, 0.35), mix(paint, WHITE, 0.14), mix(paint, WHITE, 0.22)
+        parts = [*glow, (BODY, trim), (BODY * (0.95, 0.98), paint), (BONNET, bonnet), (CABIN, GLASS), (ROOF, roof)]
+        parts += [(MIRROR, trim), (FRONT_LAMP, HEADLIGHT), (REAR_LAMP, light), (WHEEL + REAR_HUB, TYRE)]
+        shapes: list[tuple[Points, Colour]] = [(part * side, shade) for part, shade in parts for side in SIDES]
+        # Both front wheels turn the same way: they are no mirror images.
+        shapes += [(turned(WHEEL, vehicle.steer) + FRONT_HUB * side, TYRE) for side in SIDES]
+        position = np.array([vehicle.x, vehicle.y])
         for spread in (1.02, 1.07):
-            outline = np.concatenate([BODY, BODY[::-1] * mirror]) * spread
-            self.polygon(position + SHADOW_OFFSET + turned(outline, vehicle.heading), SHADOW)
-        for part, part_colour in parts:
-            self.polygon(position + turned(part, vehicle.heading), part_colour)
-            self.polygon(position + turned(part * mirror, vehicle.heading), part_colour)
-        for side in (1, mirror):  # both front wheels turn the same way: they are no mirror images
-            wheel = turned(WHEEL, vehicle.steer) + FRONT_HUB * np.array(side)
-            self.polygon(position + turned(wheel, vehicle.heading), TYRE)
+            outline = np.concatenate([BODY, (BODY * SIDES[1])[::-1]]) * spread
+            self.polygon(turned(outline, vehicle.heading) + position + SHADOW_OFFSET, SHADOW)
+        for shape, shade in shapes:
+            self.polygon(position + turned(shape, vehicle.heading), shade)
 
 
 class Panel:
@@ -245,20 +235,14 @@ class Panel:
 
 
 class Episode:
-    """What a viewer remembers of the episode it is shown.
-
-    Attributes:
-        trails: per vehicle its latest positions (m), oldest first.
-        sums: (vehicles, objectives) summed magnitudes of the decisions shown.
-        complete: (vehicles,) whether those are all decisions of the episode so far.
-    """
+    """What a viewer remembers of the episode it is shown, per vehicle."""
 
     def __init__(self, vehicles: int, trail_length: int):
-        self.trails = [deque[tuple[float, float]](maxlen=trail_length) for _ in range(vehicles)]
-        self.sums = np.zeros((vehicles, len(INDEX)))
-        self.complete = np.ones(vehicles, dtype=np.bool_)
+        self.trails = [deque[tuple[float, float]](maxlen=trail_length) for _ in range(vehicles)]  # m, oldest first
+        self.sums = np.zeros((vehicles, len(INDEX)))  # magnitudes of the decisions shown
+        self.complete = np.ones(vehicles, dtype=np.bool_)  # whether those are all decisions so far
         self._decisions = np.zeros(vehicles, dtype=np.int64)
-        self._along: NDArray[np.float64] | None = None
+        self._along = np.full((vehicles, MAX_WAYPOINTS), np.nan)
 
     def follow(self, world: NDArray[Any]) -> None:
         """Take in ``world`` (vehicles,); to take in the same state again changes nothing."""
@@ -342,7 +326,10 @@ class Viewer:
         if reach != self._ground.reach:  # what stands still is drawn once per view
             self._ground = Canvas(self._ground.surface, reach)
             self._ground.surface.fill(GRASS if self.scenario.lanes else GROUND)
-            self._ground.roads() if self.scenario.lanes else self._ground.grid()
+            if self.scenario.lanes:
+                self._ground.roads()
+            else:
+                self._ground.grid()
         self._surface.blit(self._ground.surface, (0, 0))
         canvas, ribbons = Canvas(self._surface, reach), Canvas(self._trails, reach)
         self._trails.fill((0, 0, 0, 0))
@@ -354,46 +341,37 @@ class Viewer:
         if self.scenario.obstacle:
             canvas.bicycle(world[0].obstacle)
         # A vehicle that has ended has left the road: the other one drives over it.
-        for v in sorted(range(len(world)), key=lambda v: bool(world[v].end == RUNNING)):
+        for v in np.argsort(world["end"] == RUNNING, kind="stable"):
             canvas.vehicle(world[v], VEHICLE_COLOURS[v])
 
     def _draw_panel(self, world: NDArray[Any]) -> None:
         alone = len(world) == 1
+        pitch = 1.6 if alone else 1.0  # how far heights are spread
         panel = Panel(self._surface, 1.15 if alone else 1.0)
         panel.write(self.scenario.title, 20, 34, 34, TEXT)
         panel.write(f"{world['decisions'].max() / self.config.decision_frequency:.1f} s", -316, 34, 34, TEXT)
         panel.rectangle(20, 60, 296, 1, RULE)
         for v, vehicle in enumerate(world):
-            self._draw_readings(panel, v, vehicle, 72.0 + 322.0 * v, 1.6 if alone else 1.0)
-
-    def _draw_readings(self, panel: Panel, v: int, vehicle: Any, top: float, pitch: float) -> None:
-        """The readings of vehicle ``v`` from ``top`` (pixels) down, spaced ``pitch`` times as far as at their tightest."""
-        row = top + 12 * pitch
-        panel.rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
-        panel.write("Vehicle" if self.scenario.vehicles == 1 else f"Vehicle {v + 1}", 44, row, 24, TEXT)
-        running = vehicle.end == RUNNING
-        end = "Driving" if running else title(ENDS[vehicle.end])
-        panel.write(end, -306, row, 20, DIM if running else TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
-        readings = (
-            ("Speed", vehicle.speed, "m/s"),
-            ("G-force", vehicle.g_force, "g"),
-            ("Jerk", vehicle.jerk, "m/s³"),
-            ("Route distance", vehicle.route_distance, "m"),
-        )
-        for k, (label, value, unit) in enumerate(readings):
-            left, upper = 20 + 152 * (k % 2), top + (32 + 48 * (k // 2)) * pitch
-            panel.rectangle(left, upper, 144, 42 * pitch, TILE, radius=6)
-            panel.write(label, left + 10, upper + 12 * pitch, 18, DIM)
-            panel.write(number(value), left + 10, upper + 29 * pitch, 26, TEXT)
-            panel.write(unit, -(left + 134), upper + 29 * pitch, 18, DIM)
-        row = top + 142 * pitch
-        for text, x in (("Objective", 20), ("this decision", -226), ("episode", -316)):
-            panel.write(text, x, row, 18, DIM)
-        for name, row in zip(self.objectives, top + (164 + 22 * np.arange(6)) * pitch, strict=False):
-            unit = OBJECTIVES[INDEX[name]].unit.replace("^3", "³")
-            total = number(self._episode.sums[v, INDEX[name]]) if self._episode.complete[v] else "—"
-            panel.rectangle(20, row - 11 * pitch, 296, 1, RULE)
-            end_of_name = panel.write(title(name), 20, row, 21, TEXT)
-            panel.write("" if unit == "1" else unit, end_of_name + 6, row + 1, 16, DIM)
-            panel.write(number(vehicle.objectives[INDEX[name]]), -226, row, 21, TEXT)
-            panel.write(total, -316, row, 21, TEXT)
+            top = 72.0 + 322.0 * v
+            row = top + 12 * pitch
+            end = titled(ENDS[vehicle.end]) or "Driving"
+            panel.rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
+            panel.write("Vehicle" if alone else f"Vehicle {v + 1}", 44, row, 24, TEXT)
+            panel.write(end, -306, row, 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
+            for k, (field, unit) in enumerate(READINGS):
+                left, upper = 20 + 152 * (k % 2), top + (32 + 48 * (k // 2)) * pitch
+                panel.rectangle(left, upper, 144, 42 * pitch, TILE, radius=6)
+                panel.write(titled(field), left + 10, upper + 12 * pitch, 18, DIM)
+                panel.write(f"{vehicle[field]:,.2f}", left + 10, upper + 29 * pitch, 26, TEXT)
+                panel.write(unit, -(left + 134), upper + 29 * pitch, 18, DIM)
+            for text, x in (("Objective", 20), ("this decision", -226), ("episode", -316)):
+                panel.write(text, x, top + 142 * pitch, 18, DIM)
+            for k, name in enumerate(self.objectives):
+                row, index = top + (164 + 22 * k) * pitch, INDEX[name]
+                unit = OBJECTIVES[index].unit.replace("^3", "³")
+                panel.rectangle(20, row - 11 * pitch, 296, 1, RULE)
+                name_end = panel.write(titled(name), 20, row, 21, TEXT)
+                panel.write("" if unit == "1" else unit, name_end + 6, row + 1, 16, DIM)
+                panel.write(f"{vehicle.objectives[index]:,.2f}", -226, row, 21, TEXT)
+                total = f"{self._episode.sums[v, index]:,.2f}" if self._episode.complete[v] else "—"
+                panel.write(total, -316, row, 21, TEXT)
