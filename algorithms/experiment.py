@@ -78,7 +78,7 @@ class EvaluationSettings(Settings):
         interval: environment steps between evaluations during training; None for a twentieth of the training.
         episodes: episodes of each of these evaluations.
         final_episodes: episodes of the evaluation at the end.
-        seed: of the evaluation episodes, which training never sees.
+        seed: of the first evaluation episode; training draws its own seeds from 2**32 on.
         gamma: discount of the discounted returns reported.
     """
 
@@ -186,7 +186,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment") -> Expe
 
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     algorithm = attempt(lambda: _algorithm(experiment.algorithm))
-    attempt(lambda: _check_training(experiment))
+    attempt(lambda: _check_device(experiment.training.device))
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     twentieth = max(1, experiment.training.total_timesteps // 20)
@@ -279,28 +279,21 @@ def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
     if "name" not in values:
         raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
     name = values["name"]
-    if name not in ALGORITHMS:
+    if not isinstance(name, str) or name not in ALGORITHMS:
         raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, ALGORITHMS)}")
     rest = {key: value for key, value in values.items() if key != "name"}
     config = parse(ALGORITHMS[name].Config, rest, f"hyperparameters of algorithm {name!r}")
     return {"name": name, **config.model_dump(mode="json")}
 
 
-def _check_training(experiment: Experiment) -> dict[str, Any]:
-    training, evaluation = experiment.training, experiment.evaluation
+def _check_device(name: str) -> dict[str, Any]:
     try:
-        device = torch.device(training.device)
+        device = torch.device(name)
     except RuntimeError:
-        raise ValueError(f"training.device = {training.device!r} is no device; write cpu, cuda or cuda:0") from None
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise ValueError(
-            f"training.device = {training.device!r} is not there; torch sees {torch.cuda.device_count()} CUDA devices"
-        )
-    trained = range(training.seed, training.seed + training.num_envs)
-    episodes = max(evaluation.episodes, evaluation.final_episodes)
-    if trained.start < evaluation.seed + episodes and evaluation.seed < trained.stop:
-        raise ValueError(
-            f"evaluation.seed = {evaluation.seed} with {episodes} episodes meets the seeds of training "
-            f"({trained.start} to {trained.stop - 1}); choose one farther away"
-        )
+        raise ValueError(f"training.device = {name!r} is no device; write cpu, cuda or cuda:0") from None
+    count = torch.cuda.device_count()
+    if device.type == "cuda" and (device.index or 0) >= count:
+        raise ValueError(f"training.device = {name!r} is not there; torch sees {count} CUDA devices")
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f"training.device = {name!r} is not supported; write cpu, cuda or cuda:0")
     return {}

@@ -15,7 +15,7 @@ from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams
-from mo_deepdrive.simulation.state import ARRIVED, ENDS, RUNNING
+from mo_deepdrive.simulation.state import ARRIVED, ENDS
 from mo_deepdrive.simulator import Simulator
 
 END_NAMES = np.array(ENDS, dtype=object)
@@ -175,7 +175,7 @@ class DrivingVectorEnv(VectorEnv):
         if self._streams is None:
             raise ResetNeeded("step() before the first reset()")
         infos: dict[str, Any] = {}
-        acted = sim.state["end"] == RUNNING if self.vehicles > 1 else None
+        acted = ~(sim.terminated | sim.truncated) if self.vehicles > 1 else None
         sim.step(self._batched(actions))
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
             sim.place(np.flatnonzero(self._over), self._streams.draw)
