@@ -205,7 +205,11 @@ class Simulator:
     def over(self) -> NDArray[np.bool_]:
         """Which worlds have no vehicle left on the road, shape (worlds,)."""
         ended: NDArray[np.bool_] = self.terminated | self.truncated
-        return ended[:, 0] if ended.shape[1] == 1 else np.all(ended, axis=1)
+        over = ended[:, 0]
+        # Column by column: a reduction over an axis of length two costs ten times as much.
+        for v in range(1, ended.shape[1]):
+            over = over & ended[:, v]
+        return over
 
     def restore(self, state: NDArray[Any]) -> None:
         """Overwrite the state (worlds, vehicles) and bring the observations and flags in line with it."""
