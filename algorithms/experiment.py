@@ -264,9 +264,14 @@ def find_environment(env_id: str) -> EnvSpec:
     return gymnasium.registry[name]
 
 
+def is_ours(spec: EnvSpec) -> bool:
+    """Whether an environment is one of this package's, configured by EnvConfig."""
+    return str(spec.vector_entry_point).startswith("mo_deepdrive.")
+
+
 def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
     spec = find_environment(settings.id)
-    if not str(spec.vector_entry_point).startswith("mo_deepdrive."):
+    if not is_ours(spec):
         return dict(settings.arguments)
     what = f"environment.arguments of {settings.id}"
     if "scenario" in settings.arguments:
