@@ -1,0 +1,101 @@
+"""How far training is: a bar on a terminal, an occasional line elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+LINE_INTERVAL, LINE_WIDTH = 15.0, 120  # s between lines, and columns, where there is no terminal
+
+
+def make_console() -> Console:
+    """Standard output; where it is no terminal, wide enough for tables."""
+    console = Console()
+    return console if console.is_terminal else Console(width=LINE_WIDTH)
+
+
+class Reporter:
+    """Shows steps, speed, utility, arrivals and time left; use it as a context manager.
+
+    Args:
+        total: environment steps of the whole training.
+        step: where it begins.
+        console: where to write.
+    """
+
+    def __init__(self, total: int, step: int, console: Console):
+        self._total = total
+        self._step = self._first = step
+        self._console = console
+        self._began = self._told = perf_counter()
+        self._metrics: dict[str, float] = {}
+        self._bar: Progress | None = None
+        if console.is_terminal:
+            self._bar = Progress(
+                TextColumn("[bold]training"),
+                BarColumn(bar_width=None),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[numbers]}"),
+                TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+                console=console,
+            )
+            self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
+
+    def note(self, metrics: Mapping[str, float]) -> None:
+        """Keep the newest of the metrics that are shown."""
+        for name, value in metrics.items():
+            if name == "time/steps_per_second" or (
+                name.startswith("train/") and name.endswith(("/utility", "/success"))
+            ):
+                self._metrics[name] = value
+
+    def update(self, step: int) -> None:
+        """Show that training has come to ``step``."""
+        self._step = step
+        if self._bar is not None:
+            self._bar.update(self._task, completed=min(step, self._total), numbers=self._numbers())
+        elif perf_counter() - self._told >= LINE_INTERVAL:
+            self._line()
+
+    def say(self, message: str) -> None:
+        """Print a message without spoiling the bar."""
+        self._console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+    def _numbers(self) -> str:
+        """The metrics in words; with several vehicles the mean over them."""
+        parts = []
+        for suffix, unit in (("utility", "utility {:.2f}"), ("success", "arrivals {:.0%}")):
+            values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
+            if values:
+                parts.append(unit.format(sum(values) / len(values)))
+        speed = self._metrics.get("time/steps_per_second")
+        if speed is not None:
+            parts.append(f"{speed:,.0f} steps/s")
+        return "  ".join(parts)
+
+    def _line(self) -> None:
+        self._told = perf_counter()
+        done = self._step - self._first
+        left = ""
+        if done > 0 and self._step < self._total:
+            seconds = round((self._told - self._began) / done * (self._total - self._step))
+            left = f"  {seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} left"
+        self.say(f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})  {self._numbers()}{left}")
+
+    def __enter__(self) -> Reporter:
+        self._began = self._told = perf_counter()
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        else:
+            self._line()

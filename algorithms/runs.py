@@ -1,0 +1,211 @@
+"""A run's directory: what was asked, on which versions, how far it is, and everything that came of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+from algorithms.experiment import Experiment, make_experiment
+from algorithms.files import atomic_write, write_json
+from algorithms.yaml_files import dump, read_mapping
+
+if os.name == "posix":
+    import fcntl
+
+State = Literal["running", "interrupted", "failed", "trained", "finished"]
+PACKAGES = (
+    "gymnasium",
+    "matplotlib",
+    "mo-deepdrive",
+    "mo-gymnasium",
+    "numba",
+    "numpy",
+    "pettingzoo",
+    "pydantic",
+    "safetensors",
+    "scipy",
+    "tensorboard",
+    "torch",
+    "wandb",
+)
+
+
+class Run:
+    """One training run and the directory that holds it.
+
+    Made by :meth:`create` or :meth:`open`; a process that trains in it holds a lock until it ends.
+
+    Attributes:
+        path: the directory.
+        experiment: what runs there.
+    """
+
+    def __init__(self, path: Path, experiment: Experiment):
+        self.path = path
+        self.experiment = experiment
+        self._lock: Any = None
+
+    @property
+    def checkpoint(self) -> Path:
+        """The latest checkpoint; training writes it, resuming and evaluating read it."""
+        return self.path / "checkpoint.safetensors"
+
+    @classmethod
+    def create(cls, experiment: Experiment, path: str | Path) -> Run:
+        """Make the directory, lock it, and write what determines the run.
+
+        Raises:
+            ValueError: if the directory is there and not empty, or cannot be written.
+        """
+        path = Path(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if any(path.iterdir()):
+                raise ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
+            run = cls(path, experiment)
+            run.lock()
+            atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
+            write_json(path / "versions.json", versions())
+            run.set_status("running", 0)
+        except OSError as error:
+            raise ValueError(f"run directory {str(path)!r} cannot be written: {error}") from None
+        return run
+
+    @classmethod
+    def open(cls, path: str | Path, *, device: str | None = None) -> Run:
+        """The run in an existing directory.
+
+        Args:
+            path: the directory.
+            device: instead of the one that it was trained on.
+
+        Raises:
+            ValueError: if there is none, or its config.yaml is not valid.
+        """
+        path = Path(path)
+        config = path / "config.yaml"
+        if not config.is_file():
+            raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
+        values = read_mapping(config)
+        if device is not None and isinstance(values.get("training"), dict):
+            values["training"]["device"] = device
+        return cls(path, make_experiment(values, f"experiment {str(config)!r}"))
+
+    def lock(self) -> None:
+        """Hold the directory until this process ends, so that no two processes train in it.
+
+        Raises:
+            ValueError: if another process holds it.
+        """
+        if os.name != "posix":
+            return
+        self._lock = (self.path / ".lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"run directory {str(self.path)!r} is in use by another process") from None
+
+    def unlock(self) -> None:
+        """Let other processes train in the directory."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """``{"state": ..., "step": ..., "total_timesteps": ..., "updated": ...}``; empty where there is none."""
+        try:
+            return json.loads((self.path / "status.json").read_text())
+        except (OSError, json.JSONDecodeError):
+            return {}
+
+    def set_status(self, state: State, step: int) -> None:
+        """Write how far the run is."""
+        write_json(
+            self.path / "status.json",
+            {
+                "state": state,
+                "step": step,
+                "total_timesteps": self.experiment.training.total_timesteps,
+                "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
+            },
+        )
+
+    @property
+    def versions(self) -> dict[str, Any]:
+        """What the run began with; empty where that is not known."""
+        try:
+            return json.loads((self.path / "versions.json").read_text())
+        except (OSError, json.JSONDecodeError):
+            return {}
+
+    def changed_versions(self) -> list[str]:
+        """What differs between the versions that the run began with and those of now, one line each."""
+        then = self.versions
+        now = versions()
+        flat_then, flat_now = ({**each, **each.get("packages", {})} for each in (then, now))
+        names = [name for name in flat_now if name not in ("packages", "dirty")]
+        return [
+            f"{name}: {flat_then.get(name)} then, {flat_now[name]} now"
+            for name in names
+            if flat_then.get(name) != flat_now[name]
+        ]
+
+
+def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:
+    """Make an empty directory of its own: ``root/<config's stem>/<algorithm>-seed<N>-<time>``.
+
+    Raises:
+        ValueError: if it cannot be made.
+    """
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    name = f"{experiment.algorithm['name']}-seed{experiment.training.seed}-{stamp}"
+    path = Path(root) / Path(config).stem / name
+    number = 1
+    while True:
+        try:
+            path.mkdir(parents=True)
+            return path
+        except FileExistsError:
+            number += 1
+            path = path.with_name(f"{name}-{number}")
+        except OSError as error:
+            raise ValueError(f"run directory {str(path)!r} cannot be made: {error}") from None
+
+
+def versions() -> dict[str, Any]:
+    """Python, platform, packages, and the commit of the checkout that the code runs from (None outside of one)."""
+    packages: dict[str, str | None] = {}
+    for name in PACKAGES:
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            packages[name] = None
+    commit = _git("rev-parse", "HEAD")
+    changes = _git("status", "--porcelain")
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "commit": commit,
+        "dirty": None if commit is None or changes is None else bool(changes),
+        "packages": packages,
+    }
+
+
+def _git(*arguments: str) -> str | None:
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None

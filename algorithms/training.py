@@ -1,0 +1,261 @@
+"""From an experiment to a finished run: build, train with checkpoints, evaluate, draw, film."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Mapping
+from types import FrameType, TracebackType
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+from rich.console import Console
+
+from algorithms import ALGORITHMS
+from algorithms.base import ActorCritic
+from algorithms.evaluation import Evaluation, evaluate
+from algorithms.experiment import EnvironmentSettings, Experiment, find_environment, is_ours
+from algorithms.logging import Logger
+from algorithms.plots import load_groups, plot
+from algorithms.progress import Reporter
+from algorithms.reports import table, write
+from algorithms.runs import Run
+from algorithms.videos import record
+from algorithms.worlds import Worlds, make_env
+from mo_deepdrive.utilities import Utility, make_utility
+
+POLICIES = ("greedy", "stochastic")
+# Parallel worlds of an evaluation: ours cost next to nothing, others one Python step each.
+OUR_WORLDS, OTHER_WORLDS = 256, 8
+
+
+class Stopped(Exception):
+    """Training cannot go on for a reason outside of it, such as a full disk; the message says what to do."""
+
+
+def build(experiment: Experiment, num_envs: int | None = None) -> ActorCritic:
+    """The agent of an experiment, untrained, with its training environment.
+
+    Args:
+        experiment: what to build.
+        num_envs: instead of the experiment's.
+
+    Raises:
+        ValueError: if environment, utility and hyperparameters do not fit together.
+    """
+    torch.set_num_threads(experiment.training.threads)
+    env = _make(experiment.environment, num_envs or experiment.training.num_envs)
+    objectives = Worlds(env).objectives
+    cost_sign = experiment.environment.arguments.get("cost_sign", "maximise")
+    utility = make_utility(experiment.utility.name, objectives, cost_sign=cost_sign, **experiment.utility.arguments)
+    _try(utility)
+    return ALGORITHMS[experiment.algorithm["name"]](
+        env,
+        utility,
+        seed=experiment.training.seed,
+        device=experiment.training.device,
+        **experiment.hyperparameters,
+    )
+
+
+def _make(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
+    try:
+        return make_env(settings.id, num_envs, settings.arguments)
+    except ValueError:
+        raise
+    except Exception as error:
+        if is_ours(find_environment(settings.id)):
+            raise
+        # Somebody else's environment, which may fail in any way, mostly for its arguments.
+        raise ValueError(
+            f"environment {settings.id!r} with arguments {settings.arguments} cannot be made: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+
+
+def _try(utility: Utility) -> None:
+    """Call a utility as the trainers will, so that a user's own fails here and not after an hour."""
+    d = len(utility.objectives)
+    for returns in (np.zeros((2, d)), torch.zeros(2, d)):
+        try:
+            shape = tuple(utility(returns).shape)
+        except Exception as error:
+            raise ValueError(
+                f"utility {utility.name!r} fails on returns of shape (2, {d}) as {type(returns).__module__}: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        if shape != (2,):
+            raise ValueError(f"utility {utility.name!r} gives shape {shape} for returns of shape (2, {d}), not (2,)")
+
+
+class Interrupts:
+    """Takes note of SIGINT and SIGTERM while it is open; a second signal acts at once, as without it.
+
+    Attributes:
+        received: the signal's number, or None.
+    """
+
+    def __init__(self) -> None:
+        self.received: int | None = None
+        self._before: dict[int, Any] = {}
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+        self._restore()
+
+    def _restore(self) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def __enter__(self) -> Interrupts:
+        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._restore()
+
+
+def train(run: Run, agent: ActorCritic, console: Console, *, resumed: bool = False) -> int | None:
+    """Train ``agent`` to the end of the run's experiment, or until SIGINT or SIGTERM; either way save it.
+
+    When it ends or stops changes nothing about what is learnt: checkpoints and evaluations go by steps alone.
+
+    Args:
+        run: where everything is written.
+        agent: new, or loaded from the run's checkpoint.
+        console: for the progress.
+        resumed: whether the run has begun before; its metrics are continued.
+
+    Returns:
+        The signal that stopped it, or None.
+
+    Raises:
+        Stopped: if something could not be written; the last checkpoint is whole.
+    """
+    experiment = run.experiment
+    training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
+    every = logging.checkpoint_interval or training.total_timesteps
+    saved = agent.step
+    eval_env = _evaluation_env(experiment, evaluation.episodes)
+    after = (saved if saved > 0 else -1) if resumed else None
+    config = {**experiment.to_dict(), "versions": run.versions}
+    try:
+        with (
+            Interrupts() as interrupts,
+            Reporter(training.total_timesteps, saved, console) as reporter,
+            Logger(
+                run.path, after=after, wandb=logging.wandb, config=config, name=run.path.name, say=reporter.say
+            ) as logger,
+        ):
+
+            def log(step: int, metrics: Mapping[str, float]) -> None:
+                logger.log(step, metrics)
+                reporter.note(metrics)
+
+            def save(state: Any) -> None:
+                nonlocal saved
+                agent.save(run.checkpoint)
+                saved = agent.step
+                run.set_status(state, saved)
+
+            def after_update(trained: ActorCritic) -> bool:
+                reporter.update(trained.step)
+                if trained.step // every > saved // every:
+                    save("running")
+                return interrupts.received is not None
+
+            run.set_status("running", saved)
+            agent.train(
+                training.total_timesteps,
+                eval_env,
+                eval_interval=evaluation.interval,
+                eval_episodes=evaluation.episodes,
+                eval_seed=evaluation.seed,
+                eval_gamma=evaluation.gamma,
+                log=log,
+                log_interval=logging.interval,
+                after_update=after_update,
+            )
+            save("trained" if interrupts.received is None else "interrupted")
+    except OSError as error:
+        _failed(run, saved)
+        keeps = (
+            f"the checkpoint of step {saved:,} is whole" if run.checkpoint.exists() else "there is no checkpoint yet"
+        )
+        raise Stopped(f"training stopped at step {agent.step:,}: {error}; {keeps}") from error
+    except BaseException:
+        _failed(run, saved)
+        raise
+    finally:
+        eval_env.close()
+    return interrupts.received
+
+
+def _failed(run: Run, step: int) -> None:
+    with contextlib.suppress(OSError):  # the disk may be what failed; the error itself is on its way
+        run.set_status("failed", step)
+
+
+def evaluate_policies(agent: ActorCritic, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
+    """The greedy and the stochastic policy's evaluations, on an environment of their own."""
+    env = _evaluation_env(experiment, episodes)
+    try:
+        return {
+            policy: evaluate(
+                agent,
+                env,
+                episodes=episodes,
+                seed=seed,
+                greedy=policy == "greedy",
+                gamma=experiment.evaluation.gamma,
+            )
+            for policy in POLICIES
+        }
+    finally:
+        env.close()
+
+
+def _evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
+    ours = is_ours(find_environment(experiment.environment.id))
+    return _make(experiment.environment, min(episodes, OUR_WORLDS if ours else OTHER_WORLDS))
+
+
+def finish(run: Run, agent: ActorCritic, console: Console) -> None:
+    """Evaluate the trained agent; write and print the numbers; draw the curves; film the greedy policy.
+
+    Raises:
+        Stopped: if the numbers or the curves could not be written; the trained policy is safe.
+    """
+    experiment = run.experiment
+    settings = experiment.evaluation
+    evaluations = evaluate_policies(agent, experiment, episodes=settings.final_episodes, seed=settings.seed)
+    about = {
+        "step": agent.step,
+        "episodes": settings.final_episodes,
+        "seed": settings.seed,
+        "gamma": settings.gamma,
+    }
+    console.print(table(evaluations, f"{settings.final_episodes} episodes from seed {settings.seed}"))
+    try:
+        write(run.path, evaluations, about)
+        plot(load_groups([run.path]), run.path / "curves.png")
+        film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
+        run.set_status("finished", agent.step)
+    except OSError as error:
+        raise Stopped(f"the run is trained, but its results could not be written: {error}") from error
+
+
+def film(
+    agent: ActorCritic, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True
+) -> bool:
+    """Record a video, or say why there is none; whether there is one."""
+    try:
+        record(agent, experiment.environment, path, seed=seed, greedy=greedy)
+    except Exception as error:  # drawing and encoding are other people's code; the numbers are worth more
+        console.print(f"no video: {type(error).__name__}: {error}", markup=False, highlight=False, soft_wrap=True)
+        return False
+    return True

@@ -1,0 +1,126 @@
+"""Videos of a policy."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import imageio
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+
+from algorithms.experiment import EnvironmentSettings, find_environment, is_ours
+from algorithms.worlds import Worlds, make_env
+from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+if TYPE_CHECKING:
+    from algorithms.base import ActorCritic
+
+MAX_FRAMES = 750  # where the video is cut off
+HOLD = 0.5  # s for which an episode's last frame stands
+
+
+def record(
+    agent: ActorCritic,
+    environment: EnvironmentSettings,
+    path: str | Path,
+    *,
+    episodes: int = 3,
+    seed: int = 1_000_000,
+    greedy: bool = True,
+) -> int:
+    """Write an MP4 of a few episodes, one after the other; the file appears when it is whole.
+
+    Args:
+        agent: the policy.
+        environment: where it acts.
+        path: the file.
+        episodes: how many; less where they are long.
+        seed: of the first episode.
+        greedy: argmax or mean action, instead of samples.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        ValueError: if the environment gives no pictures.
+        OSError: if the file cannot be written.
+    """
+    path = Path(path)
+    env = _make(environment)
+    try:
+        modes = list(env.unwrapped.metadata.get("render_modes", []))
+        if "rgb_array" not in modes:
+            raise ValueError(f"environment {environment.id} has no rgb_array rendering; it has {modes}")
+        fps = int(env.unwrapped.metadata.get("render_fps") or 10)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".video-") as folder:
+            part = Path(folder) / "video.mp4"
+            writer: Any = imageio.get_writer(part, format="FFMPEG", fps=fps, macro_block_size=1, quality=7)
+            with writer:
+                count = 0
+                for frame in islice(_episodes(agent, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
+                    writer.append_data(frame)
+                    count += 1
+            part.replace(path)
+    finally:
+        env.close()
+    return count
+
+
+def _make(environment: EnvironmentSettings) -> VectorEnv:
+    """One world that can be drawn and, where it is ours, stays at the end of its episode."""
+    arguments = {**environment.arguments, "render_mode": "rgb_array"}
+    if not is_ours(find_environment(environment.id)):
+        return make_env(environment.id, 1, arguments)
+    return gymnasium.make_vec(environment.id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+
+
+def _episodes(
+    agent: ActorCritic, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
+) -> Iterator[NDArray[np.uint8]]:
+    """The frames of one episode per seed; the last of each stands for a moment."""
+    for seed in seeds:
+        frame: NDArray[np.uint8]
+        for frame in _frames(agent, env, seed, greedy):
+            yield frame
+        yield from [frame] * round(HOLD * fps)
+
+
+def _frames(agent: ActorCritic, env: VectorEnv, seed: int, greedy: bool) -> Iterator[NDArray[np.uint8]]:
+    """The frames of one episode, from its start to its end."""
+    vehicles, d = agent.worlds.vehicles, len(agent.worlds.objectives)
+    generator = None if greedy else torch.Generator(agent.device).manual_seed(seed)
+    worlds = None if isinstance(env.unwrapped, DrivingVectorEnv) else Worlds(env)
+    accrued = np.zeros((1, vehicles, d), dtype=np.float32)
+    discounts = np.ones((1, vehicles), dtype=np.float32)
+    running = np.ones((1, vehicles), dtype=np.bool_)
+    observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if worlds is None else worlds.reset(seed)
+    yield _picture(env)
+    while running.any():
+        actions = agent.act(observations, accrued, discounts, generator)
+        if worlds is None:
+            raw, rewards, *flags, _ = env.step(actions if vehicles > 1 else actions[:, 0])
+            observations, rewards = raw.reshape(1, vehicles, -1), rewards.reshape(1, vehicles, d)
+            over = (flags[0] | flags[1]).reshape(1, vehicles)
+        else:
+            step = worlds.step(actions)
+            observations, rewards, over = step.observations, step.rewards, step.terminated | step.truncated
+        accrued += discounts[..., None] * rewards
+        discounts *= agent.config.gamma
+        running &= ~over
+        yield _picture(env)
+
+
+def _picture(env: VectorEnv) -> NDArray[np.uint8]:
+    """What the only world looks like, with even sides, as video encoders want them."""
+    pictures = env.render()
+    if not pictures or not isinstance(pictures[0], np.ndarray):
+        raise ValueError("the environment drew nothing")
+    height, width = pictures[0].shape[:2]
+    return np.pad(pictures[0], ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -1,0 +1,77 @@
+"""Evaluate the policy of a run: utilities, vector returns, rates and comfort, with 95% intervals.
+
+python scripts/evaluate.py runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000 --episodes 1000 --video drive.mp4
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
+os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
+sys.path.append(os.getcwd())  # where a user's own utility lives
+
+from algorithms.checkpoints import read_checkpoint
+from algorithms.progress import make_console
+from algorithms.reports import table, write
+from algorithms.runs import Run
+from algorithms.training import build, evaluate_policies, film
+
+
+def parse_arguments(arguments: list[str]) -> argparse.Namespace:
+    """The options of this script."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    parser.add_argument("run", metavar="RUN", help="directory of a run")
+    parser.add_argument("--episodes", type=int, metavar="N", help="episodes per policy (default: as in the config)")
+    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: as in the config)")
+    parser.add_argument("--video", metavar="FILE", help="also write an MP4 of the first episodes")
+    parser.add_argument("--stochastic", action="store_true", help="film the stochastic policy, not the greedy one")
+    parser.add_argument("--output", metavar="DIR", help="also write evaluation.json, evaluation.csv and episodes.csv")
+    parser.add_argument("--device", default="cpu", metavar="D", help="where the networks live (default: cpu)")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command line ``arguments``; the exit code."""
+    options = parse_arguments(arguments)
+    console = make_console()
+    try:
+        run = Run.open(options.run, device=options.device)
+        settings = run.experiment.evaluation
+        episodes = settings.final_episodes if options.episodes is None else options.episodes
+        seed = settings.seed if options.seed is None else options.seed
+        if episodes < 1:
+            raise ValueError(f"--episodes {episodes} must be at least 1")
+        if not 0 <= seed < 2**31:
+            raise ValueError(f"--seed {seed} must be between 0 and {2**31 - 1}")
+        for path in (Path(each) for each in (options.video, options.output) if each):
+            if not path.absolute().parent.is_dir():
+                raise ValueError(f"{str(path.absolute().parent)!r} is no directory to write {path.name!r} to")
+        agent = build(run.experiment, num_envs=1)
+        agent.load(run.checkpoint, policy_only=True)
+        step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
+        evaluations = evaluate_policies(agent, run.experiment, episodes=episodes, seed=seed)
+        console.print(table(evaluations, f"{run.path} at step {step:,}: {episodes} episodes from seed {seed}"))
+        if options.output:
+            directory = Path(options.output)
+            directory.mkdir(exist_ok=True)
+            write(directory, evaluations, {"step": step, "episodes": episodes, "seed": seed, "gamma": settings.gamma})
+        if options.video and not film(
+            agent, run.experiment, options.video, console, seed=seed, greedy=not options.stochastic
+        ):
+            return 1
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,390 @@
+"""Collisions: the compiled geometry against a slow reference, and nothing passes through anything at any speed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from mo_deepdrive.simulation import geometry
+
+EDGE = 1e-9  # m; within it of touching, rounding decides
+IDLE = 0
+
+
+def reals(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+# --------------------------------------------------------------------------------------------------- plane geometry
+
+
+@numba.njit
+def segments_touch_boxes(boxes, segments, out):  # type: ignore[no-untyped-def]
+    for k in range(len(boxes)):
+        x, y, heading = boxes[k]
+        ax, ay, bx, by = segments[k]
+        out[k] = geometry.segment_touches_box(x, y, math.cos(heading), math.sin(heading), ax, ay, bx, by)
+
+
+@numba.njit
+def pairs_overlap(first, second, out):  # type: ignore[no-untyped-def]
+    for k in range(len(first)):
+        ax, ay, a = first[k]
+        bx, by, b = second[k]
+        out[k] = geometry.boxes_overlap(ax, ay, math.cos(a), math.sin(a), bx, by, math.cos(b), math.sin(b))
+
+
+def touches(box: tuple[float, float, float], segment: np.ndarray) -> bool:
+    x, y, heading = box
+    return bool(geometry.segment_touches_box(x, y, math.cos(heading), math.sin(heading), *segment.ravel()))
+
+
+def overlap(first: tuple[float, float, float], second: tuple[float, float, float]) -> bool:
+    poses = ((x, y, math.cos(h), math.sin(h)) for x, y, h in (first, second))
+    return bool(geometry.boxes_overlap(*next(poses), *next(poses)))
+
+
+poses = st.tuples(reals(-8, 8), reals(-8, 8), reals(-7, 7))
+points = st.tuples(reals(-8, 8), reals(-8, 8))
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@settings(max_examples=300)
+@given(pose=poses, a=points, b=points)
+@example(pose=ORIGIN, a=(0.0, 0.0), b=(0.0, 0.0))
+@example(pose=ORIGIN, a=(-0.5, 0.1), b=(0.5, 0.1))
+@example(pose=ORIGIN, a=(-5.0, 0.0), b=(5.0, 0.0))
+@example(pose=ORIGIN, a=(2.0, -5.0), b=(2.0, 5.0))
+def test_a_segment_touches_a_box_where_no_axis_separates_them(
+    shapes: Any, pose: tuple[float, float, float], a: tuple[float, float], b: tuple[float, float]
+) -> None:
+    segment = np.array([a, b])
+    gap = shapes.gap(shapes.box(*pose), segment)
+    assume(abs(gap) > EDGE)
+    assert touches(pose, segment) == (gap < 0)
+    assert touches(pose, segment[::-1]) == (gap < 0)
+
+
+@settings(max_examples=300)
+@given(first=poses, second=poses)
+@example(first=ORIGIN, second=ORIGIN)
+@example(first=ORIGIN, second=(1.0, 1.0, math.pi / 2))
+@example(first=ORIGIN, second=(2.2, 0.0, 0.0))
+@example(first=ORIGIN, second=(2.4, 0.0, 0.0))
+def test_two_boxes_overlap_where_no_axis_separates_them(
+    shapes: Any, first: tuple[float, float, float], second: tuple[float, float, float]
+) -> None:
+    gap = shapes.gap(shapes.box(*first), shapes.box(*second))
+    assume(abs(gap) > EDGE)
+    assert overlap(first, second) == (gap < 0)
+    assert overlap(second, first) == (gap < 0)
+
+
+def inside(shapes: Any, box: np.ndarray, many: np.ndarray) -> np.ndarray:
+    """Which of the points (n, m, 2) lie in the boxes (n, 3)."""
+    away = many - box[:, None, :2]
+    cos, sin = np.cos(box[:, None, 2]), np.sin(box[:, None, 2])
+    right = away[..., 0] * cos + away[..., 1] * sin
+    ahead = away[..., 1] * cos - away[..., 0] * sin
+    return (abs(right) <= shapes.width / 2) & (abs(ahead) <= shapes.length / 2)
+
+
+def test_densely_sampled_segments_agree(shapes: Any) -> None:
+    rng = np.random.default_rng(0)
+    boxes = rng.uniform([-5, -5, -4], [5, 5, 4], (20_000, 3))
+    segments = rng.uniform(-6, 6, (20_000, 4))
+    along = np.linspace(0, 1, 201)[None, :, None]
+    sampled = inside(shapes, boxes, segments[:, None, :2] * (1 - along) + segments[:, None, 2:] * along).any(axis=1)
+    found = np.zeros(len(boxes), dtype=bool)
+    segments_touch_boxes(boxes, segments, found)
+    assert found[sampled].all()
+    # What the samples miss is a corner that the segment clips between two of them.
+    clipped = np.flatnonzero(found & ~sampled)
+    assert len(clipped) < 0.01 * len(boxes)
+    for k in clipped:
+        assert -0.1 < shapes.gap(shapes.box(*boxes[k]), segments[k].reshape(2, 2)) < EDGE
+    assert 4_000 < sampled.sum() < 16_000
+
+
+def test_densely_sampled_boxes_agree(shapes: Any) -> None:
+    rng = np.random.default_rng(1)
+    first = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
+    second = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
+    # Two convex shapes overlap exactly where an edge of one meets the other, or one lies within the other.
+    parts = np.linspace(-0.5, 0.5, 41)
+    right, ahead = (axis.ravel() for axis in np.meshgrid(parts * shapes.width, parts * shapes.length))
+    cos, sin = np.cos(first[:, 2:]), np.sin(first[:, 2:])
+    grid = np.stack([first[:, :1] + cos * right - sin * ahead, first[:, 1:2] + sin * right + cos * ahead], axis=-1)
+    sampled = inside(shapes, second, grid).any(axis=1)
+    found = np.zeros(len(first), dtype=bool)
+    pairs_overlap(first, second, found)
+    assert found[sampled].all()
+    clipped = np.flatnonzero(found & ~sampled)
+    assert len(clipped) < 0.02 * len(first)
+    for k in clipped:
+        assert -0.2 < shapes.gap(shapes.box(*first[k]), shapes.box(*second[k])) < EDGE
+    assert 2_000 < sampled.sum() < 9_000
+
+
+@given(heading=reals(-7, 7), right=reals(-0.4, 0.4), ahead=reals(-0.4, 0.4), turn=reals(0, 7), length=reals(0, 0.4))
+def test_a_segment_wholly_inside_the_car_touches_it(
+    shapes: Any, heading: float, right: float, ahead: float, turn: float, length: float
+) -> None:
+    middle = np.array([3.0, 4.0])
+    middle += right * shapes.width * np.array([math.cos(heading), math.sin(heading)])
+    middle += ahead * shapes.length * np.array([-math.sin(heading), math.cos(heading)])
+    side = min(length, 0.09 * shapes.width) * np.array([math.cos(turn), math.sin(turn)])
+    segment = np.array([middle - side, middle + side])
+    assert shapes.gap(shapes.box(3.0, 4.0, heading), segment) < 0
+    assert touches((3.0, 4.0, heading), segment)
+
+
+# --------------------------------------------------------------------------------------------- a car and a bicycle
+
+# Simulation and decision frequencies; at 10 Hz and 100 m/s a car moves by 10 m in a physics step.
+FREQUENCIES = [(60, 10), (60, 1), (10, 10), (10, 5), (10, 1), (30, 5), (240, 10)]
+DESTINATION_AWAY = 240.0
+
+
+def set_motion(env: Any, speeds: list[float]) -> None:
+    """Give the vehicles of a vector environment with one world a speed straight ahead, through its saved state."""
+    saved = env.get_state()
+    state = saved["state"].view(env.simulator.state.dtype)
+    for vehicle, speed in zip(state[0], speeds, strict=True):
+        vehicle.speed = vehicle.previous_speed = speed
+        vehicle.vx = -speed * math.sin(vehicle.heading)
+        vehicle.vy = speed * math.cos(vehicle.heading)
+    env.set_state(saved)
+    assert [reading["speed"] for reading in env.telemetry()[0]] == speeds
+
+
+def bicycle_env(make_vector: Any, frequencies: tuple[int, int]) -> Any:
+    return make_vector(
+        "static_obstacle",
+        autoreset_mode="Disabled",
+        harmful_g_force=None,
+        simulation_frequency=frequencies[0],
+        decision_frequency=frequencies[1],
+    )
+
+
+def pass_a_bicycle(env: Any, heading: float, speed: float, bicycle: np.ndarray) -> str:
+    """Drive straight from the origin until the car is well past the bicycle; how the episode ended ("" if it runs)."""
+    direction = np.array([-math.sin(heading), math.cos(heading)])
+    start = (0.0, 0.0, heading)
+    env.reset(options={"start": start, "destination": DESTINATION_AWAY * direction, "obstacle": bicycle})
+    set_motion(env, [speed])
+    past = (bicycle @ direction).max() + 10.0
+    while env.telemetry()[0][0]["travelled"] < past:
+        _, _, terminated, truncated, infos = env.step(np.array([IDLE]))
+        if terminated[0] or truncated[0]:
+            return str(infos["end"][0])
+    return ""
+
+
+@pytest.mark.parametrize("frequencies", FREQUENCIES)
+def test_a_car_that_drives_straight_collides_exactly_where_the_bicycle_lies_in_its_swath(
+    make_vector: Any, shapes: Any, frequencies: tuple[int, int]
+) -> None:
+    env = bicycle_env(make_vector, frequencies)
+    outcomes = {"collision": 0, "": 0}
+
+    @settings(max_examples=150)
+    @given(
+        heading=reals(-math.pi, math.pi),
+        speed=reals(20, 100),
+        ahead=reals(3, 60),
+        aside=reals(-3, 3),
+        turn=reals(0, math.pi),
+        length=st.sampled_from([0.0, 1e-3, 0.3, 1.137, 1.137]),
+    )
+    @example(heading=0.0, speed=100.0, ahead=15.0, aside=0.0, turn=0.0, length=1.137)
+    @example(heading=0.0, speed=100.0, ahead=15.0, aside=1.1503, turn=math.pi / 2, length=0.0)
+    @example(heading=0.0, speed=100.0, ahead=15.0, aside=1.1504, turn=math.pi / 2, length=0.0)
+    def check(heading: float, speed: float, ahead: float, aside: float, turn: float, length: float) -> None:
+        direction = np.array([-math.sin(heading), math.cos(heading)])
+        right = np.array([math.cos(heading), math.sin(heading)])
+        middle = ahead * direction + aside * right
+        side = length / 2 * np.array([math.cos(turn), math.sin(turn)])
+        bicycle = np.array([middle - side, middle + side])
+        assume(shapes.gap(shapes.box(0.0, 0.0, heading), bicycle) > 0)
+        # The swath: from the car's rear at the start to its front at the end.
+        rear, half = -shapes.length / 2, shapes.width / 2
+        corners = ((rear, -half), (rear, half), (90.0, half), (90.0, -half))
+        swath = np.array([along * direction + across * right for along, across in corners])
+        gap = shapes.gap(swath, bicycle)
+        assume(abs(gap) > 1e-7)
+        end = pass_a_bicycle(env, heading, speed, bicycle)
+        assert end == ("collision" if gap < 0 else "")
+        outcomes[end] += 1
+
+    check()
+    assert min(outcomes.values()) > 20
+
+
+def drive_ahead(env: Any, speed: float, actions: np.ndarray) -> tuple[list[tuple[float, float, float]], str]:
+    """Poses after each decision (the starting one first) and how the episode ended ("" if it runs)."""
+    set_motion(env, [speed])
+    poses = []
+    for action in (None, *actions):
+        end = ""
+        if action is not None:
+            _, _, terminated, truncated, infos = env.step(action[None].astype(np.float32))
+            end = str(infos["end"][0]) if terminated[0] or truncated[0] else ""
+        reading = env.telemetry()[0][0]
+        poses.append((reading["x"], reading["y"], reading["heading"]))
+        if end:
+            return poses, end
+    return poses, ""
+
+
+def smallest_gap(shapes: Any, before: np.ndarray, after: np.ndarray, point: np.ndarray) -> float:
+    """Gap between a car and a point, the smallest over the poses from ``before`` to ``after``; negative inside."""
+    part = np.linspace(0, 1, 401)[1:, None]
+    x, y, heading = ((1 - part) * before + part * after).T
+    right = (point[0] - x) * np.cos(heading) + (point[1] - y) * np.sin(heading)
+    ahead = (point[1] - y) * np.cos(heading) - (point[0] - x) * np.sin(heading)
+    return float(np.maximum(abs(right) - shapes.width / 2, abs(ahead) - shapes.length / 2).min())
+
+
+@pytest.mark.parametrize(("frequency", "fastest"), [(10, 25.0), (60, 60.0)])
+def test_a_car_that_turns_passes_through_nothing(make_vector: Any, shapes: Any, frequency: int, fastest: float) -> None:
+    # One physics step per decision, so that telemetry shows every pose.
+    options: dict[str, Any] = {
+        "action_type": "continuous",
+        "autoreset_mode": "Disabled",
+        "harmful_g_force": None,
+        "simulation_frequency": frequency,
+        "decision_frequency": frequency,
+    }
+    free = make_vector("one_waypoint", **options)
+    env = make_vector("static_obstacle", **options)
+    rng = np.random.default_rng(frequency)
+    # Poses are tested at most a quarter of a width apart: whatever reaches deeper than half of that is met.
+    surely = -(shapes.width / 8 + 0.01)
+    met = missed = clear = 0
+    for _ in range(300):
+        pins = {"start": (0.0, 0.0, 0.0), "destination": (rng.uniform(-60, 60), 200.0)}
+        speed = rng.uniform(5.0, fastest)
+        # So that the car turns by half a radian per physics step at most.
+        steer = rng.uniform(-1, 1, (20, 1)) * min(1.0, 0.4 / (0.1 * speed))
+        actions = np.concatenate([steer, rng.uniform(-1, 1, (20, 1)), np.full((20, 1), -1.0)], axis=1)
+        free.reset(options=pins)
+        poses = np.array(drive_ahead(free, speed, actions)[0])
+        near = poses[rng.integers(1, len(poses))]
+        aside, ahead = rng.uniform(-1.3, 1.3, 2) * (shapes.width / 2, shapes.length / 2)
+        cos, sin = math.cos(near[2]), math.sin(near[2])
+        point = near[:2] + aside * np.array([cos, sin]) + ahead * np.array([-sin, cos])
+        try:
+            env.reset(options={**pins, "obstacle": (point, point)})
+        except ValueError:
+            continue  # the car starts on it
+        driven, end = drive_ahead(env, speed, actions)
+        gaps = [smallest_gap(shapes, a, b, point) for a, b in itertools.pairwise(poses)]
+        decision = len(driven) - 1
+        if end == "collision":
+            met += 1
+            assert gaps[decision - 1] < 0.01
+            assert min(gaps[: decision - 1], default=1.0) >= surely
+        else:
+            assert min(gaps) >= surely
+            missed += min(gaps) < 0.0
+            clear += min(gaps) >= 0.0
+    assert met > 100
+    assert clear > 30
+    assert missed < 10  # corners that a turning car clips between two poses
+
+
+# ------------------------------------------------------------------------------------------------- two vehicles
+
+
+def contact_interval(shapes: Any, starts: np.ndarray, speeds: np.ndarray) -> tuple[float, float]:
+    """When the boxes of two vehicles that drive straight begin and cease to overlap (s, at constant speed; an empty
+    interval for never): they do where no side of either separates them."""
+    headings = starts[:, 2]
+    directions = np.stack([-np.sin(headings), np.cos(headings)], axis=1)
+    between = starts[1, :2] - starts[0, :2]
+    relative = speeds[1] * directions[1] - speeds[0] * directions[0]
+    enter, leave = -math.inf, math.inf
+    corners = [shapes.box(0.0, 0.0, heading) for heading in headings]
+    for heading in headings:
+        for axis in ((math.cos(heading), math.sin(heading)), (-math.sin(heading), math.cos(heading))):
+            reach = sum((box @ axis).max() for box in corners)
+            place, rate = between @ axis, relative @ axis
+            if abs(rate) < 1e-12:
+                if abs(place) > reach:
+                    return math.inf, -math.inf
+                continue
+            first, second = sorted(((-reach - place) / rate, (reach - place) / rate))
+            enter, leave = max(enter, first), min(leave, second)
+    return enter, leave
+
+
+@pytest.mark.parametrize("simulation_frequency", [60, 10])
+def test_two_vehicles_that_cross_at_any_speed_do_not_pass_through_each_other(
+    make_vector: Any, shapes: Any, simulation_frequency: int
+) -> None:
+    env = make_vector(
+        "intersection",
+        autoreset_mode="Disabled",
+        harmful_g_force=None,
+        simulation_frequency=simulation_frequency,
+        decision_frequency=1,
+    )
+    # One decision of a second; friction slows both by the same ratio, so "time" runs at constant speed.
+    steps = np.arange(simulation_frequency)
+    last = float((0.999 ** (steps * 60 / simulation_frequency)).sum() / simulation_frequency)
+    outcomes = {"met": 0, "clear": 0, "clipped": 0}
+
+    @settings(max_examples=250)
+    @given(
+        headings=st.tuples(reals(-math.pi, math.pi), reals(-math.pi, math.pi)),
+        speeds=st.tuples(reals(5, 100), reals(5, 100)),
+        part=reals(0.05, 0.95),
+        ahead=reals(-5, 5),
+        aside=reals(-5, 5),
+    )
+    @example(headings=(0.0, math.pi / 2), speeds=(100.0, 100.0), part=0.5, ahead=0.0, aside=0.0)
+    @example(headings=(0.0, math.pi), speeds=(100.0, 100.0), part=0.5, ahead=0.0, aside=0.0)
+    @example(headings=(0.0, math.pi), speeds=(100.0, 100.0), part=0.5, ahead=0.0, aside=2.2)
+    @example(headings=(0.0, math.pi), speeds=(100.0, 100.0), part=0.5, ahead=0.0, aside=2.4)
+    def check(
+        headings: tuple[float, float], speeds: tuple[float, float], part: float, ahead: float, aside: float
+    ) -> None:
+        # Both are near (30, 30) after ``part`` of the decision.
+        when = part * last
+        starts = np.zeros((2, 3))
+        for v in range(2):
+            direction = np.array([-math.sin(headings[v]), math.cos(headings[v])])
+            starts[v, :2] = np.array([30.0, 30.0]) + v * np.array([aside, ahead]) - when * speeds[v] * direction
+            starts[v, 2] = headings[v]
+        enter, leave = contact_interval(shapes, starts, np.array(speeds))
+        assume(enter > leave or enter > 1e-6 or leave < -1e-6)  # they do not touch at the start
+        env.reset(options={"starts": starts})
+        set_motion(env, list(speeds))
+        _, _, terminated, _, _ = env.step(np.full((1, 2), IDLE))
+        for v, reading in enumerate(env.telemetry()[0]):
+            assert reading["travelled"] == pytest.approx(speeds[v] * last)
+        ends = [str(end) for end in env.simulator.end_names(0)]
+        together = min(leave, last) - enter if enter > 0 else -1.0
+        if together * max(speeds) > shapes.width / 4 + 1e-6:
+            assert ends == ["collision", "collision"]
+            assert terminated.all()
+            outcomes["met"] += 1
+        elif together < -1e-9:
+            assert "collision" not in ends
+            outcomes["clear"] += 1
+        else:
+            outcomes["clipped"] += 1  # corners, for less than the time between two tested poses
+
+    check()
+    assert outcomes["met"] > 60
+    assert outcomes["clear"] > 20
+    assert outcomes["clipped"] < 25

@@ -1,0 +1,375 @@
+"""The compiled motion of a vehicle against a literal loop over the equations of ``simulator.md``, section 3."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.simulation.dynamics import PATH_WIDTH, drive
+from mo_deepdrive.simulation.params import make_params
+from mo_deepdrive.simulation.state import VEHICLE
+from mo_deepdrive.simulation.trigonometry import sine_cosine
+
+Real = np.longdouble
+needs_extended_precision = pytest.mark.skipif(
+    np.finfo(np.longdouble).eps > 1e-18, reason="long double has no more digits than double here"
+)
+
+W = Real("2.300675555555556")
+REAR = W / 8
+CENTRE = W / 2 + Real("0.05") * W
+L_B = CENTRE - REAR
+L_A = (W - REAR) - CENTRE
+PI = Real(math.pi)
+G = Real("9.807")
+
+
+@dataclasses.dataclass
+class Car:
+    """The state of a vehicle, as the specification names it."""
+
+    x: float = 0.0
+    y: float = 0.0
+    heading: float = 0.0
+    speed: float = 0.0
+    yaw_step: float = 0.0
+    vx: float = 0.0
+    vy: float = 0.0
+    ax: float = 0.0
+    ay: float = 0.0
+    steer: float = 0.0
+    throttle: float = 0.0
+    brake: float = 0.0
+    travelled: float = 0.0
+    g_force: float = 0.0
+    jerk: float = 0.0
+
+
+FIELDS = tuple(field.name for field in dataclasses.fields(Car))
+
+
+@dataclasses.dataclass(frozen=True)
+class Rules:
+    """The settings that change the motion."""
+
+    simulation_frequency: int = 60
+    physics_steps: int = 6
+    constrain_controls: bool = False
+    ignore_brake: bool = False
+
+    @property
+    def params(self) -> np.record:
+        return make_params(
+            EnvConfig(
+                scenario="one_waypoint",
+                simulation_frequency=self.simulation_frequency,
+                decision_frequency=self.simulation_frequency // self.physics_steps,
+                constrain_controls=self.constrain_controls,
+                ignore_brake=self.ignore_brake,
+            )
+        )
+
+
+def controls_over_a_decision(car: Car, target: tuple[float, float, float], rules: Rules) -> list[tuple[Real, ...]]:
+    """Steer, throttle and brake at each physics step of a decision (section 2)."""
+    n = rules.physics_steps
+    held = [Real(car.steer), Real(car.throttle), Real(car.brake)]
+    steer, throttle, brake = (Real(value) for value in target)
+    if rules.ignore_brake:
+        brake = Real(0)
+    changes = [steer - held[0], throttle - held[1], brake - held[2]]
+    if rules.constrain_controls:
+        for k, limit in ((0, 0.03 * n), (1, 0.04 * n)):
+            changes[k] = min(max(changes[k], -Real(limit)), Real(limit))
+    ramp = []
+    for i in range(1, n + 1):
+        now = [start + Real(i) / n * change for start, change in zip(held, changes, strict=True)]
+        if brake == 0:
+            now[2] = Real(0)
+        ramp.append(tuple(now))
+    return ramp
+
+
+def literal_decision(car: Car, target: tuple[float, float, float], rules: Rules) -> Car:
+    """One decision, equation by equation, in extended precision."""
+    rate = Real(rules.simulation_frequency)
+    dt = 1 / rate
+    frictions = 60 / rate  # the exponents scale with dt * 60
+    x, y, h, v, w = (Real(getattr(car, name)) for name in ("x", "y", "heading", "speed", "yaw_step"))
+    velocity = np.array([Real(car.vx), Real(car.vy)])
+    acceleration = np.array([Real(car.ax), Real(car.ay)])
+    jerk = np.zeros(2, dtype=Real)
+    travelled = Real(car.travelled)
+    ramp = controls_over_a_decision(car, target, rules)
+    for steer, throttle, brake in ramp:
+        if v > 100:
+            throttle = Real(0)
+        slip = np.arctan(L_A / (L_A + L_B) * np.tan(min(max(steer, -PI), PI)))
+        ahead = dt * v * np.cos(w + slip)
+        side = dt * v * np.sin(w + slip)
+        travelled += abs(dt * v)
+        w = (w + dt * v / L_B * np.sin(slip)) * Real("0.95") ** frictions
+        v = (v + dt * throttle) * Real("0.999") ** frictions * Real("0.96") ** (brake * frictions)
+        before = np.array([x, y])
+        # Here pi is the number itself, not its nearest double.
+        quarter = np.arccos(Real(0))
+        x = x + ahead * np.cos(h + quarter) + side * np.cos(h)
+        y = y + ahead * np.sin(h + quarter) + side * np.sin(h)
+        h = h + w
+        new_velocity = (np.array([x, y]) - before) * rate
+        new_acceleration = (new_velocity - velocity) * rate
+        jerk = (new_acceleration - acceleration) * rate
+        velocity, acceleration = new_velocity, new_acceleration
+    steer, throttle, brake = ramp[-1]
+    return Car(
+        x, y, h, v, w, *velocity, *acceleration, steer, throttle, brake, travelled,
+        g_force=np.hypot(*acceleration) / G, jerk=np.hypot(*jerk),
+    )  # fmt: skip
+
+
+def compiled_decisions(car: Car, targets: list[tuple[float, float, float]], rules: Rules) -> list[Car]:
+    """The same decisions by the package."""
+    state = np.zeros((1, 1), dtype=VEHICLE)
+    vehicle = state[0, 0]
+    for name in FIELDS:
+        vehicle[name] = getattr(car, name)
+    vehicle.cos_heading, vehicle.sin_heading = math.cos(car.heading), math.sin(car.heading)
+    # The heading one physics step ago.
+    vehicle.cos_before, vehicle.sin_before = math.cos(car.heading - car.yaw_step), math.sin(car.heading - car.yaw_step)
+    params = rules.params
+    path = np.zeros((1, params.physics_steps + 1, PATH_WIDTH))
+    cars = []
+    for target in targets:
+        controls = np.array([[target]], dtype=np.float64)
+        drive(vehicle, 0, 0, controls, params, path)
+        cars.append(Car(**{name: float(vehicle[name]) for name in FIELDS}))
+    return cars
+
+
+def assert_same(ours: Car, literal: Car, rules: Rules, steps: int) -> None:
+    """Equal but for rounding: 1e-12 relative, and for differences of positions what rounding makes of them."""
+    rate = rules.simulation_frequency
+    fast = 1.0 + abs(float(literal.speed))
+    # Roundings add up over the steps; a difference multiplies them by the rate.
+    digits = 1e-15 * (10 + steps)
+    floors = dict.fromkeys(FIELDS, digits)
+    floors.update(x=1e3 * digits, y=1e3 * digits, heading=10 * digits, travelled=fast * digits)
+    floors.update(vx=fast * digits, vy=fast * digits, ax=fast * rate * digits, ay=fast * rate * digits)
+    floors.update(g_force=fast * rate * digits, jerk=fast * rate**2 * digits, speed=fast * digits)
+    for name in FIELDS:
+        expected = float(getattr(literal, name))
+        assert getattr(ours, name) == pytest.approx(expected, rel=1e-12, abs=floors[name]), name
+
+
+def well_posed(car: Car, target: tuple[float, float, float], rules: Rules) -> bool:
+    """False where rounding decides: the tangent jumps at 90 degrees of steer, the throttle is cut off at 100 m/s."""
+    ramp = controls_over_a_decision(car, target, rules)
+    return abs(float(car.speed) - 100) > 1e-9 and all(abs(abs(steer) - PI / 2) > 1e-9 for steer, _, _ in ramp)
+
+
+def check(car: Car, targets: list[tuple[float, float, float]], rules: Rules) -> list[Car]:
+    """Hold the package's decisions against the literal ones, as far as they are well posed; returns the package's."""
+    assert well_posed(car, targets[0], rules)
+    compiled = compiled_decisions(car, targets, rules)
+    literal = car
+    for count, (target, ours) in enumerate(zip(targets, compiled, strict=True), start=1):
+        if not well_posed(literal, target, rules):
+            break
+        literal = literal_decision(literal, target, rules)
+        assert_same(ours, literal, rules, count * rules.physics_steps)
+    return compiled
+
+
+def reals(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+cars = st.builds(
+    Car,
+    x=reals(-250, 250),
+    y=reals(-250, 250),
+    heading=reals(-20, 20),
+    speed=reals(-60, 110),
+    yaw_step=reals(-0.3, 0.3),
+    vx=reals(-100, 100),
+    vy=reals(-100, 100),
+    ax=reals(-50, 50),
+    ay=reals(-50, 50),
+    steer=reals(-5, 5),
+    throttle=reals(-10, 10),
+    brake=reals(0, 4),
+    travelled=reals(0, 1000),
+)
+all_targets = st.lists(
+    st.tuples(reals(-5, 5), reals(-10, 10), st.one_of(st.just(0.0), reals(0, 4))), min_size=1, max_size=3
+)
+all_rules = st.builds(
+    Rules,
+    simulation_frequency=st.sampled_from([60, 60, 10, 20, 30, 120, 240]),
+    physics_steps=st.sampled_from([1, 2, 5, 10]),
+    constrain_controls=st.booleans(),
+    ignore_brake=st.booleans(),
+)
+
+
+@needs_extended_precision
+@settings(max_examples=200)
+@given(cars, all_targets, all_rules)
+@example(Car(), [(0.1, 3.625, 0.0)] * 3, Rules())
+@example(Car(speed=99.9, throttle=10.0), [(0.0, 10.0, 0.0)] * 3, Rules())
+@example(Car(speed=5.0, brake=2.0), [(0.0, 0.0, 3.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)], Rules())
+def test_a_decision_follows_the_equations_of_the_specification(
+    car: Car, targets: list[tuple[float, float, float]], rules: Rules
+) -> None:
+    assume(well_posed(car, targets[0], rules))
+    check(car, targets, rules)
+
+
+@needs_extended_precision
+@given(st.integers(0, 2**32 - 1))
+def test_ordinary_driving_follows_the_equations_of_the_specification(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    targets = [(rng.uniform(-0.53, 0.53), rng.uniform(-3.7, 3.7), rng.choice([0.0, 1.0, 3.6])) for _ in range(20)]
+    check(Car(heading=rng.uniform(-4, 4)), targets, Rules())
+
+
+@needs_extended_precision
+@pytest.mark.parametrize("steer", [math.pi, 4.0, 5.0, -3.2, -4.5])
+def test_steer_beyond_half_a_turn_counts_as_half_a_turn(steer: float) -> None:
+    car = Car(speed=5.0, steer=steer)
+    (ours,) = check(car, [(steer, 0.0, 0.0)], Rules())
+    # tan(pi) = 0: the car goes straight, and the wheel keeps its own angle.
+    assert ours.yaw_step == pytest.approx(0.0, abs=1e-15)
+    assert ours.x == pytest.approx(0.0, abs=1e-14)
+    assert ours.steer == steer
+    check(Car(speed=5.0, steer=0.9 * steer), [(1.2 * steer, 0.0, 0.0)], Rules())
+
+
+@needs_extended_precision
+def test_above_the_top_speed_the_throttle_does_nothing() -> None:
+    above = check(Car(speed=101.0, throttle=3.0), [(0.0, 3.0, 0.0)], Rules())[0]
+    coasting = check(Car(speed=101.0), [(0.0, 0.0, 0.0)], Rules())[0]
+    below = check(Car(speed=99.0, throttle=3.0), [(0.0, 3.0, 0.0)], Rules())[0]
+    assert above.speed == coasting.speed == pytest.approx(101.0 * 0.999**6, rel=1e-12)
+    assert below.speed > 99.0 * 0.999**6 + 0.25
+    assert above.throttle == 3.0
+
+
+@needs_extended_precision
+def test_constrained_controls_move_by_at_most_their_limits_in_a_decision() -> None:
+    rules = Rules(constrain_controls=True)
+    far = check(Car(speed=1.0), [(0.5, 3.0, 0.0), (-0.5, -3.0, 0.0)], rules)
+    assert (far[0].steer, far[0].throttle) == (pytest.approx(0.18), pytest.approx(0.24))
+    assert (far[1].steer, far[1].throttle) == (pytest.approx(0.0), pytest.approx(0.0))
+    near = check(Car(speed=1.0), [(0.1, 0.2, 0.0)], rules)[0]
+    assert (near.steer, near.throttle) == (0.1, 0.2)
+    twelve = check(Car(), [(0.5, 3.0, 0.0)], Rules(physics_steps=12, constrain_controls=True))[0]
+    assert (twelve.steer, twelve.throttle) == (pytest.approx(0.36), pytest.approx(0.48))
+
+
+@needs_extended_precision
+def test_an_ignored_brake_does_nothing() -> None:
+    braked = check(Car(speed=5.0, brake=2.0), [(0.0, 0.0, 3.0)], Rules(ignore_brake=True))[0]
+    assert braked.speed == pytest.approx(5.0 * 0.999**6, rel=1e-12)
+    assert braked.brake == 0.0
+
+
+@needs_extended_precision
+def test_the_brake_grips_by_equal_parts_and_lets_go_at_once() -> None:
+    grips = check(Car(speed=5.0), [(0.0, 0.0, 3.0)], Rules())[0]
+    assert grips.speed == pytest.approx(5.0 * 0.999**6 * 0.96 ** (3.0 * (1 + 2 + 3 + 4 + 5 + 6) / 6), rel=1e-12)
+    assert grips.brake == 3.0
+    lets_go = check(Car(speed=5.0, brake=3.0), [(0.0, 0.0, 0.0)], Rules())[0]
+    assert lets_go.speed == pytest.approx(5.0 * 0.999**6, rel=1e-12)
+    assert lets_go.brake == 0.0
+
+
+@needs_extended_precision
+@pytest.mark.parametrize("frequency", [10, 20, 30, 60, 120, 240, 1000])
+def test_frictions_are_those_of_a_second_at_every_simulation_frequency(frequency: int) -> None:
+    rules = Rules(simulation_frequency=frequency, physics_steps=frequency)
+    assert compiled_decisions(Car(speed=50.0), [(0.0, 0.0, 0.0)], rules)[0].speed == pytest.approx(50.0 * 0.999**60)
+    braked = compiled_decisions(Car(speed=50.0, brake=1.0), [(0.0, 0.0, 1.0)], rules)[0]
+    assert braked.speed == pytest.approx(50.0 * 0.999**60 * 0.96**60)
+    # The heading change per physics step fades the same; steering straight, nothing else moves it.
+    spun = compiled_decisions(Car(yaw_step=0.01), [(0.0, 0.0, 0.0)], rules)[0]
+    assert spun.yaw_step == pytest.approx(0.01 * 0.95**60)
+
+
+def test_a_car_at_rest_that_is_left_alone_stays_as_it_is() -> None:
+    car = Car(x=3.0, y=4.0, heading=1.0)
+    assert compiled_decisions(car, [(0.0, 0.0, 0.0)] * 3, Rules()) == [car] * 3
+
+
+def test_left_steer_turns_left_and_right_steer_mirrors_it() -> None:
+    left = compiled_decisions(Car(speed=3.0), [(0.2, 1.0, 0.0)] * 5, Rules())[-1]
+    right = compiled_decisions(Car(speed=3.0), [(-0.2, 1.0, 0.0)] * 5, Rules())[-1]
+    assert left.heading > 0.1
+    assert left.x < 0.0 < left.y
+    assert (right.x, right.y, right.heading) == (-left.x, left.y, -left.heading)
+    assert (right.speed, right.g_force, right.jerk) == (left.speed, left.g_force, left.jerk)
+
+
+@numba.njit
+def sines_and_cosines(angles, out):  # type: ignore[no-untyped-def]
+    for k in range(len(angles)):
+        out[k, 0], out[k, 1] = sine_cosine(angles[k])
+
+
+def assert_accurate(angles: np.ndarray) -> None:
+    out = np.zeros((len(angles), 2))
+    sines_and_cosines(angles, out)
+    exact = angles.astype(np.longdouble)
+    assert np.abs(out[:, 0] - np.sin(exact)).max() < 4e-16
+    assert np.abs(out[:, 1] - np.cos(exact)).max() < 4e-16
+
+
+@needs_extended_precision
+def test_sine_and_cosine_are_accurate_within_a_few_thousand_turns() -> None:
+    rng = np.random.default_rng(0)
+    assert_accurate(rng.uniform(-1e4, 1e4, 400_000))
+    assert_accurate(rng.uniform(-10.0, 10.0, 400_000))
+    assert_accurate(np.linspace(-1e4, 1e4, 100_001))
+
+
+@needs_extended_precision
+def test_sine_and_cosine_are_accurate_next_to_multiples_of_an_eighth_turn() -> None:
+    rng = np.random.default_rng(1)
+    multiples = np.arange(-12_732, 12_733) * (math.pi / 4)
+    angles = multiples[np.abs(multiples) < 1e4]
+    assert_accurate(angles)
+    assert_accurate(np.nextafter(angles, np.inf))
+    assert_accurate(np.nextafter(angles, -np.inf))
+    assert_accurate(angles + rng.normal(0.0, 1e-6, len(angles)))
+
+
+@needs_extended_precision
+def test_sine_and_cosine_are_accurate_beyond_a_few_thousand_turns() -> None:
+    rng = np.random.default_rng(2)
+    sign = rng.choice([-1.0, 1.0], 100_000)
+    assert_accurate(sign * 10 ** rng.uniform(4.0, 12.0, 100_000))
+    edge = np.array([1e4, -1e4])
+    assert_accurate(np.concatenate([np.nextafter(edge, 0.0), edge, np.nextafter(edge, 2 * edge)]))
+
+
+@needs_extended_precision
+@given(st.floats(-1e12, 1e12))
+@example(0.0)
+@example(5e-324)
+@example(1e-300)
+def test_sine_and_cosine_are_accurate_anywhere(angle: float) -> None:
+    assert_accurate(np.array([angle]))
+
+
+def test_sine_and_cosine_of_simple_angles_are_exact() -> None:
+    assert sine_cosine(0.0) == (0.0, 1.0)
+    for angle in (0.3, 1.0, 2.5, 3.7):
+        sine, cosine = sine_cosine(angle)
+        assert sine_cosine(-angle) == (-sine, cosine)

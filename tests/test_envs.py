@@ -1,0 +1,661 @@
+"""The single environments: conformance with Gymnasium and MO-Gymnasium, determinism, copies, and bad input."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+import pickle
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mo_gymnasium.wrappers import LinearReward, MOClipReward, MONormalizeReward, MORecordEpisodeStatistics
+
+IDS = {"one_waypoint": "mo-deepdrive-one-waypoint-v0", "static_obstacle": "mo-deepdrive-static-obstacle-v0"}
+ACTION_TYPES = ("discrete", "discrete-16", "continuous")
+OBJECTIVES = {
+    "one_waypoint": ("distance", "destination", "g_force", "jerk"),
+    "static_obstacle": ("distance", "destination", "g_force", "collision", "jerk"),
+}
+SIZES = {"one_waypoint": 15, "static_obstacle": 19}
+EVERY = [(scenario, action_type) for scenario in IDS for action_type in ACTION_TYPES]
+
+Env = Any
+Make = Callable[..., Any]
+Step = tuple[Any, Any, bool, bool, dict[str, Any]]
+
+
+def sample_actions(env: Env, count: int, seed: int) -> list[Any]:
+    """Random actions, each held for a few decisions."""
+    env.action_space.seed(seed)
+    rng = np.random.default_rng(seed)
+    actions = [env.action_space.sample()]
+    while len(actions) < count:
+        actions.append(env.action_space.sample() if rng.random() < 0.3 else actions[-1])
+    return actions
+
+
+def rollout(env: Env, actions: list[Any], seed: int | None) -> list[Any]:
+    """Everything that comes back, starting anew (without a seed) whenever an episode ends."""
+    out: list[Any] = [env.reset(seed=seed)]
+    for action in actions:
+        out.append(env.step(action))
+        if out[-1][2] or out[-1][3]:
+            out.append(env.reset())
+    return out
+
+
+def assert_equal(first: Any, second: Any) -> None:
+    """Deep equality, arrays bit for bit."""
+    assert type(first) is type(second)
+    if isinstance(first, np.ndarray):
+        assert first.dtype == second.dtype
+        assert first.tobytes() == second.tobytes()
+    elif isinstance(first, (tuple, list)):
+        assert len(first) == len(second)
+        for one, two in zip(first, second, strict=True):
+            assert_equal(one, two)
+    elif isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for name in first:
+            assert_equal(first[name], second[name])
+    else:
+        assert first == second
+
+
+# ------------------------------------------------------------------------------------------------------ conformance
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_gymnasiums_own_checker_finds_nothing_but_that_the_reward_is_a_vector(
+    make_single: Make, scenario: str, action_type: str
+) -> None:
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        check_env(make_single(scenario, action_type=action_type), skip_render_check=True)
+    messages = [str(warning.message) for warning in found]
+    assert [message for message in messages if "The reward returned by `step()` must be a float" not in message] == []
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_the_ids_run_behind_the_wrappers_that_make_puts_around_them(scenario: str, action_type: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the vector reward
+        env = gymnasium.make(IDS[scenario], action_type=action_type, max_episode_steps=5)
+        observation, info = env.reset(seed=0)
+        assert observation in env.observation_space
+        assert info == {}
+        for step in range(1, 6):
+            observation, reward, _, truncated, _ = env.step(env.action_space.sample())
+            assert observation in env.observation_space
+            assert reward in env.unwrapped.reward_space
+            assert truncated == (step == 5)
+    env.close()
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_the_reward_space_holds_every_reward_as_mo_gymnasium_asks(
+    make_single: Make, scenario: str, action_type: str
+) -> None:
+    env = make_single(scenario, action_type=action_type)
+    names = OBJECTIVES[scenario]
+    assert env.objectives == names
+    assert env.reward_dim == len(names) == env.reward_space.shape[0]
+    assert isinstance(env.reward_space, gymnasium.spaces.Box)
+    assert env.reward_space.dtype == np.float32
+    assert np.isfinite(env.reward_space.low).all()
+    assert np.isfinite(env.reward_space.high).all()
+    for result in rollout(env, sample_actions(env, 300, 0), seed=0):
+        if len(result) == 5:
+            assert env.reward_space.contains(result[1])
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_spaces_are_those_of_the_documentation(make_single: Make, scenario: str, action_type: str) -> None:
+    env = make_single(scenario, action_type=action_type)
+    assert env.observation_space.shape == (SIZES[scenario],)
+    assert env.observation_space.dtype == np.float32
+    assert np.isfinite(env.observation_space.low).all()
+    assert np.isfinite(env.observation_space.high).all()
+    if action_type == "continuous":
+        assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
+    else:
+        assert env.action_space == gymnasium.spaces.Discrete({"discrete": 22, "discrete-16": 16}[action_type])
+
+
+def test_the_spec_names_the_scenario_and_nothing_else_by_default() -> None:
+    for scenario, name in IDS.items():
+        spec = gymnasium.spec(name)
+        assert spec.kwargs == {"scenario": scenario}
+        assert spec.max_episode_steps is None
+        assert not spec.nondeterministic
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_what_comes_back_has_the_types_that_gymnasium_asks_for(
+    make_single: Make, scenario: str, action_type: str
+) -> None:
+    env = make_single(scenario, action_type=action_type, time_limit=2.0)
+    ends = 0
+    for result in rollout(env, sample_actions(env, 200, 1), seed=1):
+        assert type(result[0]) is np.ndarray
+        assert result[0].dtype == np.float32
+        assert result[0].shape == env.observation_space.shape
+        if len(result) == 2:
+            assert result[1] == {}
+            continue
+        _, reward, terminated, truncated, info = result
+        assert (type(reward), reward.dtype, reward.shape) == (np.ndarray, np.float32, env.reward_space.shape)
+        assert type(terminated) is bool
+        assert type(truncated) is bool
+        if terminated or truncated:
+            ends += 1
+            assert info.keys() == {"end", "success"}
+            assert type(info["end"]) is str
+            assert type(info["success"]) is bool
+            assert info["success"] == (info["end"] == "arrived")
+            assert truncated == (info["end"] == "time_limit")
+            assert not (terminated and truncated)
+        else:
+            assert info == {}
+    assert ends > 3
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_returned_arrays_are_fresh_and_the_callers_to_change(make_single: Make, scenario: str) -> None:
+    env, spoiled = make_single(scenario), make_single(scenario)
+    actions = sample_actions(env, 60, 2)
+    kept = [env.reset(seed=2)[0]]
+    first = spoiled.reset(seed=2)[0]
+    assert first.flags.writeable
+    first[:] = np.nan
+    rewards = []
+    for action in actions:
+        observation, reward, terminated, truncated, _ = env.step(action)
+        other, other_reward, *_ = spoiled.step(action)
+        assert_equal(other, observation)
+        assert_equal(other_reward, reward)
+        assert other.flags.writeable
+        assert other_reward.flags.writeable
+        other[:], other_reward[:] = np.nan, np.nan
+        kept.append(observation)
+        rewards.append(reward)
+        if terminated or truncated:
+            break
+    arrays = [*kept, *rewards]
+    assert len(arrays) > 20
+    assert not any(np.shares_memory(one, two) for one, two in itertools.combinations(arrays, 2))
+
+
+# ------------------------------------------------------------------------------------------------------ determinism
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_the_same_seed_gives_the_same_everything(make_single: Make, scenario: str, action_type: str) -> None:
+    first = make_single(scenario, action_type=action_type, time_limit=3.0)
+    second = make_single(scenario, action_type=action_type, time_limit=3.0)
+    actions = sample_actions(first, 150, 3)
+    one = rollout(first, actions, seed=11)
+    assert_equal(one, rollout(second, actions, seed=11))
+    assert_equal(one, rollout(first, actions, seed=11))
+    assert sum(len(result) == 2 for result in one) > 3, "and so over several episodes"
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_different_seeds_give_different_scenarios(make_single: Make, scenario: str) -> None:
+    env = make_single(scenario)
+    spawns = {env.reset(seed=seed)[0].tobytes() for seed in range(50)}
+    assert len(spawns) == 50
+    env.reset(seed=0)
+    assert len({env.reset()[0].tobytes() for _ in range(50)}) == 50
+    unseeded = {make_single(scenario).reset()[0].tobytes() for _ in range(5)}
+    assert len(unseeded) == 5
+
+
+COPIES: dict[str, Callable[[Env], Env]] = {
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),
+}
+
+
+@pytest.mark.parametrize("how", COPIES)
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_a_copy_goes_on_exactly_where_the_original_stands(
+    make_single: Make, scenario: str, action_type: str, how: str
+) -> None:
+    env = make_single(scenario, action_type=action_type, time_limit=2.0)
+    actions = sample_actions(env, 120, 4)
+    rollout(env, actions[:33], seed=4)
+    twin = COPIES[how](env)
+    assert twin.telemetry() == env.telemetry()
+    untouched = env.telemetry()
+
+    def go_on(one: Env) -> list[Any]:
+        out = []
+        for action in actions[33:]:
+            out.append(one.step(action))
+            if out[-1][2] or out[-1][3]:
+                out.append(one.reset())
+        return out
+
+    gone = go_on(twin)
+    assert env.telemetry() == untouched, "the copy has buffers of its own"
+    assert_equal(gone, go_on(env))
+    assert any(len(result) == 2 for result in gone)
+
+
+# ------------------------------------------------------------------------------------------------------- objectives
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_a_subset_of_objectives_comes_in_the_order_asked_for(make_single: Make, scenario: str) -> None:
+    full = make_single(scenario)
+    actions = sample_actions(full, 80, 5)
+    everything = [result[1] for result in rollout(full, actions, seed=5) if len(result) == 5]
+    for names in (("jerk", "distance"), ("g_force",), tuple(reversed(OBJECTIVES[scenario])), ["destination", "jerk"]):
+        env = make_single(scenario, objectives=names)
+        rewards = [result[1] for result in rollout(env, actions, seed=5) if len(result) == 5]
+        assert env.objectives == tuple(names)
+        assert env.reward_dim == len(names)
+        assert env.reward_space.shape == (len(names),)
+        columns = [OBJECTIVES[scenario].index(name) for name in names]
+        assert_equal(rewards, [reward[columns] for reward in everything])
+        np.testing.assert_array_equal(env.reward_space.low, full.reward_space.low[columns])
+        np.testing.assert_array_equal(env.reward_space.high, full.reward_space.high[columns])
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_the_cost_sign_turns_the_costs_and_their_bounds(make_single: Make, scenario: str) -> None:
+    env, paper = make_single(scenario), make_single(scenario, cost_sign="paper")
+    sign = np.array([-1 if name in ("g_force", "collision", "jerk") else 1 for name in OBJECTIVES[scenario]])
+    actions = sample_actions(env, 150, 6)
+    ours, theirs = (
+        np.array([result[1] for result in rollout(one, actions, seed=6) if len(result) == 5]) for one in (env, paper)
+    )
+    np.testing.assert_array_equal(ours, sign * theirs)
+    assert (ours[:, sign < 0] < 0).any()
+    space, magnitudes = env.reward_space, paper.reward_space
+    np.testing.assert_array_equal(np.where(sign > 0, space.low, -space.high), magnitudes.low)
+    np.testing.assert_array_equal(np.where(sign > 0, space.high, -space.low), magnitudes.high)
+    assert (space.high[sign < 0] == 0).all()
+    assert (magnitudes.low[sign < 0] == 0).all()
+
+
+# ------------------------------------------------------------------------------------------------------------ spaces
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_observations_and_rewards_never_leave_their_spaces(make_single: Make, scenario: str, action_type: str) -> None:
+    kinds: dict[str, Env] = {
+        "slow": make_single(scenario, action_type=action_type, harmful_g_force=None, decision_frequency=1),
+        "usual": make_single(scenario, action_type=action_type, harmful_g_force=None, cost_sign="paper"),
+        "coarse": make_single(scenario, action_type=action_type, harmful_g_force=None, simulation_frequency=10),
+        "coarsest": make_single(
+            scenario, action_type=action_type, harmful_g_force=None, simulation_frequency=1, decision_frequency=1
+        ),
+    }
+    starts = st.sampled_from([(-250.0, -250.0), (250.0, -250.0), (0.0, 250.0)])
+    destinations = st.sampled_from([(250.0, 250.0), (-250.0, 0.0), (30.0, 30.0)])
+    env = kinds["usual"]
+    if action_type == "continuous":
+        one = st.tuples(*[st.one_of(st.sampled_from([-1.0, 0.0, 1.0]), st.floats(-1, 1, width=32))] * 3)
+        one = one.map(lambda action: np.array(action, dtype=np.float32))
+    else:
+        one = st.integers(0, int(env.action_space.n) - 1)
+
+    @settings(max_examples=60)
+    @given(
+        kind=st.sampled_from(sorted(kinds)),
+        seed=st.integers(0, 2**32 - 1),
+        pins=st.none() | st.tuples(starts, st.floats(-7, 7), destinations),
+        plan=st.lists(st.tuples(one, st.integers(1, 200)), min_size=1, max_size=8),
+    )
+    def check(kind: str, seed: int, pins: Any, plan: list[tuple[Any, int]]) -> None:
+        env = kinds[kind]
+        options = None if pins is None else {"start": (*pins[0], pins[1]), "destination": pins[2]}
+        observation, _ = env.reset(seed=seed, options=options)
+        assert observation in env.observation_space
+        for action, times in plan:
+            for _ in range(times):
+                observation, reward, terminated, truncated, _ = env.step(action)
+                assert observation in env.observation_space, observation
+                assert reward in env.reward_space, reward
+                if terminated or truncated:
+                    return
+
+    check()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "action_type"), [*EVERY, ("intersection", "discrete"), ("intersection", "continuous")]
+)
+def test_many_long_drives_never_leave_the_spaces(make_vector: Make, scenario: str, action_type: str) -> None:
+    env = make_vector(scenario, 256, action_type=action_type, harmful_g_force=None, cost_sign="paper")
+    rng = np.random.default_rng(0)
+    observations, _ = env.reset(seed=0)
+    low, high = env.single_observation_space.low, env.single_observation_space.high
+    actions = env.action_space.sample()
+    extremes = []
+    for step in range(400):
+        if step % 10 == 0:
+            env.action_space.seed(step)
+            fresh = env.action_space.sample()
+            if action_type == "continuous":
+                fresh = np.where(rng.random(fresh.shape) < 0.5, np.sign(fresh), fresh)
+            change = rng.random(256) < 0.3
+            actions[change] = fresh[change]
+        observations, rewards, *_ = env.step(actions)
+        assert (observations >= low).all()
+        assert (observations <= high).all()
+        assert (rewards >= env.reward_space.low).all()
+        assert (rewards <= env.reward_space.high).all()
+        extremes.append(np.abs(observations[..., 11]).max())
+    assert max(extremes) > 3.0
+
+
+@pytest.mark.parametrize("scenario", IDS)
+@pytest.mark.parametrize("accelerate", [1.0, -1.0])
+def test_the_fastest_drives_stay_within_the_spaces(make_single: Make, scenario: str, accelerate: float) -> None:
+    env = make_single(scenario, action_type="continuous", harmful_g_force=None)
+    speeds = []
+    # Full throttle across the widest map that pins allow, ahead and, looking away, in reverse; then full brake.
+    for heading in (math.radians(-45), math.radians(-43)):
+        turn = 0.0 if accelerate > 0 else math.pi
+        options = {"start": (-250.0, -250.0, heading + turn), "destination": (250.0, 250.0)}
+        if scenario == "static_obstacle":
+            options["obstacle"] = ((-200.0, 200.0), (-199.0, 200.0))  # out of the way
+        env.reset(seed=0, options=options)
+        if accelerate < 0:
+            # It counts as having been no further than where it looks away.
+            env.simulator.state[0, 0].furthest = env.simulator.state[0, 0].route_distance
+        for decision in range(250):
+            action = np.array([0.0, accelerate, -1.0 if decision < 200 else 1.0], dtype=np.float32)
+            observation, reward, terminated, truncated, _ = env.step(action)
+            assert observation in env.observation_space
+            assert reward in env.reward_space
+            speeds.append(float(observation[11]))
+            if terminated or truncated:
+                break
+    assert max(abs(speed) for speed in speeds) > 35.0
+
+
+# ---------------------------------------------------------------------------------------------------------- wrappers
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_linear_reward_of_mo_gymnasium_runs(make_single: Make, scenario: str) -> None:
+    weights = np.arange(1.0, len(OBJECTIVES[scenario]) + 1)
+    env, plain = LinearReward(make_single(scenario), weight=weights), make_single(scenario)
+    env.reset(seed=0)
+    plain.reset(seed=0)
+    for action in sample_actions(plain, 15, 0):
+        _, reward, _, _, info = env.step(action)
+        vector = plain.step(action)[1]
+        assert reward == pytest.approx(float(vector @ weights))
+        assert_equal(info["vector_reward"], vector)
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_normalising_and_clipping_wrappers_of_mo_gymnasium_run(make_single: Make, scenario: str) -> None:
+    env, plain = make_single(scenario), make_single(scenario)
+    at = {name: k for k, name in enumerate(OBJECTIVES[scenario])}
+    wrapped = MOClipReward(MONormalizeReward(env, idx=at["distance"]), idx=at["jerk"], min_r=-1.0, max_r=0.0)
+    wrapped.reset(seed=0)
+    plain.reset(seed=0)
+    normalised = []
+    for action in [3] * 15:
+        reward, vector = wrapped.step(action)[1], plain.step(action)[1]
+        assert reward[at["jerk"]] == max(float(vector[at["jerk"]]), -1.0)
+        assert reward[at["g_force"]] == vector[at["g_force"]]
+        normalised.append(reward[at["distance"]] / vector[at["distance"]])
+    assert len(set(normalised)) > 5
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_episode_statistics_of_mo_gymnasium_add_up(make_single: Make, scenario: str) -> None:
+    env = MORecordEpisodeStatistics(make_single(scenario, time_limit=2.0), gamma=0.9)
+    for seed in range(3):
+        env.reset(seed=seed)
+        rewards, info = [], {}
+        while "episode" not in info:
+            _, reward, _, _, info = env.step(3)
+            rewards.append(reward.astype(np.float64))
+        assert info["episode"]["l"] == len(rewards)
+        np.testing.assert_allclose(info["episode"]["r"], np.sum(rewards, axis=0), rtol=1e-4, atol=1e-4)
+        powers = 0.9 ** np.arange(len(rewards))
+        np.testing.assert_allclose(info["episode"]["dr"], powers @ np.array(rewards), rtol=1e-4, atol=1e-4)
+
+
+# ----------------------------------------------------------------------------------------------------- fresh imports
+
+
+@pytest.mark.parametrize("name", IDS.values())
+def test_mo_gymnasium_makes_the_ids_by_the_modules_name_in_a_fresh_interpreter(run_python: Any, name: str) -> None:
+    printed = run_python(
+        "import mo_gymnasium\n"
+        f"env = mo_gymnasium.make('mo_deepdrive:{name}', disable_env_checker=True)\n"
+        "env.reset(seed=0)\n"
+        "print(env.step(3)[1].shape == env.unwrapped.reward_space.shape, env.spec.id)"
+    )
+    assert printed.split() == ["True", name]
+
+
+def test_importing_the_package_imports_neither_torch_nor_pygame(run_python: Any) -> None:
+    printed = run_python(
+        "import sys, mo_deepdrive, gymnasium\n"
+        "env = gymnasium.make('mo-deepdrive-one-waypoint-v0', disable_env_checker=True)\n"
+        "print(sorted({'torch', 'pygame', 'matplotlib', 'wandb', 'moviepy', 'numba'} & set(sys.modules)))"
+    )
+    assert printed.strip() == "['numba']"  # the list is not empty, so the check sees what is there
+
+
+def test_mo_gymnasium_makes_the_ids_here_too() -> None:
+    env = mo_gymnasium.make("mo_deepdrive:mo-deepdrive-one-waypoint-v0", disable_env_checker=True, cost_sign="paper")
+    env.reset(seed=0)
+    assert (env.step(3)[1] >= 0).all()
+
+
+# --------------------------------------------------------------------------------------------------------- bad input
+
+
+def assert_refuses(env: Env, call: Callable[[], Any], error: type[Exception], message: str) -> None:
+    """``call`` raises a clear error, and the environment goes on as if it had not been called."""
+    before = copy.deepcopy(env)
+    with pytest.raises(error, match=message):
+        call()
+    assert env.telemetry() == before.telemetry()
+    assert env.simulator.state.tobytes() == before.simulator.state.tobytes()
+    action = env.action_space.sample()
+    assert_equal(env.step(action), before.step(action))
+
+
+BAD_CONTINUOUS = {
+    "NaN": ([0.0, math.nan, 0.0], "not allowed"),
+    "infinite": ([0.0, 0.0, -math.inf], "not allowed"),
+    "too short": ([0.0, 0.0], "shape"),
+    "too long": ([0.0] * 4, "shape"),
+    "batched": ([[0.0] * 3], "shape"),
+    "a number": (0.5, "shape"),
+    "words": (["left", "fast", "no"], "dtype"),
+    "complex": ([1j, 0.0, 0.0], "dtype"),
+    "nothing": (None, "shape"),
+}
+BAD_DISCRETE = {
+    "too large": (22, "not allowed"),
+    "negative": (-1, "not allowed"),
+    "huge": (2**63 - 1, "not allowed"),
+    "huge unsigned": (np.uint64(2**64 - 1), "not allowed"),
+    "real": (3.0, "dtype"),
+    "NaN": (math.nan, "dtype"),
+    "a list": ([3], "shape"),
+    "a pair": (np.array([3, 4]), "shape"),
+    "a word": ("left", "dtype"),
+    "a truth value": (True, "dtype"),
+    "nothing": (None, "dtype"),
+}
+
+
+@pytest.mark.parametrize("scenario", IDS)
+@pytest.mark.parametrize("what", BAD_CONTINUOUS)
+def test_a_bad_continuous_action_is_refused(make_single: Make, scenario: str, what: str) -> None:
+    action, message = BAD_CONTINUOUS[what]
+    env = make_single(scenario, action_type="continuous")
+    env.reset(seed=0)
+    env.step(np.array([0.1, 0.5, -1.0], dtype=np.float32))
+    assert_refuses(env, lambda: env.step(action), ValueError, message)
+
+
+@pytest.mark.parametrize("scenario", IDS)
+@pytest.mark.parametrize("what", BAD_DISCRETE)
+def test_a_bad_discrete_action_is_refused(make_single: Make, scenario: str, what: str) -> None:
+    action, message = BAD_DISCRETE[what]
+    env = make_single(scenario)
+    env.reset(seed=0)
+    env.step(3)
+    assert_refuses(env, lambda: env.step(action), ValueError, message)
+
+
+def test_the_sixteen_actions_end_at_fifteen(make_single: Make) -> None:
+    env = make_single(action_type="discrete-16")
+    env.reset(seed=0)
+    env.step(15)
+    assert_refuses(env, lambda: env.step(16), ValueError, r"expected integers in \[0, 16\)")
+
+
+def test_numbers_of_any_integer_type_are_actions(make_single: Make) -> None:
+    results = []
+    for kind in (int, np.int8, np.int32, np.int64, np.uint8, np.uint64, np.array):
+        env = make_single()
+        env.reset(seed=0)
+        results.append(env.step(kind(6)))
+    for result in results[1:]:
+        assert_equal(result, results[0])
+
+
+@pytest.mark.parametrize("scenario", IDS)
+def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(make_single: Make, scenario: str) -> None:
+    env = make_single(scenario, time_limit=0.2)
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    env.reset(seed=0)
+    assert not env.step(0)[3]
+    assert env.step(0)[3]
+    before = env.telemetry()
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    assert env.telemetry() == before
+    env.reset()
+    assert not env.step(0)[3]
+    wrapped = gymnasium.make(IDS[scenario], disable_env_checker=True)
+    with pytest.raises(ResetNeeded):
+        wrapped.step(0)
+
+
+GOOD = {"start": (0.0, 0.0, -math.pi / 2), "destination": (30.0, 0.0)}
+BAD_OPTIONS = {
+    "the destination on the bicycle": ({**GOOD, "obstacle": ((30.0, -1.0), (30.0, 1.0))}, "no possible scenario"),
+    "the destination within 1 m of it": ({**GOOD, "obstacle": ((30.99, -1.0), (30.99, 1.0))}, "no possible scenario"),
+    "the start inside the car": ({**GOOD, "obstacle": ((0.1, 0.0), (0.2, 0.1))}, "no possible scenario"),
+    "the start at the bicycle": ({**GOOD, "obstacle": ((2.5, -5.0), (2.5, 5.0))}, "no possible scenario"),
+    "a NaN in the start": ({"start": (0.0, math.nan, 0.0)}, "'start'.*finite"),
+    "an infinite destination": ({"destination": (math.inf, 0.0)}, "'destination'.*finite"),
+    "a NaN in the bicycle": ({"obstacle": ((1.0, math.nan), (2.0, 2.0))}, "'obstacle'.*finite"),
+    "a start without heading": ({"start": (0.0, 0.0)}, "'start'.*x, y, heading"),
+    "a destination of one number": ({"destination": 3.0}, "'destination'.*x, y"),
+    "a bicycle with one end": ({"obstacle": (1.0, 2.0)}, "'obstacle'"),
+    "a start of words": ({"start": ("a", "b", "c")}, "'start'"),
+    "a destination of nothing": ({"destination": None}, "'destination'"),
+    "a start far away": ({"start": (1e6, 0.0, 0.0)}, "'start'.*250 m"),
+    "an unknown option": ({"destinatoin": (1.0, 2.0)}, "'destinatoin'.*did you mean 'destination'"),
+    "the option of another scenario": ({"starts": ((0, 0, 0), (0, 0, 0))}, "unknown reset option 'starts'"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_OPTIONS)
+def test_reset_options_that_make_no_scenario_are_refused(make_single: Make, what: str) -> None:
+    options, message = BAD_OPTIONS[what]
+    env = make_single("static_obstacle")
+    env.reset(seed=0)
+    env.step(3)
+    assert_refuses(env, lambda: env.reset(options=options), ValueError, message)
+
+
+def test_one_waypoint_has_no_bicycle_to_pin(make_single: Make) -> None:
+    env = make_single()
+    env.reset(seed=0)
+    refused = {"obstacle": ((1.0, 2.0), (3.0, 4.0))}
+    assert_refuses(env, lambda: env.reset(options=refused), ValueError, "'obstacle' in OneWaypoint")
+
+
+def test_a_refused_first_reset_leaves_an_environment_that_still_needs_one(make_single: Make) -> None:
+    env = make_single("static_obstacle")
+    with pytest.raises(ValueError, match="no possible scenario"):
+        env.reset(options={**GOOD, "obstacle": ((0.0, 0.0), (0.0, 0.1))})
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    env.reset()
+    env.step(0)
+
+
+BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
+    "an unknown argument": ("one_waypoint", {"time_limits": 3.0}, "'time_limits'.*did you mean 'time_limit'"),
+    "another unknown argument": ("one_waypoint", {"harmfull_jerk": 3.0}, "did you mean 'harmful_jerk'"),
+    "an unknown action type": ("one_waypoint", {"action_type": "discreet"}, "action_type.*'discreet'"),
+    "an unknown objective": ("one_waypoint", {"objectives": ("jrek",)}, "'jrek'; did you mean 'jerk'"),
+    "an objective of another scenario": ("one_waypoint", {"objectives": ("collision",)}, "which OneWaypoint lacks"),
+    "an objective twice": ("one_waypoint", {"objectives": ("jerk", "jerk")}, "each once"),
+    "no objectives": ("one_waypoint", {"objectives": ()}, "one or more names"),
+    "a time limit of zero": ("one_waypoint", {"time_limit": 0}, "time_limit.*greater than 0"),
+    "a negative time limit": ("one_waypoint", {"time_limit": -1.0}, "time_limit.*greater than 0"),
+    "a time limit below a decision": ("one_waypoint", {"time_limit": 0.04}, "at least one decision"),
+    "a time limit that is not a number": ("one_waypoint", {"time_limit": math.nan}, "time_limit"),
+    "a time limit in words": ("one_waypoint", {"time_limit": "60"}, "time_limit"),
+    "frequencies that do not divide": ("one_waypoint", {"decision_frequency": 7}, "must be a multiple"),
+    "deciding more often than moving": ("one_waypoint", {"simulation_frequency": 5}, "must be a multiple"),
+    "a frequency of zero": ("one_waypoint", {"decision_frequency": 0}, "decision_frequency.*equal to 1"),
+    "a harmful g-force of zero": ("one_waypoint", {"harmful_g_force": 0.0}, "harmful_g_force.*greater than 0"),
+    "a cost sign of its own": ("one_waypoint", {"cost_sign": "minus"}, "cost_sign"),
+    "a flag that is a number": ("one_waypoint", {"ignore_brake": 1}, "ignore_brake"),
+    "a lane margin without lanes": ("one_waypoint", {"lane_margin": 0.5}, "lane_margin.*no meaning in OneWaypoint"),
+    "lanes to leave without lanes": ("static_obstacle", {"end_on_lane_violation": True}, "no meaning in Static"),
+    "a yield rule without another": ("one_waypoint", {"yield_to_oncoming": False}, "no meaning in OneWaypoint"),
+    "an end together alone": ("static_obstacle", {"end_together": True}, "no meaning in StaticObstacle"),
+    "an unknown render mode": ("one_waypoint", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_ARGUMENTS)
+@pytest.mark.filterwarnings("ignore:.*render_mode.*")
+def test_environment_arguments_that_make_no_sense_are_refused(make_single: Make, what: str) -> None:
+    scenario, options, message = BAD_ARGUMENTS[what]
+    with pytest.raises(ValueError, match=message):
+        make_single(scenario, **options)
+
+
+def test_every_offending_argument_is_named(make_single: Make) -> None:
+    with pytest.raises(ValueError, match=r"(?s)time_limit.*lane_margin.*seeed"):
+        make_single(time_limit=-1, lane_margin=-2.0, seeed=1)
+
+
+def test_the_single_environment_refuses_the_scenario_of_two_vehicles() -> None:
+    from mo_deepdrive.envs.single import DrivingEnv
+
+    with pytest.raises(ValueError, match="make_vec"):
+        DrivingEnv(scenario="intersection")
+    with pytest.raises(ValueError, match="scenario"):
+        DrivingEnv(scenario="roundabout")
+
+
+def test_a_negative_seed_is_refused_and_leaves_the_state(make_single: Make) -> None:
+    env = make_single()
+    env.reset(seed=0)
+    assert_refuses(env, lambda: env.reset(seed=-1), gymnasium.error.Error, "greater or equal to zero")

@@ -1,0 +1,551 @@
+"""Utilities against the literal formulas of the paper (appendix D) in plain Python, and the standard ones against their
+definitions."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from mo_deepdrive.utilities import UTILITIES, Utility, make_utility
+
+COSTS = {"g_force", "collision", "jerk", "lane_violation"}
+ONE_WAYPOINT = ("distance", "destination", "g_force", "jerk")
+STATIC_OBSTACLE = ("distance", "destination", "g_force", "collision", "jerk")
+INTERSECTION = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+# The paper, on magnitudes: d distance, r destination, g g-force, c collision, j jerk, l lane violation.
+
+
+def one_waypoint_linear(d: float, r: float, g: float, j: float) -> float:
+    return 0.50 * d + 1 * r - 0.03 * g - 3.3e-5 * j
+
+
+def one_waypoint_nonlinear(d: float, r: float, g: float, j: float) -> float:
+    if d > 2:
+        return 0.50 * d + 1 * d * r - 0.1 * g - 0.1 * j
+    return 0.50 * d + 1 * r - (0.1 * g) ** 2 - (0.1 * j) ** 2
+
+
+def static_obstacle_linear(d: float, r: float, g: float, c: float, j: float) -> float:
+    return 0.30 * d + 1 * r - 1 * c - 0.03 * g - 3.3e-5 * j
+
+
+def static_obstacle_nonlinear(d: float, r: float, g: float, c: float, j: float) -> float:
+    if d == 0:
+        return -10.0
+    if d < 0:
+        return 0.50 * d + 1 * r - 4 * c - (0.03 * g) ** 4 - (3.3e-5 * j) ** 4
+    return 0.50 * d + 1 * r - 4 * c - 2 * (0.03 * g) ** 2
+
+
+def intersection_linear(d: float, r: float, g: float, c: float, j: float, lane: float) -> float:
+    return 0.50 * d + 10 * r - 4 * c - 0.03 * g - 0.0006 * j - 0.06 * lane
+
+
+def intersection_nonlinear(d: float, r: float, g: float, c: float, j: float, lane: float) -> float:
+    if d == 0:
+        return -10.0
+    if d < 0:
+        return 0.50 * d + 1 * r - 4 * c - (0.03 * g) ** 4 - (3.3e-5 * j) ** 4 - 0.06 * lane
+    return 0.50 * d + 1 * r - 4 * c - 2 * (0.03 * g) ** 2 - 0.06 * lane
+
+
+PAPER: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
+    "one_waypoint_linear": (ONE_WAYPOINT, one_waypoint_linear),
+    "one_waypoint_nonlinear": (ONE_WAYPOINT, one_waypoint_nonlinear),
+    "static_obstacle_linear": (STATIC_OBSTACLE, static_obstacle_linear),
+    "static_obstacle_nonlinear": (STATIC_OBSTACLE, static_obstacle_nonlinear),
+    "intersection_linear": (INTERSECTION, intersection_linear),
+    "intersection_nonlinear": (INTERSECTION, intersection_nonlinear),
+}
+
+# Worked out by hand: utility, magnitudes in the order of its objectives above, value.
+BY_HAND = [
+    ("one_waypoint_linear", (10.0, 1.0, 5.0, 500.0), 5.8335),
+    ("one_waypoint_linear", (-2.0, 0.0, 0.0, 0.0), -1.0),
+    ("one_waypoint_nonlinear", (3.0, 1.0, 2.0, 4.0), 3.9),
+    ("one_waypoint_nonlinear", (2.0, 1.0, 2.0, 4.0), 1.8),
+    ("one_waypoint_nonlinear", (-1.0, 0.0, 10.0, 10.0), -2.5),
+    ("static_obstacle_linear", (10.0, 1.0, 5.0, 1.0, 500.0), 2.8335),
+    ("static_obstacle_nonlinear", (0.0, 1.0, 5.0, 1.0, 500.0), -10.0),
+    ("static_obstacle_nonlinear", (-2.0, 0.0, 100.0, 1.0, 100_000.0), -204.5921),
+    ("static_obstacle_nonlinear", (4.0, 1.0, 100.0, 0.0, 100_000.0), -15.0),
+    ("intersection_linear", (10.0, 1.0, 5.0, 1.0, 500.0, 10.0), 9.95),
+    ("intersection_nonlinear", (0.0, 0.0, 5.0, 1.0, 500.0, 10.0), -10.0),
+    ("intersection_nonlinear", (-2.0, 0.0, 100.0, 1.0, 100_000.0, 10.0), -205.1921),
+    ("intersection_nonlinear", (4.0, 1.0, 100.0, 0.0, 100_000.0, 10.0), -15.6),
+]
+
+RANGES = {
+    "distance": st.one_of(st.sampled_from([-2.0, 0.0, 2.0]), st.floats(-20.0, 100.0, width=32)),
+    "destination": st.sampled_from([0.0, 1.0, 0.25]),
+    "g_force": st.floats(0.0, 50.0, width=32),
+    "collision": st.sampled_from([0.0, 1.0, 0.125]),
+    "jerk": st.floats(0.0, 5000.0, width=32),
+    "lane_violation": st.floats(0.0, 50.0, width=32),
+}
+
+
+def oriented(magnitudes: dict[str, float], objectives: tuple[str, ...], cost_sign: str) -> np.ndarray:
+    """The return (d,) that an environment emits for these magnitudes."""
+    flip = cost_sign == "maximise"
+    return np.array([-magnitudes[name] if flip and name in COSTS else magnitudes[name] for name in objectives])
+
+
+@st.composite
+def situations(draw: st.DrawFn, name: str) -> tuple[dict[str, float], tuple[str, ...], str]:
+    """Magnitudes, an order of the objectives and a sign of the costs."""
+    objectives = PAPER[name][0]
+    magnitudes = {objective: draw(RANGES[objective]) for objective in objectives}
+    return magnitudes, tuple(draw(st.permutations(objectives))), draw(st.sampled_from(["maximise", "paper"]))
+
+
+def literal(name: str, magnitudes: dict[str, float]) -> float:
+    objectives, formula = PAPER[name]
+    return formula(*(magnitudes[objective] for objective in objectives))
+
+
+@pytest.mark.parametrize(("name", "magnitudes", "value"), BY_HAND)
+@pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
+def test_a_paper_utility_gives_the_value_worked_out_by_hand(
+    name: str, magnitudes: tuple[float, ...], value: float, cost_sign: str
+) -> None:
+    objectives = PAPER[name][0]
+    returns = oriented(dict(zip(objectives, magnitudes, strict=True)), objectives, cost_sign)
+    utility = make_utility(name, objectives, cost_sign=cost_sign)
+    assert float(utility(returns)) == pytest.approx(value, rel=1e-12)
+    assert float(utility(torch.tensor(returns))) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", PAPER)
+@given(data=st.data())
+def test_a_paper_utility_equals_its_literal_formula_in_any_order_and_sign(name: str, data: st.DataObject) -> None:
+    magnitudes, order, cost_sign = data.draw(situations(name))
+    expected = literal(name, magnitudes)
+    utility = make_utility(name, order, cost_sign=cost_sign)
+    returns = oriented(magnitudes, order, cost_sign)
+    size = 1.0 + abs(expected) + sum(abs(m) for m in magnitudes.values())
+    for kind, epsilon in ((np.float64, 1e-14), (np.float32, 1e-6)):
+        array = returns.astype(kind)
+        by_numpy, by_torch = utility(array), utility(torch.from_numpy(array))
+        assert np.asarray(by_numpy).dtype == kind
+        assert by_torch.dtype == torch.from_numpy(array).dtype
+        assert float(by_numpy) == pytest.approx(expected, abs=10 * epsilon * size)
+        assert float(by_torch) == pytest.approx(expected, abs=10 * epsilon * size)
+
+
+def every_utility() -> list[Utility]:
+    """One of every kind, of three objectives where it can be chosen."""
+    names = ("a", "b", "c")
+    return [
+        *(make_utility(name, PAPER[name][0]) for name in PAPER),
+        make_utility("linear", names, weights=[0.5, 0.25, 0.25]),
+        make_utility("augmented_chebyshev", names, weights=[0.5, 0.25, 0.25], ideal=[1.0, 2.0, 3.0]),
+        make_utility("generalised_gini", names, weights=[0.5, 0.3, 0.2], scales=[1.0, 2.0, 4.0]),
+    ]
+
+
+ALL = pytest.mark.parametrize("utility", every_utility(), ids=lambda utility: utility.name)
+
+
+@ALL
+@pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 3), (2, 1, 4), (0,), (2, 0)])
+def test_batches_of_any_leading_shape_are_valued_row_by_row(utility: Utility, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    returns = rng.normal(0.0, 3.0, (*shape, len(utility.objectives)))
+    returns[..., 0] = np.where(rng.random(shape) < 0.2, 0.0, returns[..., 0])
+    by_numpy, by_torch = utility(returns), utility(torch.tensor(returns))
+    assert np.shape(by_numpy) == shape
+    assert by_torch.shape == shape
+    rows = returns.reshape(-1, len(utility.objectives))
+    expected = np.array([float(utility(row)) for row in rows]).reshape(shape)
+    np.testing.assert_allclose(by_numpy, expected, rtol=1e-12)
+    np.testing.assert_allclose(by_torch.numpy(), expected, rtol=1e-12)
+
+
+@ALL
+def test_valuing_does_not_change_the_returns(utility: Utility) -> None:
+    returns = np.random.default_rng(1).normal(size=(5, len(utility.objectives)))
+    tensor = torch.tensor(returns)
+    before = returns.copy()
+    utility(returns)
+    utility(tensor)
+    np.testing.assert_array_equal(returns, before)
+    np.testing.assert_array_equal(tensor.numpy(), before)
+
+
+@ALL
+def test_whole_number_returns_are_valued_like_the_same_real_numbers(utility: Utility) -> None:
+    whole = np.arange(len(utility.objectives), dtype=np.int64) * 3 - 4
+    expected = float(utility(whole.astype(np.float64)))
+    assert float(utility(whole)) == pytest.approx(expected, rel=1e-6)
+    assert float(utility(torch.from_numpy(whole))) == pytest.approx(expected, rel=1e-6)
+
+
+def central_differences(utility: Utility, point: np.ndarray) -> np.ndarray:
+    gradient = np.zeros_like(point)
+    for i in range(len(point)):
+        h = 1e-5 * max(1.0, abs(point[i]))
+        up, down = point.copy(), point.copy()
+        up[i] += h
+        down[i] -= h
+        gradient[i] = (float(utility(up)) - float(utility(down))) / (2 * h)
+    return gradient
+
+
+@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
+@given(data=st.data())
+def test_gradients_of_a_paper_utility_equal_finite_differences_away_from_its_breaks(
+    name: str, cost_sign: str, data: st.DataObject
+) -> None:
+    magnitudes, order, _ = data.draw(situations(name))
+    assume(all(abs(magnitudes["distance"] - at) > 0.1 for at in (0.0, 2.0)))
+    utility = make_utility(name, order, cost_sign=cost_sign)
+    point = torch.tensor(oriented(magnitudes, order, cost_sign), requires_grad=True)
+    (gradient,) = torch.autograd.grad(utility(point), point)
+    expected = central_differences(utility, point.detach().numpy())
+    np.testing.assert_allclose(gradient.numpy(), expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["linear", "augmented_chebyshev", "generalised_gini"])
+@given(point=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3))
+def test_gradients_of_a_standard_utility_equal_finite_differences_away_from_its_breaks(
+    name: str, point: list[float]
+) -> None:
+    (utility,) = (u for u in every_utility() if u.name == name)
+    gaps = [w * (z - x) for w, z, x in zip((0.5, 0.25, 0.25), (1.0, 2.0, 3.0), point, strict=True)]
+    scaled = [x / s for x, s in zip(point, (1.0, 2.0, 4.0), strict=True)]
+    for values in (gaps, scaled):
+        assume(all(abs(a - b) > 0.01 for a, b in itertools.combinations(values, 2)))
+    tensor = torch.tensor(point, dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(utility(tensor), tensor)
+    np.testing.assert_allclose(gradient.numpy(), central_differences(utility, np.array(point)), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_gradients_are_finite_where_a_utility_breaks(name: str) -> None:
+    objectives = PAPER[name][0]
+    for d in (0.0, 2.0):
+        point = torch.zeros(len(objectives), dtype=torch.float64)
+        point[0] = d
+        point.requires_grad_(True)
+        (gradient,) = torch.autograd.grad(make_utility(name, objectives)(point), point)
+        assert gradient.isfinite().all()
+
+
+@pytest.mark.parametrize("name", [name for name in PAPER if name.endswith("_linear")])
+@pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
+@given(data=st.data())
+def test_the_weights_of_a_linear_paper_utility_are_what_it_multiplies_returns_with(
+    name: str, cost_sign: str, data: st.DataObject
+) -> None:
+    magnitudes, order, _ = data.draw(situations(name))
+    utility = make_utility(name, order, cost_sign=cost_sign)
+    assert utility.weights is not None
+    assert len(utility.weights) == len(order)
+    returns = oriented(magnitudes, order, cost_sign)
+    assert float(np.dot(utility.weights, returns)) == pytest.approx(literal(name, magnitudes), abs=1e-9)
+
+
+def test_under_maximised_costs_no_weight_of_a_linear_paper_utility_is_negative() -> None:
+    for name in (name for name in PAPER if name.endswith("_linear")):
+        weights = make_utility(name, PAPER[name][0]).weights
+        assert weights is not None
+        assert min(weights) > 0.0
+
+
+def test_linear_weighs_and_adds() -> None:
+    utility = make_utility("linear", ("a", "b"), weights=[2.0, -0.5])
+    assert utility.weights == (2.0, -0.5)
+    assert utility.name == "linear"
+    assert utility.objectives == ("a", "b")
+    assert float(utility(np.array([3.0, 4.0]))) == 4.0
+
+
+@pytest.mark.parametrize("utility", [u for u in every_utility() if "linear" not in u.name.split("_")])
+def test_only_linear_utilities_have_weights(utility: Utility) -> None:
+    assert utility.weights is None
+
+
+def test_augmented_chebyshev_is_the_largest_weighted_gap_plus_a_little_of_all() -> None:
+    utility = make_utility("augmented_chebyshev", ("a", "b"), weights=[0.5, 0.5], ideal=[10.0, 0.0])
+    assert float(utility(np.array([4.0, -2.0]))) == pytest.approx(-(3.0 + 0.05 * 4.0))
+    plain = make_utility("augmented_chebyshev", ("a", "b"), weights=[0.5, 0.5], ideal=[10.0, 0.0], rho=0.0)
+    assert float(plain(np.array([4.0, -2.0]))) == -3.0
+    assert float(utility(np.array([10.0, 0.0]))) == 0.0
+
+
+@given(
+    returns=st.lists(st.floats(-100.0, 100.0), min_size=3, max_size=3),
+    i=st.integers(0, 2),
+    gain=st.floats(0.01, 10.0),
+    rho=st.floats(0.001, 1.0),
+)
+def test_augmented_chebyshev_equals_its_definition_and_rises_with_every_objective(
+    returns: list[float], i: int, gain: float, rho: float
+) -> None:
+    weights, ideal = [0.2, 0.3, 0.5], [100.0, 50.0, 0.0]
+    utility = make_utility("augmented_chebyshev", ("a", "b", "c"), weights=weights, ideal=ideal, rho=rho)
+    gaps = [w * (z - x) for w, z, x in zip(weights, ideal, returns, strict=True)]
+    value = float(utility(np.array(returns)))
+    assert value == pytest.approx(-(max(gaps) + rho * sum(gaps)), abs=1e-9)
+    assert float(utility(torch.tensor(returns, dtype=torch.float64))) == pytest.approx(value, abs=1e-9)
+    better = list(returns)
+    better[i] += gain
+    assert float(utility(np.array(better))) > value
+
+
+GINI = [0.5, 0.3, 0.15, 0.05]
+
+
+def gini(returns: list[float] | np.ndarray, **arguments: list[float]) -> float:
+    return float(make_utility("generalised_gini", "abcd", **{"weights": GINI, **arguments})(np.asarray(returns)))
+
+
+VECTORS = st.lists(st.floats(-100.0, 100.0), min_size=4, max_size=4)
+
+
+@given(returns=VECTORS)
+def test_generalised_gini_weighs_the_worst_objective_most(returns: list[float]) -> None:
+    expected = sum(w * x for w, x in zip(GINI, sorted(returns), strict=True))
+    assert gini(returns) == pytest.approx(expected, abs=1e-9)
+    utility = make_utility("generalised_gini", "abcd", weights=GINI)
+    assert float(utility(torch.tensor(returns, dtype=torch.float64))) == pytest.approx(expected, abs=1e-9)
+
+
+@given(returns=VECTORS, order=st.permutations(range(4)))
+def test_generalised_gini_does_not_care_which_objective_is_which(returns: list[float], order: list[int]) -> None:
+    assert gini([returns[i] for i in order]) == pytest.approx(gini(returns), abs=1e-9)
+
+
+@given(returns=VECTORS, pair=st.sampled_from(list(itertools.combinations(range(4), 2))), share=st.floats(0.05, 0.95))
+def test_generalised_gini_rises_when_the_richer_objective_gives_to_the_poorer(
+    returns: list[float], pair: tuple[int, int], share: float
+) -> None:
+    poor, rich = sorted(pair, key=lambda i: returns[i])
+    gap = returns[rich] - returns[poor]
+    assume(gap > 1e-3)
+    after = list(returns)
+    after[poor] += share * gap / 2
+    after[rich] -= share * gap / 2
+    assert gini(after) > gini(returns)
+
+
+@given(returns=VECTORS)
+def test_generalised_gini_with_equal_weights_is_a_sum_and_with_one_weight_the_worst(returns: list[float]) -> None:
+    assert gini(returns, weights=[1.0] * 4) == pytest.approx(sum(returns), abs=1e-9)
+    assert gini(returns, weights=[1.0, 0.0, 0.0, 0.0]) == pytest.approx(min(returns), abs=1e-9)
+
+
+def test_generalised_gini_compares_objectives_in_units_of_their_scales() -> None:
+    assert gini([20.0, 1.0, 3.0, -8.0], scales=[10.0, 1.0, 1.0, 2.0]) == pytest.approx(
+        0.5 * -4.0 + 0.3 * 1.0 + 0.15 * 2.0 + 0.05 * 3.0
+    )
+
+
+OWN = """
+import torch
+
+def product(returns):
+    return returns[..., 0] * returns[..., 1]
+
+def power(returns, exponent=1.0, *, shift=0.0):
+    return (returns[..., 0] + shift) ** exponent
+
+class Smallest:
+    def __call__(self, returns):
+        return returns.min(-1)
+
+smallest = Smallest()
+number = 3
+"""
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch) -> str:
+    """A user's package with utilities, importable for one test; its dotted name."""
+    package = tmp_path / "users_package_of_utilities"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "mine.py").write_text(OWN)
+    (package / "broken.py").write_text("import a_module_that_nobody_has")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return "users_package_of_utilities.mine"
+
+
+def test_a_users_own_function_is_named_by_its_dotted_path(own_module: str) -> None:
+    utility = make_utility(f"{own_module}:product", ("a", "b"))
+    assert utility.name == f"{own_module}:product"
+    assert utility.objectives == ("a", "b")
+    assert utility.weights is None
+    returns = np.array([[2.0, 3.0], [-1.0, 4.0]])
+    np.testing.assert_array_equal(utility(returns), [6.0, -4.0])
+    point = torch.tensor([2.0, 3.0], requires_grad=True)
+    (gradient,) = torch.autograd.grad(utility(point), point)
+    assert gradient.tolist() == [3.0, 2.0]
+
+
+def test_a_users_own_function_gets_its_arguments(own_module: str) -> None:
+    utility = make_utility(f"{own_module}:power", ("a",), exponent=2.0, shift=1.0)
+    assert float(utility(np.array([2.0]))) == 9.0
+    assert float(make_utility(f"{own_module}:power", ("a",))(np.array([2.0]))) == 2.0
+
+
+def test_a_users_own_utility_may_be_any_callable(own_module: str) -> None:
+    assert float(make_utility(f"{own_module}:smallest", ("a", "b"))(np.array([2.0, -3.0]))) == -3.0
+
+
+def test_a_users_own_utility_is_held_to_the_number_of_objectives(own_module: str) -> None:
+    with pytest.raises(ValueError, match=r"2 objectives.*3"):
+        make_utility(f"{own_module}:product", ("a", "b"))(np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("users_package_of_utilities.mine:absent", "absent"),
+        ("users_package_of_utilities.absent:product", "absent"),
+        ("users_package_of_utilities.broken:product", "a_module_that_nobody_has"),
+        ("a_package_that_nobody_has:product", "a_package_that_nobody_has"),
+        ("users_package_of_utilities.mine:number", "not callable"),
+        ("users_package_of_utilities.mine:", "users_package_of_utilities.mine"),
+        (":product", ":product|[Ee]mpty"),
+        (".mine:product", "mine"),
+    ],
+)
+def test_a_dotted_path_that_leads_to_no_callable_is_refused(own_module: str, path: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_utility(path, ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("one_waypoint_liner", "one_waypoint_linear"),
+        ("static_obstacle_non_linear", "static_obstacle_nonlinear"),
+        ("Linear", "linear"),
+        ("generalized_gini", "generalised_gini"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_nearest_known_one(name: str, near: str) -> None:
+    with pytest.raises(ValueError, match=f"{name!r} is unknown; did you mean '{near}'"):
+        make_utility(name, ONE_WAYPOINT)
+
+
+def test_an_unknown_name_is_refused_with_all_known_ones() -> None:
+    with pytest.raises(ValueError, match="is unknown") as refusal:
+        make_utility("zzz", ONE_WAYPOINT)
+    assert all(name in str(refusal.value) for name in UTILITIES)
+    assert set(PAPER) < set(UTILITIES)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_missing_and_extra_and_repeated_objectives_are_refused(name: str) -> None:
+    objectives = PAPER[name][0]
+    for wrong in (objectives[1:], (*objectives, "comfort"), (*objectives, objectives[0]), ()):
+        with pytest.raises(ValueError, match=r"is defined on .*the environment emits"):
+            make_utility(name, wrong)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_a_paper_utility_takes_no_arguments(name: str) -> None:
+    with pytest.raises(ValueError, match=r"takes no arguments.*weights"):
+        make_utility(name, PAPER[name][0], weights=[1.0])
+
+
+def test_an_unknown_cost_sign_is_refused() -> None:
+    with pytest.raises(ValueError, match="cost_sign"):
+        make_utility("one_waypoint_linear", ONE_WAYPOINT, cost_sign="Paper")
+
+
+BAD_VECTORS = [
+    None,
+    [],
+    [1.0],
+    [1.0, 0.5, 0.1],
+    [1.0, math.nan],
+    [math.inf, 1.0],
+    ["one", "two"],
+    [None, 1.0],
+    3.0,
+    [[1.0, 2.0], [3.0, 4.0]],
+]
+
+
+@pytest.mark.parametrize("values", BAD_VECTORS, ids=repr)
+@pytest.mark.parametrize(
+    ("name", "argument", "others"),
+    [
+        ("linear", "weights", {}),
+        ("augmented_chebyshev", "weights", {"ideal": [0.0, 0.0]}),
+        ("augmented_chebyshev", "ideal", {"weights": [0.5, 0.5]}),
+        ("generalised_gini", "weights", {}),
+        ("generalised_gini", "scales", {"weights": [0.5, 0.5]}),
+    ],
+)
+def test_anything_but_one_finite_number_per_objective_is_refused(
+    name: str, argument: str, others: dict[str, list[float]], values: object
+) -> None:
+    if argument == "scales" and values is None:
+        assert float(make_utility(name, ("a", "b"), **others, scales=None)(np.array([1.0, 3.0]))) == 2.0
+        return
+    with pytest.raises(ValueError, match=argument):
+        make_utility(name, ("a", "b"), **others, **{argument: values})
+
+
+@pytest.mark.parametrize("name", ["linear", "augmented_chebyshev", "generalised_gini"])
+def test_a_standard_utility_without_weights_or_with_an_unknown_argument_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="weights"):
+        make_utility(name, ("a", "b"))
+    with pytest.raises(ValueError, match=f"{name}.*weight"):
+        make_utility(name, ("a", "b"), weight=[0.5, 0.5])
+
+
+@pytest.mark.parametrize("rho", [-0.1, math.nan, math.inf, "0.05", None])
+def test_an_unfit_rho_is_refused(rho: object) -> None:
+    with pytest.raises(ValueError, match="rho"):
+        make_utility("augmented_chebyshev", ("a", "b"), weights=[0.5, 0.5], ideal=[0.0, 0.0], rho=rho)
+
+
+@pytest.mark.parametrize("weights", [[0.4, 0.6], [0.5, 0.3, 0.4], [0.5, -0.1]])
+def test_increasing_or_negative_gini_weights_are_refused(weights: list[float]) -> None:
+    with pytest.raises(ValueError, match="must not increase"):
+        make_utility("generalised_gini", "abc"[: len(weights)], weights=weights)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0])
+def test_gini_scales_that_are_not_positive_are_refused(scale: float) -> None:
+    with pytest.raises(ValueError, match="scales"):
+        make_utility("generalised_gini", ("a", "b"), weights=[0.5, 0.5], scales=[1.0, scale])
+
+
+@ALL
+@pytest.mark.parametrize("off", [-1, 1])
+def test_returns_of_another_width_are_refused(utility: Utility, off: int) -> None:
+    d = len(utility.objectives)
+    for returns in (np.zeros(d + off), np.zeros((2, d + off)), torch.zeros(3, d + off), np.zeros((d, d + off))):
+        with pytest.raises(ValueError, match=f"reads {d} objectives.*have {d + off}"):
+            utility(returns)
+
+
+@pytest.mark.parametrize("number", [np.array(1.0), torch.tensor(1.0)], ids=["numpy", "torch"])
+def test_a_bare_number_is_refused_as_a_return(number: np.ndarray | torch.Tensor) -> None:
+    with pytest.raises(ValueError, match="objectives"):
+        make_utility("one_waypoint_linear", ONE_WAYPOINT)(number)

@@ -1,0 +1,627 @@
+"""The native vector environment: every row is a single environment, whatever the autoreset mode or the threads."""
+
+from __future__ import annotations
+
+import copy
+import io
+import math
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+
+OPEN = ("one_waypoint", "static_obstacle")
+SCENARIOS = (*OPEN, "intersection")
+ACTION_TYPES = ("discrete", "discrete-16", "continuous")
+OPEN_EVERY = [(scenario, action_type) for scenario in OPEN for action_type in ACTION_TYPES]
+EVERY = [(scenario, action_type) for scenario in SCENARIOS for action_type in ACTION_TYPES]
+
+Make = Callable[..., Any]
+
+
+def sticky_actions(env: VectorEnv, steps: int, seed: int) -> list[np.ndarray]:
+    """Random actions of all worlds, each held for a few decisions."""
+    env.action_space.seed(seed)
+    rng = np.random.default_rng(seed)
+    actions = [env.action_space.sample()]
+    while len(actions) < steps:
+        change = rng.random(env.num_envs) < 0.3
+        held = actions[-1].copy()
+        held[change] = env.action_space.sample()[change]
+        actions.append(held)
+    return actions
+
+
+def assert_equal(first: Any, second: Any, what: str = "") -> None:
+    """Deep equality, arrays bit for bit."""
+    assert type(first) is type(second), what
+    if isinstance(first, np.ndarray):
+        assert (first.dtype, first.shape) == (second.dtype, second.shape), what
+        assert first.tolist() == second.tolist() if first.dtype == object else first.tobytes() == second.tobytes(), what
+    elif isinstance(first, (tuple, list)):
+        assert len(first) == len(second), what
+        for k, (one, two) in enumerate(zip(first, second, strict=True)):
+            assert_equal(one, two, f"{what}[{k}]")
+    elif isinstance(first, dict):
+        assert first.keys() == second.keys(), what
+        for name in first:
+            assert_equal(first[name], second[name], f"{what}.{name}")
+    else:
+        assert first == second, what
+
+
+def rollout(env: Any, actions: list[np.ndarray], seed: int | None = 0) -> list[Any]:
+    """Everything that comes back from a reset and one step per action."""
+    return [env.reset(seed=seed), *(env.step(action) for action in actions)]
+
+
+def unsigned_zeros(steps: list[Any]) -> list[Any]:
+    """The same with zeros for minus zeros among the rewards (which have a test of their own)."""
+    return [step if len(step) == 2 else (step[0], step[1] + np.float32(0.0), *step[2:]) for step in steps]
+
+
+def episodes(steps: list[Any]) -> int:
+    """How many episodes ended in a rollout."""
+    return sum(int((terminated | truncated).sum()) for _, _, terminated, truncated, _ in steps[1:])
+
+
+# ------------------------------------------------------------------------------ rows are single environments
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), OPEN_EVERY)
+def test_next_step_is_bit_for_bit_mo_gymnasiums_vector_of_single_environments(
+    make_single: Make, make_vector: Make, scenario: str, action_type: str
+) -> None:
+    # Short enough that every world draws more than one block of its stream.
+    options = {"action_type": action_type, "time_limit": 1.2}
+    native = make_vector(scenario, 4, **options)
+    reference = MOSyncVectorEnv([lambda: make_single(scenario, **options) for _ in range(4)])
+    assert native.single_observation_space == reference.single_observation_space
+    assert native.single_action_space == reference.single_action_space
+    assert native.observation_space == reference.observation_space
+    assert native.action_space == reference.action_space
+    assert native.reward_space == reference.reward_space
+    assert native.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    actions = sticky_actions(native, 300, seed=1)
+    ours = unsigned_zeros(rollout(native, actions, seed=42))
+    assert_equal(ours, unsigned_zeros(rollout(reference, actions, seed=42)))
+    assert episodes(ours) > 4 * 17
+    # And goes on drawing after a reset without a seed.
+    ours = unsigned_zeros(rollout(native, actions[:40], seed=None))
+    assert_equal(ours, unsigned_zeros(rollout(reference, actions[:40], seed=None)))
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_cost_of_nothing_is_zero_and_not_minus_zero(make_vector: Make, scenario: str) -> None:
+    # In the step that starts a world anew MO-Gymnasium's vector pays zeros; so do ours, bit for bit.
+    env = make_vector(scenario, 2, time_limit=0.2)
+    for result in rollout(env, [np.zeros(env.action_space.shape, dtype=np.int64)] * 4)[1:]:
+        assert not result[1].any()
+        assert not np.signbit(result[1]).any()
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), OPEN_EVERY)
+def test_rows_are_single_environments_over_whole_episodes(
+    make_single: Make, make_vector: Make, scenario: str, action_type: str
+) -> None:
+    native = make_vector(scenario, 5, action_type=action_type)
+    singles = [make_single(scenario, action_type=action_type) for _ in range(5)]
+    actions = sticky_actions(native, 700, seed=2)
+    observations, _ = native.reset(seed=7)
+    for i, env in enumerate(singles):
+        assert_equal(observations[i], env.reset(seed=7 + i)[0])
+    over = np.zeros(5, dtype=bool)
+    ends: set[str] = set()
+    for batch in actions:
+        observations, rewards, terminated, truncated, infos = native.step(batch)
+        for i, env in enumerate(singles):
+            if over[i]:
+                assert_equal(observations[i], env.reset()[0])
+                assert not rewards[i].any()
+                assert (terminated[i], truncated[i]) == (False, False)
+                over[i] = False
+                continue
+            observation, reward, done, out_of_time, info = env.step(batch[i])
+            assert_equal(observations[i], observation)
+            assert_equal(rewards[i], reward)
+            assert (terminated[i], truncated[i]) == (done, out_of_time)
+            over[i] = done or out_of_time
+            if over[i]:
+                assert infos["_end"][i]
+                assert (infos["end"][i], infos["success"][i]) == (info["end"], info["success"])
+                ends.add(info["end"])
+        assert native.telemetry() == tuple(env.telemetry() for env in singles) or over.any()
+    assert ends
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), OPEN_EVERY)
+def test_same_step_gives_the_final_observation_and_the_first_of_the_next_episode(
+    make_single: Make, make_vector: Make, scenario: str, action_type: str
+) -> None:
+    options = {"action_type": action_type, "time_limit": 1.5}
+    native = make_vector(scenario, 4, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+    singles = [make_single(scenario, **options) for _ in range(4)]
+    observations, _ = native.reset(seed=3)
+    for i, env in enumerate(singles):
+        assert_equal(observations[i], env.reset(seed=3 + i)[0])
+    count = 0
+    for batch in sticky_actions(native, 320, seed=3):
+        observations, rewards, terminated, truncated, infos = native.step(batch)
+        over = terminated | truncated
+        assert ("final_obs" in infos) == over.any()
+        assert infos.keys() in (set(), {"final_obs", "_final_obs", "final_info", "_final_info"})
+        for i, env in enumerate(singles):
+            observation, reward, done, out_of_time, info = env.step(batch[i])
+            assert_equal(rewards[i], reward)
+            assert (terminated[i], truncated[i]) == (done, out_of_time)
+            if over[i]:
+                count += 1
+                assert infos["_final_obs"][i]
+                assert infos["_final_info"][i]
+                assert_equal(infos["final_obs"][i], observation)
+                final = infos["final_info"]
+                assert final["_end"][i]
+                assert final["_success"][i]
+                assert (final["end"][i], bool(final["success"][i])) == (info["end"], info["success"])
+                observation, _ = env.reset()
+            elif over.any():
+                assert not infos["_final_obs"][i]
+                assert not infos["_final_info"][i]
+                assert not infos["final_info"]["_end"][i]
+            assert_equal(observations[i], observation)
+    assert count > 4 * 17
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_disabled_autoreset_needs_a_reset_mask_for_the_worlds_that_are_over(
+    make_vector: Make, scenario: str, action_type: str
+) -> None:
+    env = make_vector(scenario, 6, action_type=action_type, autoreset_mode="Disabled", time_limit=40.0)
+    reference = make_vector(scenario, 6, action_type=action_type, autoreset_mode="SameStep", time_limit=40.0)
+    env.reset(seed=5)
+    reference.reset(seed=5)
+    count = 0
+    for batch in sticky_actions(env, 300, seed=5):
+        observations, rewards, terminated, truncated, infos = env.step(batch)
+        expected = reference.step(batch)
+        assert_equal([rewards, terminated, truncated], list(expected[1:4]))
+        over = (terminated | truncated).reshape(6, -1).all(axis=1)
+        if over.any():
+            count += int(over.sum())
+            before = env.telemetry()
+            with pytest.raises(ResetNeeded, match="first ones"):
+                env.step(batch)
+            assert env.telemetry() == before
+            assert_equal(observations[over], expected[4]["final_obs"][over])
+            assert_equal(infos["end"][over], expected[4]["final_info"]["end"][over])
+            observations, _ = env.reset(options={"reset_mask": over})
+        assert_equal(observations, expected[0])
+    assert count > 0
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_two_threads_give_what_one_gives(make_vector: Make, scenario: str, action_type: str) -> None:
+    options = {"action_type": action_type, "time_limit": 3.0}
+    one, two, many = (make_vector(scenario, 7, threads=threads, **options) for threads in (1, 2, 16))
+    actions = sticky_actions(one, 120, seed=6)
+    expected = rollout(one, actions, seed=6)
+    assert_equal(rollout(two, actions, seed=6), expected)
+    assert_equal(rollout(many, actions, seed=6), expected)
+    assert episodes(expected) > 7
+
+
+# ------------------------------------------------------------------------------------------------------ saved states
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize(("scenario", "action_type"), EVERY)
+def test_a_saved_state_resumes_exactly_in_a_new_environment(
+    make_vector: Make, scenario: str, action_type: str, mode: str
+) -> None:
+    options = {"action_type": action_type, "autoreset_mode": mode, "time_limit": 0.5}
+    env = make_vector(scenario, 3, **options)
+    actions = sticky_actions(env, 260, seed=8)
+    env.reset(seed=8)
+    pending = 0
+    for cut in (0, 3, 4, 5, 6, 7, 40, 100):
+        start = 0
+        env.reset(seed=8)
+        for start in range(cut):
+            env.step(actions[start])
+        saved = env.get_state()
+        assert all(isinstance(array, np.ndarray) for array in saved.values())
+        pending += int(saved["over"].any())
+        buffer = io.BytesIO()
+        np.savez(buffer, **saved)
+        buffer.seek(0)
+        fresh = make_vector(scenario, 3, **options)
+        with np.load(buffer, allow_pickle=False) as loaded:
+            fresh.set_state({name: loaded[name] for name in loaded.files})
+        assert fresh.telemetry() == env.telemetry()
+        rest = [env.step(action) for action in actions[cut : cut + 150]]
+        assert_equal([fresh.step(action) for action in actions[cut : cut + 150]], rest)
+        # Many resets later the random streams are still the same.
+        assert_equal(fresh.reset(), env.reset())
+        assert_equal(fresh.get_state(), env.get_state())
+    assert (pending > 0) == (mode == "NextStep"), "a world that is over, and starts anew in the next step, is saved too"
+
+
+def test_a_saved_state_is_a_copy(make_vector: Make) -> None:
+    env = make_vector("static_obstacle", 2)
+    env.reset(seed=0)
+    saved = env.get_state()
+    kept = copy.deepcopy(saved)
+    for action in sticky_actions(env, 30, seed=0):
+        env.step(action)
+    env.reset()
+    assert_equal(saved, kept)
+    env.set_state(saved)
+    first = [env.step(action) for action in sticky_actions(env, 30, seed=1)]
+    assert_equal(saved, kept)
+    env.set_state(saved)
+    assert_equal([env.step(action) for action in sticky_actions(env, 30, seed=1)], first)
+
+
+def test_the_state_of_another_environment_is_refused(make_vector: Make) -> None:
+    env = make_vector("one_waypoint", 2)
+    env.reset(seed=0)
+    before = env.get_state()
+    for other in (make_vector("one_waypoint", 3), make_vector("intersection", 2)):
+        other.reset(seed=0)
+        with pytest.raises(ValueError, match="shape"):
+            env.set_state(other.get_state())
+    for name in before:
+        with pytest.raises(ValueError, match=name):
+            env.set_state({key: array for key, array in before.items() if key != name})
+    assert_equal(env.get_state(), before)
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_copy_of_a_vector_environment_goes_on_exactly(make_vector: Make, scenario: str, how: Any) -> None:
+    env = make_vector(scenario, 4, threads=2, time_limit=1.0)
+    actions = sticky_actions(env, 80, seed=9)
+    rollout(env, actions[:25], seed=9)
+    twin = how(env)
+    rest = [env.step(action) for action in actions[25:]]
+    assert_equal([twin.step(action) for action in actions[25:]], rest)
+
+
+# ------------------------------------------------------------------------------------------------------------- seeds
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_an_integer_seed_counts_up_and_a_list_seeds_every_world(make_vector: Make, scenario: str) -> None:
+    env = make_vector(scenario, 4)
+    counted, _ = env.reset(seed=10)
+    assert env.np_random_seed == (10, 11, 12, 13)
+    assert len({row.tobytes() for row in counted}) == 4
+    assert_equal(env.reset(seed=[10, 11, 12, 13])[0], counted)
+    shuffled, _ = env.reset(seed=[13, 10, 10, 12])
+    assert_equal(shuffled, counted[[3, 0, 0, 2]])
+    assert_equal(env.reset(seed=np.int64(10))[0], counted)
+    with pytest.raises(ValueError, match="3 entries"):
+        env.reset(seed=[1, 2, 3])
+
+
+@pytest.mark.parametrize("scenario", OPEN)
+def test_no_seed_goes_on_drawing_world_by_world(make_single: Make, make_vector: Make, scenario: str) -> None:
+    env = make_vector(scenario, 2)
+    single = make_single(scenario)
+    single.reset(seed=21)
+    env.reset(seed=20)
+    for _ in range(40):  # more than a block of draws
+        assert_equal(env.reset()[0][1], single.reset()[0])
+    # None in a list leaves that world's stream alone.
+    observations, _ = env.reset(seed=[5, None])
+    assert_equal(observations[1], single.reset()[0])
+    single.reset(seed=5)
+    assert_equal(env.reset()[0][0], single.reset()[0])
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_masked_reset_leaves_the_other_worlds_and_their_streams_alone(make_vector: Make, scenario: str) -> None:
+    env, twin = make_vector(scenario, 3), make_vector(scenario, 3)
+    actions = sticky_actions(env, 20, seed=0)
+    rollout(env, actions, seed=0)
+    rollout(twin, actions, seed=0)
+    before = env.telemetry()
+    mask = np.array([False, True, False])
+    observations, _ = env.reset(seed=99, options={"reset_mask": mask})
+    after = env.telemetry()
+    assert (after[0], after[2]) == (before[0], before[2])
+    assert after[1] != before[1]
+    alone, _ = make_vector(scenario, 3).reset(seed=99)
+    assert_equal(observations[1], alone[1])
+    ours, theirs = env.reset()[0], twin.reset()[0]
+    assert_equal(ours[[0, 2]], theirs[[0, 2]])
+    assert (ours[1] != theirs[1]).any()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_unseeded_environments_differ(make_vector: Make, scenario: str) -> None:
+    spawns = [make_vector(scenario, 3).reset()[0] for _ in range(3)]
+    assert len({row.tobytes() for spawn in spawns for row in spawn}) == 9
+
+
+# ------------------------------------------------------------------------------------------------------ Intersection
+
+
+@pytest.mark.parametrize("action_type", ACTION_TYPES)
+def test_at_the_intersection_every_array_has_a_vehicle_axis(make_vector: Make, action_type: str) -> None:
+    env = make_vector("intersection", 3, action_type=action_type)
+    assert env.single_observation_space.shape == (2, 29)
+    assert env.observation_space.shape == (3, 2, 29)
+    assert env.action_space.shape == ((3, 2, 3) if action_type == "continuous" else (3, 2))
+    assert env.reward_space.shape == (2, 6)
+    observations, infos = env.reset(seed=0)
+    assert infos == {}
+    assert (observations.shape, observations.dtype) == ((3, 2, 29), np.float32)
+    observations, rewards, terminated, truncated, infos = env.step(env.action_space.sample())
+    assert (observations.shape, observations.dtype) == ((3, 2, 29), np.float32)
+    assert (rewards.shape, rewards.dtype) == ((3, 2, 6), np.float32)
+    assert (terminated.shape, terminated.dtype) == ((3, 2), np.bool_)
+    assert (truncated.shape, truncated.dtype) == ((3, 2), np.bool_)
+    assert (infos["acted"].shape, infos["acted"].dtype) == ((3, 2), np.bool_)
+    assert infos["_acted"].all()
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("action_type", ACTION_TYPES)
+def test_one_intersection_is_a_row_of_many(make_vector: Make, action_type: str, mode: str) -> None:
+    options = {"action_type": action_type, "autoreset_mode": mode, "time_limit": 5.0}
+    many = make_vector("intersection", 4, **options)
+    actions = sticky_actions(many, 300, seed=11)
+    batch = rollout(many, actions, seed=30)
+    restarted = 0
+    for i in range(4):
+        alone = rollout(make_vector("intersection", 1, **options), [action[i : i + 1] for action in actions], 30 + i)
+        assert_equal(alone[0][0][0], batch[0][0][i])
+        for one, row in zip(alone[1:], batch[1:], strict=True):
+            for ours, theirs in zip(one[:4], row[:4], strict=True):
+                assert_equal(ours[0], theirs[i])
+            infos = one[4].get("final_info", one[4]) if mode == "SameStep" else one[4]
+            theirs = row[4].get("final_info", row[4]) if mode == "SameStep" else row[4]
+            if "end" in infos:
+                restarted += 1
+                assert infos["end"][0].tolist() == theirs["end"][i].tolist()
+                assert infos["success"][0].tolist() == theirs["success"][i].tolist()
+                if mode == "SameStep":
+                    assert_equal(one[4]["final_obs"][0], row[4]["final_obs"][i])
+            assert_equal(one[4]["acted"][0], row[4]["acted"][i])
+    assert restarted >= 4 * 5
+
+
+@pytest.mark.parametrize("end_together", [False, True])
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_flags_persist_until_the_world_starts_anew_and_the_gone_earn_nothing(
+    make_vector: Make, mode: str, end_together: bool
+) -> None:
+    env = make_vector(
+        "intersection", 16, action_type="continuous", autoreset_mode=mode, time_limit=20.0, end_together=end_together
+    )
+    env.reset(seed=12)
+    gone = np.zeros((16, 2), dtype=bool)  # vehicles that have left the road
+    fresh = np.zeros(16, dtype=bool)  # worlds that start anew in this step
+    drove_on = 0
+    for batch in sticky_actions(env, 400, seed=12):
+        before = env.telemetry()
+        _, rewards, terminated, truncated, infos = env.step(batch)
+        after = env.telemetry()
+        flags = terminated | truncated
+        np.testing.assert_array_equal(infos["acted"], ~gone & ~fresh[:, None])
+        assert not (terminated & truncated).any()
+        assert not rewards[~infos["acted"]].any()
+        assert not flags[fresh].any()
+        assert flags[gone & ~fresh[:, None]].all()
+        over = flags.all(axis=1)
+        ends = infos.get("final_info", infos) if mode == "SameStep" else infos
+        assert ("end" in ends) == over.any()
+        for world in range(16):
+            if over[world]:
+                assert all(end for end in ends["end"][world])
+                assert ends["_end"][world]
+            elif "end" in ends:
+                assert ends["end"][world].tolist() == [None, None]
+                assert not ends["_end"][world]
+                assert not ends["success"][world].any()
+            for v in range(2):
+                if gone[world, v] and not fresh[world] and not (over[world] and mode == "SameStep"):
+                    assert after[world][v] == before[world][v], "it stays where it left the road"
+        if end_together:
+            np.testing.assert_array_equal(flags.any(axis=1), flags.all(axis=1))
+        drove_on += int((flags.sum(axis=1) == 1).sum())
+        gone = flags.copy()
+        fresh = over.copy() if mode == "NextStep" else np.zeros(16, dtype=bool)
+        if mode == "SameStep":
+            gone[over] = False
+        else:
+            gone[fresh] = True
+    assert (drove_on > 100) == (not end_together)
+
+
+def test_when_both_end_for_themselves_each_keeps_its_own_end(make_vector: Make) -> None:
+    env = make_vector("intersection", 1, action_type="continuous", autoreset_mode="Disabled", end_together=True)
+    env.reset(options={"starts": ((27.077, 10.0, 0.0), (24.039, 45.0, math.pi))})
+    away = np.array([[[0.0, -0.5, -1.0], [0.0, -0.5, -1.0]]], dtype=np.float32)
+    infos: dict[str, Any] = {}
+    while "end" not in infos:
+        _, _, terminated, truncated, infos = env.step(away)
+    assert infos["end"].tolist() == [["backwards", "backwards"]]
+    assert terminated.all()
+    assert not truncated.any()
+    limited = make_vector("intersection", 1, autoreset_mode="Disabled", end_together=True, time_limit=0.3)
+    limited.reset(seed=0)
+    for _ in range(3):
+        _, _, terminated, truncated, infos = limited.step(np.zeros((1, 2), dtype=np.int64))
+    assert infos["end"].tolist() == [["time_limit", "time_limit"]]
+    assert truncated.all()
+    assert not terminated.any()
+
+
+# --------------------------------------------------------------------------------------------- what comes back, limits
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_returned_arrays_are_fresh_and_the_callers_to_change(make_vector: Make, scenario: str) -> None:
+    env, spoiled = (make_vector(scenario, 3, autoreset_mode="SameStep", time_limit=0.5) for _ in range(2))
+    actions = sticky_actions(env, 30, seed=0)
+    expected = rollout(env, actions)
+    spoiled.reset(seed=0)[0][:] = np.nan
+    for action, step in zip(actions, expected[1:], strict=True):
+        ours = spoiled.step(action)
+        assert_equal(ours, step)
+        for array in (*ours[:4], *ours[4].values()):
+            if isinstance(array, np.ndarray):
+                assert array.flags.writeable
+                array[...] = 1
+    arrays = [array for step in expected[1:] for array in step[:4]]
+    assert not any(np.shares_memory(arrays[0], other) for other in arrays[1:])
+    assert not any(np.shares_memory(one, two) for one, two in zip(arrays[:-4], arrays[4:], strict=True))
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_max_episode_steps_is_the_time_limit_in_decisions(make_vector: Make, scenario: str) -> None:
+    env = make_vector(scenario, 2, max_episode_steps=7, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    idle = np.zeros(env.action_space.shape, dtype=np.int64)
+    for step in range(1, 8):
+        _, _, terminated, truncated, _ = env.step(idle)
+        assert not terminated.any()
+        assert truncated.all() == truncated.any() == (step == 7)
+
+
+@pytest.mark.parametrize("steps", [0, -5])
+def test_max_episode_steps_that_hold_no_decision_are_refused(make_vector: Make, steps: int) -> None:
+    with pytest.raises(ValueError, match="max_episode_steps"):
+        make_vector("one_waypoint", 2, max_episode_steps=steps)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_step_before_the_first_reset_needs_a_reset(make_vector: Make, scenario: str, mode: str) -> None:
+    env = make_vector(scenario, 2, autoreset_mode=mode)
+    with pytest.raises(ResetNeeded):
+        env.step(env.action_space.sample())
+    env.reset()
+    env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize("look", ["np_random", "np_random_seed", "get_state"])
+def test_looking_at_an_environment_does_not_replace_its_first_reset(make_vector: Make, look: str) -> None:
+    env = make_vector("one_waypoint", 2)
+    found = getattr(env, look)
+    if callable(found):
+        found()
+    with pytest.raises(ResetNeeded):
+        env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize("action_type", ACTION_TYPES)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_one_bad_action_is_refused_and_no_world_has_moved(
+    make_vector: Make, scenario: str, action_type: str, threads: int
+) -> None:
+    env = make_vector(scenario, 4, action_type=action_type, threads=threads)
+    env.reset(seed=0)
+    good = env.action_space.sample()
+    env.step(good)
+    twin = copy.deepcopy(env)
+    bad: list[tuple[Any, str]] = [
+        (good[:3], "shape"),
+        (good[None], "shape"),
+        (good[0], "shape"),
+        (good.astype(str), "dtype"),
+        (good.astype(complex), "dtype"),
+    ]
+    if action_type == "continuous":
+        for value in (math.nan, math.inf, -math.inf):
+            wrong = good.copy()
+            wrong[(2, *[-1] * (wrong.ndim - 1))] = value
+            bad.append((wrong, "world 2"))
+    else:
+        bad.append((good.astype(np.float32), "dtype"))
+        for value in (-1, 22, 2**40):
+            wrong = good.astype(np.int64)
+            wrong[(2, *[-1] * (wrong.ndim - 1))] = value
+            bad.append((wrong, "world 2"))
+    for actions, message in bad:
+        with pytest.raises(ValueError, match=message):
+            env.step(actions)
+    assert_equal(env.get_state(), twin.get_state())
+    assert_equal(env.step(good), twin.step(good))
+
+
+BAD_RESETS: dict[str, tuple[str, dict[str, Any], str]] = {
+    "a mask of numbers": ("one_waypoint", {"reset_mask": np.array([1, 0])}, "reset_mask"),
+    "a mask as a list": ("one_waypoint", {"reset_mask": [True, False]}, "reset_mask"),
+    "a mask of another size": ("one_waypoint", {"reset_mask": np.array([True])}, "reset_mask"),
+    "an empty mask": ("one_waypoint", {"reset_mask": np.array([False, False])}, "at least one True"),
+    "an unknown option": ("intersection", {"start": (0.0, 0.0, 0.0)}, "did you mean 'starts'"),
+    "one start for two": ("intersection", {"starts": (0.0, 0.0, 0.0)}, "'starts'"),
+    "a start that is no number": ("intersection", {"starts": ((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))}, "finite"),
+    "an impossible bicycle": (
+        "static_obstacle",
+        {"start": (0.0, 0.0, 0.0), "obstacle": ((0.0, 0.0), (0.1, 0.0))},
+        "no possible scenario",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD_RESETS)
+def test_a_bad_reset_is_refused_and_no_world_has_moved(make_vector: Make, what: str) -> None:
+    scenario, options, message = BAD_RESETS[what]
+    env = make_vector(scenario, 2)
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    env.step(action)
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+    assert env.telemetry() == twin.telemetry()
+    assert_equal(env.step(action), twin.step(action))
+
+
+BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
+    "no worlds": ("one_waypoint", {"num_envs": 0}, "num_envs = 0"),
+    "half a world": ("one_waypoint", {"num_envs": 1.5}, "num_envs = 1.5"),
+    "no threads": ("one_waypoint", {"num_envs": 2, "threads": 0}, "threads = 0"),
+    "an unknown autoreset mode": ("one_waypoint", {"autoreset_mode": "Never"}, "Never"),
+    "a fixed destination at the intersection": (
+        "intersection",
+        {"fixed_destination": True},
+        "no meaning in Intersection",
+    ),
+    "an unknown objective": ("intersection", {"objectives": ("lane_violations",)}, "did you mean 'lane_violation'"),
+    "an unknown argument": ("intersection", {"yield_to_oncomming": False}, "did you mean 'yield_to_oncoming'"),
+    "a negative lane margin": ("intersection", {"lane_margin": -0.1}, "lane_margin"),
+    "an unknown render mode": ("intersection", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_ARGUMENTS)
+def test_environment_arguments_that_make_no_sense_are_refused(what: str) -> None:
+    from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+    scenario, options, message = BAD_ARGUMENTS[what]
+    with pytest.raises(ValueError, match=message):
+        DrivingVectorEnv(scenario=scenario, **options)
+
+
+def test_make_vec_gives_the_native_environment_and_make_refuses_the_intersection() -> None:
+    from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+    for scenario in SCENARIOS:
+        env = gymnasium.make_vec(f"mo-deepdrive-{scenario.replace('_', '-')}-v0", num_envs=2)
+        assert type(env) is DrivingVectorEnv
+        assert env.num_envs == 2
+        env.close()
+    with pytest.raises(gymnasium.error.Error):
+        gymnasium.make("mo-deepdrive-intersection-v0")
