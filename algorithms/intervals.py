@@ -22,12 +22,14 @@ class Estimate:
     low: float | None = None
     high: float | None = None
 
-    def text(self, digits: int = 3) -> str:
-        """``1.23 [1.20, 1.26]``, to so many significant digits of the width of the interval."""
+    def text(self) -> str:
+        """``1.23 [1.20, 1.26]``, to two significant digits of the width of the interval."""
         if self.low is None or self.high is None:
             return f"{self.value:.4g}"
         width = self.high - self.low
-        decimals = 4 if width <= 0.0 else int(np.clip(digits - 1 - np.floor(np.log10(width)), 0, 4))
+        if width <= 0.0:
+            return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        decimals = int(np.clip(1 - np.floor(np.log10(width)), 0, 4))
         return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
 
 

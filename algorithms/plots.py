@@ -23,6 +23,8 @@ from mo_deepdrive.objectives import INDEX, OBJECTIVES
 Columns = dict[str, NDArray[np.float64]]
 
 # Okabe and Ito's colours, which the colour-blind can tell apart.
+SETTLED = 0.2  # part of the training after which a curve is worth the whole height of its axis
+WIDE = 30.0  # how much wider the whole range must be for the start to be cut off
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
 MAX_POINTS = 150  # per curve; more are averaged
 # Sections and keys of a config that do not change what is learnt.
@@ -222,6 +224,8 @@ def _title(objective: str) -> str:
 
 def _panel(axis: Axes, groups: Sequence[Group], title: str, names: tuple[str, ...]) -> None:
     alone = len(groups) == 1
+    late: list[NDArray[Any]] = []
+    every: list[NDArray[Any]] = []
     for g, group in enumerate(groups):
         for k, (kind, name) in enumerate(zip(KINDS, names, strict=True)):
             if not alone and k == 0:
@@ -230,21 +234,39 @@ def _panel(axis: Axes, groups: Sequence[Group], title: str, names: tuple[str, ..
             if found is None:
                 continue
             steps, mean, low, high = found
+            every.append(mean)
+            late.append(mean[steps >= SETTLED * steps.max()])
             colour = _colour(groups, g, k)
             marker = "o" if len(steps) < 4 else ""
             axis.plot(
                 steps, mean, kind.line, color=colour, linewidth=kind.width, marker=marker, markersize=3.5, zorder=3
             )
             if np.isfinite(low).all():
-                axis.fill_between(steps, low, high, color=colour, alpha=0.16, linewidth=0, zorder=2)
-    axis.set_title(title)
+                axis.fill_between(
+                    steps, low, high, color=colour, alpha=0.16 if alone or k == 1 else 0.07, linewidth=0, zorder=2
+                )
+    axis.set_title(title + _cut_off(axis, every, late))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
     axis.margins(x=0.015)
     if title.lower().endswith("arrival rate"):
+        axis.set_title(title)
         axis.set_ylim(-0.03, 1.03)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+
+
+def _cut_off(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[Any]]) -> str:
+    """Cut the axis where the first steps would flatten everything that follows; what to add to the title."""
+    if not every:
+        return ""
+    values, settled = np.concatenate(every), np.concatenate(late)
+    low, high = np.nanmin(settled), np.nanmax(settled)
+    pad = 0.25 * max(high - low, 0.05 * abs(high), 1e-6)
+    if np.nanmax(values) - np.nanmin(values) < WIDE * (high - low + 2 * pad):
+        return ""
+    axis.set_ylim(low - pad, high + pad)
+    return " (start cut off)"
 
 
 def _colour(groups: Sequence[Group], g: int, k: int) -> str:

@@ -7,7 +7,7 @@ from time import perf_counter
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 LINE_INTERVAL, LINE_WIDTH = 15.0, 120  # s between lines, and columns, where there is no terminal
 
@@ -25,20 +25,22 @@ class Reporter:
         total: environment steps of the whole training.
         step: where it begins.
         console: where to write.
+        arrivals: whether the environment says who arrives.
     """
 
-    def __init__(self, total: int, step: int, console: Console):
+    def __init__(self, total: int, step: int, console: Console, arrivals: bool = True):
+        self._shown = (("utility", "utility {:.2f}"), *([("success", "arrivals {:.0%}")] if arrivals else []))
         self._total = total
         self._step = self._first = step
+        self._told_step: int | None = None
         self._console = console
         self._began = self._told = perf_counter()
         self._metrics: dict[str, float] = {}
         self._bar: Progress | None = None
         if console.is_terminal:
             self._bar = Progress(
-                TextColumn("[bold]training"),
                 BarColumn(bar_width=None),
-                MofNCompleteColumn(),
+                TextColumn(f"{{task.percentage:>3.0f}}% of {total:,}"),
                 TextColumn("{task.fields[numbers]}"),
                 TimeRemainingColumn(compact=True, elapsed_when_finished=True),
                 console=console,
@@ -68,7 +70,7 @@ class Reporter:
     def _numbers(self) -> str:
         """The metrics in words; with several vehicles the mean over them."""
         parts = []
-        for suffix, unit in (("utility", "utility {:.2f}"), ("success", "arrivals {:.0%}")):
+        for suffix, unit in self._shown:
             values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
             if values:
                 parts.append(unit.format(sum(values) / len(values)))
@@ -78,7 +80,7 @@ class Reporter:
         return "  ".join(parts)
 
     def _line(self) -> None:
-        self._told = perf_counter()
+        self._told, self._told_step = perf_counter(), self._step
         done = self._step - self._first
         left = ""
         if done > 0 and self._step < self._total:
@@ -97,5 +99,5 @@ class Reporter:
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
-        else:
+        elif self._step != self._told_step:
             self._line()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.evaluation import Evaluation
@@ -66,11 +67,17 @@ def _of_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
 def table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
     """A table of one column per policy."""
     summaries = {policy: summarise(evaluation) for policy, evaluation in evaluations.items()}
-    result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold")
-    result.add_column("", no_wrap=True)
+    names: list[str] = []
+    for summary in summaries.values():
+        place = 0
+        for name in summary:
+            if name not in names:
+                names.insert(place, name)
+            place = names.index(name) + 1
+    result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    result.add_column("", no_wrap=True, min_width=max(map(len, names)))
     for policy in summaries:
         result.add_column(policy, justify="right", no_wrap=True)
-    names = list(dict.fromkeys(name for summary in summaries.values() for name in summary))
     for name in names:
         cells = [summary[name].text() if name in summary else "" for summary in summaries.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))

@@ -141,12 +141,13 @@ def train(run: Run, agent: ActorCritic, console: Console, *, resumed: bool = Fal
     every = logging.checkpoint_interval or training.total_timesteps
     saved = agent.step
     eval_env = _evaluation_env(experiment, evaluation.episodes)
+    ours = is_ours(find_environment(experiment.environment.id))
     after = (saved if saved > 0 else -1) if resumed else None
     config = {**experiment.to_dict(), "versions": run.versions}
     try:
         with (
             Interrupts() as interrupts,
-            Reporter(training.total_timesteps, saved, console) as reporter,
+            Reporter(training.total_timesteps, saved, console, arrivals=ours) as reporter,
             Logger(
                 run.path, after=after, wandb=logging.wandb, config=config, name=run.path.name, say=reporter.say
             ) as logger,

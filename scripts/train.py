@@ -17,8 +17,6 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(os.getcwd())  # where a user's own utility lives
 
-from rich.console import Console
-
 from algorithms.base import ActorCritic
 from algorithms.experiment import load_experiment
 from algorithms.progress import make_console
@@ -42,7 +40,7 @@ def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]
     return options, overrides
 
 
-def prepare(options: argparse.Namespace, overrides: list[str], console: Console) -> tuple[Run, ActorCritic]:
+def prepare(options: argparse.Namespace, overrides: list[str]) -> tuple[Run, ActorCritic]:
     """The run that the options ask for, and its agent: a new one, or as the last checkpoint left it.
 
     Raises:
@@ -62,30 +60,30 @@ def prepare(options: argparse.Namespace, overrides: list[str], console: Console)
     if run.checkpoint.exists():
         agent.load(run.checkpoint)
     for change in run.changed_versions():
-        console.print(f"warning: since the run began, {change}", markup=False, highlight=False)
+        print(f"warning: since the run began, {change}")
     return run, agent
 
 
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     options, overrides = parse_arguments(arguments)
-    console = make_console()
     try:
-        run, agent = prepare(options, overrides, console)
+        run, agent = prepare(options, overrides)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
+    console = make_console()
     again = f"go on with: python scripts/train.py --resume {run.path}"
     try:
         if run.status.get("state") == "finished":
-            console.print(f"{run.path} is finished; there is nothing to resume", markup=False, highlight=False)
+            print(f"{run.path} is finished; there is nothing to resume")
             return 0
-        console.print(f"run {run.path}", markup=False, highlight=False)
+        print(f"run {run.path}", flush=True)
         received = train(run, agent, console, resumed=options.resume is not None)
         if received is not None:
-            console.print(f"interrupted at step {agent.step:,}; {again}", markup=False, highlight=False)
+            print(f"interrupted at step {agent.step:,}; {again}")
             return 128 + received
         finish(run, agent, console)
     except Stopped as error:
@@ -94,7 +92,7 @@ def main(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         print(f"interrupted; {again}", file=sys.stderr)
         return 130
-    console.print(f"finished: {run.path}", markup=False, highlight=False)
+    print(f"finished: {run.path}")
     return 0
 
 

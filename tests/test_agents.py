@@ -20,8 +20,9 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, ALGORITHMS, MOA2C
-from algorithms.base import ActorCritic, Learner
+from algorithms.base import ActorCritic
 from algorithms.evaluation import evaluate
+from algorithms.learner import Learner
 from algorithms.rollout import Rollout
 from algorithms.worlds import Worlds, make_env
 from mo_deepdrive.utilities import Utility, make_utility

@@ -153,16 +153,27 @@ def compiled_decisions(car: Car, targets: list[tuple[float, float, float]], rule
     return cars
 
 
-def assert_same(ours: Car, literal: Car, rules: Rules, steps: int) -> None:
-    """Equal but for rounding: 1e-12 relative, and for differences of positions what rounding makes of them."""
+def assert_same(ours: Car, literal: Car, rules: Rules, steps: int, spun: float, fast: float) -> None:
+    """Equal to 1e-12 relative, or but for what rounding leaves of small numbers.
+
+    An angle is rounded in proportion to its size, and all the turning so far (``spun``, rad) went through it. The
+    direction of the velocity is as good as the angle, and every difference multiplies that by the rate.
+    """
     rate = rules.simulation_frequency
-    fast = 1.0 + abs(float(literal.speed))
-    # Roundings add up over the steps; a difference multiplies them by the rate.
     digits = 1e-15 * (10 + steps)
-    floors = dict.fromkeys(FIELDS, digits)
-    floors.update(x=1e3 * digits, y=1e3 * digits, heading=10 * digits, travelled=fast * digits)
-    floors.update(vx=fast * digits, vy=fast * digits, ax=fast * rate * digits, ay=fast * rate * digits)
-    floors.update(g_force=fast * rate * digits, jerk=fast * rate**2 * digits, speed=fast * digits)
+    angle = digits * (1.0 + spun)
+    place = digits * (1.0 + abs(float(literal.x)) + abs(float(literal.y))) + steps / rate * fast * angle
+    floors = dict.fromkeys(FIELDS, digits) | {
+        "x": place,
+        "y": place,
+        "heading": angle,
+        "vx": fast * angle,
+        "vy": fast * angle,
+        "ax": fast * angle * rate,
+        "ay": fast * angle * rate,
+        "g_force": fast * angle * rate,
+        "jerk": fast * angle * rate**2,
+    }
     for name in FIELDS:
         expected = float(getattr(literal, name))
         assert getattr(ours, name) == pytest.approx(expected, rel=1e-12, abs=floors[name]), name
@@ -179,11 +190,14 @@ def check(car: Car, targets: list[tuple[float, float, float]], rules: Rules) -> 
     assert well_posed(car, targets[0], rules)
     compiled = compiled_decisions(car, targets, rules)
     literal = car
+    spun, fast = abs(car.heading), 1.0 + abs(car.speed)
     for count, (target, ours) in enumerate(zip(targets, compiled, strict=True), start=1):
         if not well_posed(literal, target, rules):
             break
-        literal = literal_decision(literal, target, rules)
-        assert_same(ours, literal, rules, count * rules.physics_steps)
+        before, literal = literal, literal_decision(literal, target, rules)
+        spun += rules.physics_steps * max(abs(float(literal.yaw_step)), abs(float(before.yaw_step)))
+        fast = max(fast, 1.0 + abs(float(literal.speed)))
+        assert_same(ours, literal, rules, count * rules.physics_steps, spun, fast)
     return compiled
 
 
