@@ -1,0 +1,104 @@
+"""Learning curves: how runs are grouped, aligned and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from algorithms.experiment import make_experiment
+from algorithms.logging import MetricsFile
+from algorithms.plots import MAX_POINTS, curve, load_groups, plot
+from algorithms.yaml_files import dump
+
+Make = Callable[..., Path]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Make the directory of a run, with metrics."""
+
+    def make(name: str, algorithm: str = "mo_a2c", seed: int = 0, points: int = 5, **hyperparameters: Any) -> Path:
+        values = {
+            "environment": {"id": "mo-deepdrive-one-waypoint-v0"},
+            "utility": {"name": "one_waypoint_linear"},
+            "algorithm": {"name": algorithm, **hyperparameters},
+            "training": {"total_timesteps": 1000, "num_envs": 2, "seed": seed},
+        }
+        path = tmp_path / name
+        path.mkdir()
+        (path / "config.yaml").write_text(dump(make_experiment(values).to_dict()))
+        metrics = MetricsFile(path / "metrics.csv")
+        for step in range(points):
+            metrics.write(10 * step, {"train/utility": step + seed, "train/return/jerk": -float(step)})
+            metrics.write(10 * step, {"eval/greedy/utility_esr": step + seed, "eval/greedy/success": 0.5})
+        return path
+
+    return make
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
+    runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c", seed=0), make("d", seed=2, gamma=0.9)]
+    groups = load_groups(runs)
+    assert [len(group.runs) for group in groups] == [2, 1, 1]
+    assert [group.label for group in groups] == ["mo_a2c, gamma 0.99", "a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
+
+
+def test_algorithms_are_told_apart_by_their_names(make: Make) -> None:
+    groups = load_groups([make("a"), make("b", "a2c", steps=4)])
+    assert [group.label for group in groups] == ["mo_a2c", "a2c"]
+
+
+def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is not a run directory"):
+        load_groups([tmp_path])
+    with pytest.raises(ValueError, match="has no metrics yet"):
+        load_groups([make("empty", points=0)])
+    with pytest.raises(ValueError, match="the same seed"):
+        load_groups([make("a"), make("b")])
+    with pytest.raises(ValueError, match="xyz"):
+        plot(load_groups([make("c")]), tmp_path / "curves.xyz")
+
+
+def test_a_curve_is_the_mean_with_an_interval_that_holds_it() -> None:
+    steps = np.arange(5.0)
+    runs = [{"step": steps, "a": steps + offset} for offset in (-1.0, 0.0, 1.0)]
+    found = curve(runs, "a")
+    assert found is not None
+    grid, mean, low, high = found
+    np.testing.assert_array_equal(grid, steps)
+    np.testing.assert_allclose(mean, steps)
+    assert (low < mean).all()
+    assert (mean < high).all()
+
+
+def test_runs_of_different_length_are_compared_as_far_as_all_have_come() -> None:
+    runs = [
+        {"step": np.array([0.0, 10.0, 20.0]), "a": np.zeros(3)},
+        {"step": np.array([0.0, 5.0, 15.0]), "a": np.ones(3)},
+    ]
+    found = curve(runs, "a")
+    assert found is not None
+    np.testing.assert_array_equal(found[0], [0.0, 10.0])
+
+
+def test_rows_without_a_value_are_left_out_and_long_curves_averaged() -> None:
+    steps = np.arange(1000.0)
+    values = np.where(steps % 2 == 0, steps, np.nan)
+    found = curve([{"step": steps, "a": values}], "a")
+    assert found is not None
+    assert len(found[0]) == MAX_POINTS
+    np.testing.assert_allclose(found[0], found[1])
+    assert np.isnan(found[2]).all()
+    assert curve([{"step": steps, "a": np.full(1000, np.nan)}], "a") is None
+    assert curve([{"step": steps}], "a") is None
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_figures_are_drawn_of_one_group_and_of_several(make: Make, tmp_path: Path, count: int) -> None:
+    runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c")][: count + 1]
+    plot(load_groups(runs), tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
