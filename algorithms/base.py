@@ -66,6 +66,11 @@ class ActorCritic:
                 raise ValueError(
                     f"utility {each.name!r} reads {each.objectives}; the environment emits {self.worlds.objectives}"
                 )
+            if self.worlds.native and each.objectives != self.worlds.objectives:
+                raise ValueError(
+                    f"utility {each.name!r} reads {each.objectives} in this order; "
+                    f"the environment emits {self.worlds.objectives}"
+                )
         self.utilities = utilities
         weights_seed, actions_seed, worlds_seed = np.random.SeedSequence(seed).generate_state(3)
         initial = torch.Generator().manual_seed(int(weights_seed))
@@ -104,19 +109,22 @@ class ActorCritic:
         return chosen[0][:, None] if len(chosen) == 1 else np.stack(chosen, axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
-        """The greedy action for one observation (o,), as in morl-baselines.
+        """The greedy action for one observation, as in morl-baselines.
 
         Args:
-            obs: (o,), or (V, o) with several vehicles.
+            obs: as one environment gives it; (V, o) with several vehicles.
             accrued_reward: (d,) or (V, d) discounted sum of the episode's rewards so far; zeros if None.
             discount: gamma^t.
+
+        Returns:
+            An action as the environment takes it; one per vehicle with several.
         """
         v = self.worlds.vehicles
         d = len(self.worlds.objectives)
         accrued = np.zeros((1, v, d)) if accrued_reward is None else np.reshape(accrued_reward, (1, v, d))
-        observations = np.reshape(obs, (1, v, -1)).astype(np.float32)
-        actions = self.act(observations, accrued.astype(np.float32), np.full((1, v), discount, np.float32), None)[0]
-        return actions[0] if v == 1 else actions
+        observations = self.worlds.policy_observations(np.asarray(obs)[None]).astype(np.float32)
+        actions = self.act(observations, accrued.astype(np.float32), np.full((1, v), discount, np.float32), None)
+        return self.worlds.environment_actions(actions)[0]
 
     def _explore(
         self, observations: NDArray[np.float32], accrued: NDArray[np.float32], discounts: NDArray[np.float32]
@@ -160,7 +168,9 @@ class ActorCritic:
             metrics = self._learn(rollout, episodes, before / total_timesteps)
             updates = self.step // per_update
             last = self.step >= total_timesteps
-            if log is not None and (updates % log_interval == 0 or last):
+            if log is None:
+                self._unlogged.clear()
+            elif updates % log_interval == 0 or last:
                 rate = (self.step - first) / (perf_counter() - started)
                 log(self.step, {**self._training_metrics(), **metrics, "time/steps_per_second": rate})
             if self.step // interval > before // interval or last:
@@ -210,16 +220,21 @@ class ActorCritic:
 
     def save(self, path: str | Path) -> None:
         """Write everything that determines the future to one safetensors file, atomically."""
-        tensors: dict[str, torch.Tensor] = {"generator": self.generator.get_state()}
-        for v, learner in enumerate(self.learners):
-            tensors |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
-        for name, array in self.collector.get_state().items():
-            tensors[f"collector.{name}"] = torch.from_numpy(np.ascontiguousarray(array))
+        tensors = self._tensors()
         for name in ("vehicles", "returns", "discounted", "lengths", "succeeded"):
             arrays = [getattr(episodes, name) for episodes in self._unlogged]
             if arrays:
                 tensors[f"unlogged.{name}"] = torch.from_numpy(np.concatenate(arrays))
         write_checkpoint(path, tensors, {**self._identity(), "step": self.step})
+
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        """Everything that determines the future, apart from episodes that wait for the log."""
+        tensors: dict[str, torch.Tensor] = {"generator": self.generator.get_state()}
+        for v, learner in enumerate(self.learners):
+            tensors |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
+        for name, array in self.collector.get_state().items():
+            tensors[f"collector.{name}"] = torch.from_numpy(np.ascontiguousarray(array))
+        return tensors
 
     def _identity(self) -> dict[str, Any]:
         env = self.worlds.env
@@ -228,8 +243,10 @@ class ActorCritic:
             "environment": env.spec.id if env.spec is not None else str(env),
             "observation_size": self.worlds.observation_size,
             "objectives": list(self.worlds.objectives),
+            "cost_sign": self.worlds.cost_sign,
             "actions": [self.worlds.actions, self.worlds.continuous],
             "hidden": list(self.config.hidden),
+            "inputs": self.learners[0].input_size(self.worlds),
             "num_envs": self.worlds.num_envs,
         }
 
@@ -245,13 +262,23 @@ class ActorCritic:
         """
         may_differ = ("num_envs",) if policy_only else ()
         tensors, found = read_checkpoint(path, self._identity(), may_differ)
+        for name, mine in self._tensors().items():
+            needed = name.startswith("vehicle_") or not policy_only
+            shape = tuple(tensors[name].shape) if name in tensors else None
+            if needed and shape != tuple(mine.shape):
+                raise ValueError(
+                    f"checkpoint {path} has {name!r} of shape {shape}; this agent needs {tuple(mine.shape)}"
+                )
         for v, learner in enumerate(self.learners):
             learner.set_state(below(tensors, f"vehicle_{v}."))
         if policy_only:
             return
-        self.step = found["step"]
         self.generator.set_state(tensors["generator"])
         self.collector.set_state({name: t.numpy() for name, t in below(tensors, "collector.").items()})
+        self.step = found["step"]
+        if not self.worlds.native:
+            # Other environments cannot give their state: their episodes begin anew, on other seeds.
+            self.collector.reset(self._worlds_seed + self.step)
         unlogged = {name: t.numpy() for name, t in below(tensors, "unlogged.").items()}
         self._unlogged = [Episodes(**unlogged)] if unlogged else []
 

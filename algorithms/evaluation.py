@@ -139,10 +139,10 @@ def _first_episodes(
         discounts *= agent.config.gamma
         largest = np.maximum(largest, np.abs(rewards))
         lengths += counted
+        succeeded |= counted & step.succeeded
         running &= ~(step.terminated | step.truncated)
         over = unfinished & ~running.any(axis=1)
         if over.any():
-            succeeded[over] = step.succeeded[over]
             if step.ends is not None:
                 ends[over] = step.ends.reshape(n, v)[over]
             unfinished &= ~over

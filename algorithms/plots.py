@@ -22,9 +22,9 @@ from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 Columns = dict[str, NDArray[np.float64]]
 
-# Okabe and Ito's colours, which the colour-blind can tell apart.
 SETTLED = 0.2  # part of the training after which a curve is worth the whole height of its axis
 WIDE = 30.0  # how much wider the whole range must be for the start to be cut off
+# Okabe and Ito's colours, which the colour-blind can tell apart.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
 MAX_POINTS = 150  # per curve; more are averaged
 # Sections and keys of a config that do not change what is learnt.

@@ -169,6 +169,7 @@ class Collector:
             "returns": self.returns,
             "lengths": self.lengths,
         }
+        own = {name: array.copy() for name, array in own.items()}
         return {**own, **{f"worlds.{name}": array for name, array in self.worlds.get_state().items()}}
 
     def set_state(self, state: dict[str, NDArray]) -> None:

@@ -54,8 +54,8 @@ class Step:
         acted: (N, V) False where the sample does not count: the vehicle was not on the road, or the world was
             only being reset.
         final: (N, V, o) true observations after the step: those of the episode that ended where one did.
-        succeeded: (N, V) whether the episode that ended reached its goal; all False where the environment does
-            not say.
+        succeeded: (N, V) whether a vehicle's episode that ended in this step reached its goal; all False where the
+            environment does not say.
         ends: (N,) or (N, V) why episodes ended, as the environment says in ``info["end"]``; None where it does not.
     """
 
@@ -78,6 +78,7 @@ class Worlds:
     Attributes:
         num_envs, vehicles: N and V.
         objectives: names of the d components of the reward.
+        cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
         actions: number of discrete actions, or of continuous axes.
@@ -98,6 +99,7 @@ class Worlds:
                 raise ValueError(f"autoreset_mode = {inner.autoreset_mode} must be SAME_STEP for training")
             self.vehicles = inner.vehicles
             self.objectives: tuple[str, ...] = inner.objectives
+            self.cost_sign: str = inner.config.cost_sign
             self.observation_scales = observation.scales(inner.simulator.scenario).astype(np.float32)
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
             if isinstance(space, spaces.MultiDiscrete):
@@ -106,6 +108,7 @@ class Worlds:
             self.vehicles = 1
             d = int(inner.reward_space.shape[0])  # type: ignore[attr-defined]
             self.objectives = tuple(f"objective_{i}" for i in range(d))
+            self.cost_sign = "maximise"
             self.observation_scales = _foreign_scales(env.single_observation_space)
             self.objective_scales = np.ones(d, dtype=np.float32)
         if isinstance(space, spaces.Discrete):
@@ -126,7 +129,7 @@ class Worlds:
         """Start every world anew; world i is seeded with ``seed + i``. Observations (N, V, o)."""
         raw, _ = self.env.reset(seed=seed)
         self._was_over[:] = False
-        return self._observations(raw)
+        return self.policy_observations(raw)
 
     def step(self, actions: NDArray[Any]) -> Step:
         """Act in every world.
@@ -134,19 +137,13 @@ class Worlds:
         Args:
             actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and stretched to the box).
         """
-        if self.vehicles == 1:
-            actions = actions[:, 0]
+        actions = self.environment_actions(actions)
         if self.native:
             return self._native_step(actions)
-        if self.continuous:
-            actions = self._centre + self._reach * np.clip(actions, -1.0, 1.0)
-            actions = actions.astype(self.env.single_action_space.dtype)
-        else:
-            actions = actions + self._first_action
         raw, rewards, terminated, truncated, infos = self.env.step(actions)
         acted = ~self._was_over
         self._was_over = (terminated | truncated)[:, None]
-        observations = self._observations(raw)
+        observations = self.policy_observations(raw)
         ends = infos.get("end")
         success = infos.get("success", np.zeros(self.num_envs, dtype=np.bool_)).astype(np.bool_)
         return Step(
@@ -160,6 +157,15 @@ class Worlds:
             ends=ends,
         )
 
+    def environment_actions(self, actions: NDArray[Any]) -> NDArray[Any]:
+        """The policy's actions (n, V) or (n, V, k) as the environment takes them, without the axis of one vehicle."""
+        if self.vehicles == 1:
+            actions = actions[:, 0]
+        if self.continuous:
+            stretched = self._centre + self._reach * np.clip(actions, -1.0, 1.0)
+            return stretched.astype(self.env.single_action_space.dtype)
+        return actions + self._first_action
+
     def _native_step(self, actions: NDArray[Any]) -> Step:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         final = infos.get("final_obs", observations)
@@ -167,25 +173,29 @@ class Worlds:
         success = np.zeros((self.num_envs, self.vehicles), dtype=np.bool_)
         if "final_info" in infos:
             ends = infos["final_info"]["end"]
-            success = infos["final_info"]["success"].reshape(self.num_envs, self.vehicles)
         if self.vehicles == 1:
+            if "final_info" in infos:
+                success = infos["final_info"]["success"][:, None]
             observations, rewards, final = observations[:, None], rewards[:, None], final[:, None]
             terminated, truncated = terminated[:, None], truncated[:, None]
             acted = np.ones((self.num_envs, 1), dtype=np.bool_)
         else:
             acted = infos["acted"]
+            success = infos.get("arrived", success)
             # The flags of a vehicle stay up until its world starts anew; here they mark the step of the end.
             terminated, truncated = terminated & acted, truncated & acted
         return Step(observations, rewards, terminated, truncated, acted, final, success, ends)
 
-    def _observations(self, raw: Any) -> NDArray[np.float32]:
+    def policy_observations(self, raw: Any) -> NDArray[np.float32]:
+        """Observations (n, V, o) from what the environment gives for n worlds."""
         if self.native:
             return raw if self.vehicles > 1 else raw[:, None]
         space = self.env.single_observation_space
         if isinstance(space, spaces.Discrete):
             one_hot = np.eye(int(space.n), dtype=np.float32)[np.asarray(raw) - int(space.start)]
             return one_hot[:, None]
-        return np.asarray(raw, dtype=np.float32).reshape(self.num_envs, 1, -1)
+        array = np.asarray(raw, dtype=np.float32)
+        return array.reshape(len(array), 1, -1)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """What resuming these worlds exactly takes, as arrays; empty where the environment cannot say."""

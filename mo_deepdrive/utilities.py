@@ -47,12 +47,19 @@ class Utility:
         Raises:
             ValueError: if the last axis is not d long.
         """
-        if returns.shape[-1] != len(self.objectives):
+        if returns.ndim == 0 or returns.shape[-1] != len(self.objectives):
             raise ValueError(
                 f"utility {self.name!r} reads {len(self.objectives)} objectives {self.objectives}; "
-                f"the returns have {returns.shape[-1]}"
+                f"the returns have {returns.shape[-1] if returns.ndim else 'no axis'}"
             )
-        return self._function(returns)
+        return self._function(_real(returns))
+
+
+def _real(returns: Any) -> Any:
+    """Whole numbers as real ones: weights must not be rounded to the type of the returns."""
+    if isinstance(returns, np.ndarray):
+        return returns if returns.dtype.kind == "f" else returns.astype(np.float64)
+    return returns if returns.is_floating_point() else returns.double()
 
 
 def _where(condition: Any, first: Any, second: Any) -> Any:
@@ -201,6 +208,8 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
         ValueError: for an unknown name, missing objectives or unfit arguments.
     """
     objectives = tuple(objectives)
+    if cost_sign not in ("maximise", "paper"):
+        raise ValueError(f"cost_sign = {cost_sign!r} must be 'maximise' or 'paper'")
     if ":" in name:
         return Utility(name, objectives, _own(name, arguments))
     if name in STANDARD:
@@ -232,7 +241,7 @@ def _own(path: str, arguments: dict[str, Any]) -> Function:
     module_name, _, attribute = path.partition(":")
     try:
         function = getattr(importlib.import_module(module_name), attribute)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise ValueError(f"utility {path!r} cannot be imported: {error}") from None
     if not callable(function):
         raise ValueError(f"utility {path!r} is not callable")

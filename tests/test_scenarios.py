@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mo_deepdrive.actions import action_names
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.state import ENDS
 
 # Section 1 and 4 of the specification, written out anew.
 SCALE = 405 / 5.17652 / 4  # pixels per metre
@@ -581,7 +582,13 @@ def test_the_left_turn_loses_by_progress_while_the_other_approaches(world: Any) 
     assert gains[False][0] > 0.05
     assert gains[True][0] == -gains[False][0]
     assert gains[True][1] == gains[False][1]
-    # Once the other has entered the crossing, or has gone, progress is progress.
+    # Once the other has left the road, or has entered the crossing, progress is progress.
+    env = world("intersection")
+    enter_the_crossing(env, starts)
+    set_vehicle(env, 1, end=ENDS.index("backwards"))
+    assert env.simulator.state[0, 1].approaching
+    _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
+    assert rewards[0, 0, 0] == gains[False][0]
     env = world("intersection")
     enter_the_crossing(env, (starts[0], (C - 1.524, 12.0, math.pi)))
     _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])

@@ -117,8 +117,17 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a new episode; ``options`` pin the scenario (see the class)."""
         pins = make_pins(options, self.simulator.scenario)
+        before = self._np_random, self._np_random_seed
         super().reset(seed=seed)
-        self.simulator.place(_WORLD, self._draw, pins)
+        stream = self.np_random.bit_generator.state
+        try:
+            self.simulator.place(_WORLD, self._draw, pins)
+        except ValueError:
+            # Refused: the random stream stands where it stood.
+            self.np_random.bit_generator.state = stream
+            if seed is not None:
+                self._np_random, self._np_random_seed = before
+            raise
         self._running = True
         if self.render_mode == "human":
             self.render()

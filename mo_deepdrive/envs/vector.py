@@ -30,7 +30,7 @@ class DrivingVectorEnv(VectorEnv):
     (N, 3). In Intersection every array has a vehicle axis: observations (N, 2, size), rewards (N, 2, d), terminated
     and truncated (N, 2), actions (N, 2) or (N, 2, 3). There a vehicle's flags stay True from the decision on which
     it ends until its world starts anew, which it does when both have ended, and ``infos["acted"]`` (N, 2) tells
-    which vehicles were on the road in this step.
+    which vehicles were on the road in this step, ``infos["arrived"]`` (N, 2) which of them arrived in it.
 
     At the end of a world's episode ``infos["end"]`` says why (see the single environment) and ``infos["success"]``
     whether it arrived, per vehicle in Intersection; under SAME_STEP both are in ``infos["final_info"]`` beside
@@ -43,7 +43,8 @@ class DrivingVectorEnv(VectorEnv):
             nothing), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
         threads: how many threads share a step; worth it from about 2,000 worlds on. The result is the same.
         render_mode: None or "rgb_array" (``render()`` gives one frame per world).
-        max_episode_steps: if given, decisions after which an episode is truncated (``time_limit`` in decisions).
+        max_episode_steps: if given, decisions after which an episode is truncated, if ``time_limit`` does not end it
+            before.
         **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
 
     Raises:
@@ -75,7 +76,10 @@ class DrivingVectorEnv(VectorEnv):
             raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         if max_episode_steps is not None:
-            config = config.model_copy(update={"time_limit": max_episode_steps / config.decision_frequency})
+            if not isinstance(max_episode_steps, int) or max_episode_steps < 1:
+                raise ValueError(f"max_episode_steps = {max_episode_steps!r} must be a positive integer")
+            options["time_limit"] = min(config.time_limit, max_episode_steps / config.decision_frequency)
+            config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         self.num_envs = num_envs
         self.config = config
         self.render_mode = render_mode
@@ -95,6 +99,7 @@ class DrivingVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._streams: Streams | None = None
+        self._begun = False
         # Worlds whose episode is over and that have not been reset (NEXT_STEP and DISABLED).
         self._over = np.ones(num_envs, dtype=np.bool_)
         self._viewers: list[Any] = []
@@ -142,6 +147,7 @@ class DrivingVectorEnv(VectorEnv):
             self._streams.reseed(seeds, mask)
         self.simulator.place(np.flatnonzero(mask), self._streams.draw, pins)
         self._over[mask] = False
+        self._begun = True
         return self._shaped(self.simulator.observations), {}
 
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
@@ -172,17 +178,19 @@ class DrivingVectorEnv(VectorEnv):
             raise ResetNeeded(
                 f"step() on worlds whose episode is over or has not begun (first ones: {worlds}); reset them first"
             )
-        if self._streams is None:
+        if not self._begun:
             raise ResetNeeded("step() before the first reset()")
+        streams = self._seeded()
         infos: dict[str, Any] = {}
         acted = ~(sim.terminated | sim.truncated) if self.vehicles > 1 else None
         sim.step(self._batched(actions))
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
-            sim.place(np.flatnonzero(self._over), self._streams.draw)
+            sim.place(np.flatnonzero(self._over), streams.draw)
         over = sim.over()
         if acted is not None:
             infos["acted"] = acted
             infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
+            infos.update(self._arrivals(acted))
         rewards = self._shaped(sim.rewards)
         terminated = self._shaped(sim.terminated)
         truncated = self._shaped(sim.truncated)
@@ -193,7 +201,7 @@ class DrivingVectorEnv(VectorEnv):
                 infos["_final_obs"] = over
                 infos["final_info"] = self._why(over)
                 infos["_final_info"] = over
-                sim.place(rows, self._streams.draw)
+                sim.place(rows, streams.draw)
         else:
             self._over = over
             if over.any():
@@ -210,6 +218,18 @@ class DrivingVectorEnv(VectorEnv):
     def _shaped(self, buffer: NDArray[Any]) -> NDArray[Any]:
         """A copy of a buffer (N, vehicles, ...), without the vehicle axis where there is one vehicle."""
         return buffer[:, 0].copy() if self.vehicles == 1 else buffer.copy()
+
+    def _arrivals(self, acted: NDArray[np.bool_]) -> dict[str, Any]:
+        """Which vehicles arrived in this step, whether or not their world goes on; nothing where none has ended."""
+        ended = acted & (self.simulator.terminated | self.simulator.truncated)
+        rows = np.flatnonzero(ended.any(axis=1))
+        if not len(rows):
+            return {}
+        arrived = np.zeros_like(ended)
+        arrived[rows] = ended[rows] & (self.simulator.state["end"][rows] == ARRIVED)
+        mask = np.zeros(self.num_envs, dtype=np.bool_)
+        mask[rows] = True
+        return {"arrived": arrived, "_arrived": mask}
 
     def _why(self, over: NDArray[np.bool_]) -> dict[str, Any]:
         """Why the episodes of the worlds ``over`` ended, in Gymnasium's form of vector infos."""
@@ -232,6 +252,7 @@ class DrivingVectorEnv(VectorEnv):
         return {
             "state": self.simulator.state.view(np.uint8).copy(),
             "over": self._over.copy(),
+            "begun": np.array([self._begun]),
             **self._seeded().get_state(),
         }
 
@@ -248,6 +269,7 @@ class DrivingVectorEnv(VectorEnv):
                 raise ValueError(f"state {name!r} has shape {found}; this environment needs {array.shape}")
         self.simulator.restore(np.asarray(state["state"]).view(self.simulator.state.dtype))
         self._over = np.array(state["over"], dtype=np.bool_)
+        self._begun = bool(state["begun"][0])
         self._seeded().set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -172,7 +172,8 @@ def step_batch(worlds, controls, params, path, observations, rewards, terminated
         observe_world(worlds, i, params, observations, terminated, truncated)
         for v in range(worlds.shape[1]):
             for k in range(params.n_objectives):
-                rewards[i, v, k] = params.objective_sign[k] * worlds[i, v].objectives[params.objective_index[k]]
+                # Adding zero turns a cost of -0.0 into 0.0.
+                rewards[i, v, k] = params.objective_sign[k] * worlds[i, v].objectives[params.objective_index[k]] + 0.0
 
 
 @jit
