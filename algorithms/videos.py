@@ -105,7 +105,7 @@ def _frames(agent: ActorCritic, env: VectorEnv, seed: int, greedy: bool) -> Iter
     while running.any():
         actions = agent.act(observations, accrued, discounts, generator)
         if worlds is None:
-            raw, rewards, *flags, _ = env.step(actions if vehicles > 1 else actions[:, 0])
+            raw, rewards, *flags, _ = env.step(agent.worlds.environment_actions(actions))
             observations, rewards = raw.reshape(1, vehicles, -1), rewards.reshape(1, vehicles, d)
             over = (flags[0] | flags[1]).reshape(1, vehicles)
         else:

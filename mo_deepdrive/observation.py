@@ -109,7 +109,7 @@ def write(worlds, i, v, params, out):
     px = vehicle.waypoints[k, 0]
     py = vehicle.waypoints[k, 1]
     next_angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
-    next_distance = geometry.distance(front_x, front_y, px, py)
+    next_distance = vehicle.next_distance
     after_angle = next_angle
     after_distance = next_distance
     if k + 1 < vehicle.n_waypoints:

@@ -83,7 +83,7 @@ class Simulator:
         self.terminated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.truncated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._controls = np.zeros((worlds, vehicles, 3))
-        self._spawn = np.zeros(1, dtype=SPAWN)[0]
+        self._spawn = np.zeros(1, dtype=SPAWN)
         self._no_pins = np.zeros(1, dtype=SPAWN)
         pin_nothing(self._no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
@@ -116,7 +116,7 @@ class Simulator:
             truncated=self.truncated[part],
         )
 
-    def place(self, rows: NDArray[np.int64], draw: Draw, pins: np.record | None = None) -> None:
+    def place(self, rows: NDArray[np.int64], draw: Draw, pins: NDArray[Any] | None = None) -> None:
         """Start new episodes in the worlds ``rows``; ``draw(rows)`` gives (len(rows), DRAWS) uniforms in [0, 1).
 
         Raises:
@@ -128,7 +128,7 @@ class Simulator:
                 self.state,
                 rows,
                 draw(rows),
-                self._no_pins[0] if pins is None else pins,
+                self._no_pins if pins is None else pins,
                 self.params,
                 self._spawn,
                 fair,

@@ -201,6 +201,21 @@ def test_an_interrupted_and_resumed_run_is_the_same_run(driving: Path, call: Cal
     assert (whole / "evaluation.json").read_text() == (run / "evaluation.json").read_text()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_an_interrupted_run_on_another_environment_goes_on_to_its_end(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "other.yaml").write_text(TREASURE)
+    run = tmp_path / "run"
+    options = ["--config", "other.yaml", "--training.total_timesteps=8000", "--evaluation.interval=2000"]
+    code, out, error = interrupt(run, 2_000, signal.SIGINT, *options, "--output", run)
+    assert code == 130, out + error
+    assert status(run)["step"] < 8_000
+    code, out, error = call("train", "--resume", run)
+    assert code == 0, out + error
+    assert status(run) == {**status(run), "state": "finished", "step": 8_000}
+    steps = read_metrics(run / "metrics.csv")["step"]
+    assert (np.diff(steps) >= 0).all()
+
+
 def test_a_finished_run_has_nothing_to_resume(finished: Path, call: Call) -> None:
     before = (finished / "checkpoint.safetensors").read_bytes()
     code, out, _ = call("train", "--resume", finished)

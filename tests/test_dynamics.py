@@ -74,7 +74,7 @@ class Rules:
                 constrain_controls=self.constrain_controls,
                 ignore_brake=self.ignore_brake,
             )
-        )
+        )[0]
 
 
 def controls_over_a_decision(car: Car, target: tuple[float, float, float], rules: Rules) -> list[tuple[Real, ...]]:

@@ -33,8 +33,8 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
     return numbers
 
 
-def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.record | None:
-    """The SPAWN record that pins what ``options`` name and leaves the rest to be drawn; None for no options.
+def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.ndarray | None:
+    """The (1,) array of SPAWN that pins what ``options`` name and leaves the rest to be drawn; None for no options.
 
     Raises:
         ValueError: on unknown options, wrong shapes, or numbers that are not finite.
@@ -57,4 +57,4 @@ def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.recor
         pins.waypoints[0, last] = _numbers("destination", options["destination"], (2,), "(x, y)")
     if "obstacle" in options:
         pins.obstacle[:] = _numbers("obstacle", options["obstacle"], (2, 2), "((x, y), (x, y))")
-    return pins
+    return array

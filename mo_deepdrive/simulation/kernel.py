@@ -151,7 +151,7 @@ def observe_world(worlds, i, params, observations, terminated, truncated):
 def observe_batch(worlds, params, observations, terminated, truncated):
     """Write what all vehicles of all worlds observe, from the state alone."""
     for i in range(worlds.shape[0]):
-        observe_world(worlds, i, params, observations, terminated, truncated)
+        observe_world(worlds, i, params[0], observations, terminated, truncated)
 
 
 @jit
@@ -161,19 +161,21 @@ def step_batch(worlds, controls, params, path, observations, rewards, terminated
     Args:
         worlds: (worlds, vehicles) of VEHICLE, changed in place.
         controls: (worlds, vehicles, 3) target controls, from actions.decode_*.
-        params: record of dtype PARAMS.
+        params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
         path: (vehicles, physics_steps + 1, 4) scratch buffer.
         observations: (worlds, vehicles, size) float32, written.
         rewards: (worlds, vehicles, objectives) float32, written; zero for vehicles that had ended before.
         terminated, truncated: (worlds, vehicles) bool, written; they stay True until the world is placed anew.
     """
     for i in range(worlds.shape[0]):
-        step_world(worlds, i, controls, params, path)
-        observe_world(worlds, i, params, observations, terminated, truncated)
+        step_world(worlds, i, controls, params[0], path)
+        observe_world(worlds, i, params[0], observations, terminated, truncated)
         for v in range(worlds.shape[1]):
-            for k in range(params.n_objectives):
+            for k in range(params[0].n_objectives):
                 # Adding zero turns a cost of -0.0 into 0.0.
-                rewards[i, v, k] = params.objective_sign[k] * worlds[i, v].objectives[params.objective_index[k]] + 0.0
+                rewards[i, v, k] = (
+                    params[0].objective_sign[k] * worlds[i, v].objectives[params[0].objective_index[k]] + 0.0
+                )
 
 
 @jit
@@ -184,16 +186,16 @@ def reset_batch(worlds, rows, draws, pins, params, spawn, fair, observations, te
         worlds: (worlds, vehicles) of VEHICLE.
         rows: (k,) indices of the worlds to place.
         draws: (k, DRAWS) uniforms in [0, 1).
-        pins: record of dtype SPAWN; entries that are not NaN replace what would be drawn.
-        params: record of dtype PARAMS.
-        spawn: scratch record of dtype SPAWN.
+        pins: (1,) of SPAWN; entries that are not NaN replace what would be drawn.
+        params: (1,) of PARAMS.
+        spawn: (1,) of SPAWN, scratch.
         fair: (k,) bool, written; a world whose draw is not fair is left as it was, to be drawn again.
         observations, terminated, truncated: as in step_batch, written for the worlds placed.
     """
     for j in range(len(rows)):
         i = rows[j]
-        draw_spawn(draws, j, params, pins, spawn)
-        fair[j] = spawn_is_fair(spawn, params)
+        draw_spawn(draws, j, params[0], pins[0], spawn[0])
+        fair[j] = spawn_is_fair(spawn[0], params[0])
         if fair[j]:
-            place(worlds, i, spawn, params)
-            observe_world(worlds, i, params, observations, terminated, truncated)
+            place(worlds, i, spawn[0], params[0])
+            observe_world(worlds, i, params[0], observations, terminated, truncated)

@@ -45,8 +45,8 @@ def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
             raise ValueError(f"{name} = {getattr(config, name)!r} has no meaning in {scenario.title}; leave it out")
 
 
-def make_params(config: EnvConfig) -> np.record:
-    """The PARAMS record of a configuration.
+def make_params(config: EnvConfig) -> np.ndarray:
+    """The parameters of a configuration, shape (1,) of dtype PARAMS.
 
     Raises:
         ValueError: if a setting has no meaning in the scenario.
@@ -80,4 +80,4 @@ def make_params(config: EnvConfig) -> np.record:
         row.waypoints[v, : len(route.waypoints)] = route.waypoints
     row.destination_span[:] = scenario.destination_span
     row.map_centre = MAP_CENTRE
-    return row
+    return params

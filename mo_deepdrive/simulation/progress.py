@@ -12,7 +12,7 @@ HALF_LANE = LANE_WIDTH / 2
 
 @jit
 def follow(vehicle):
-    """Update the front point, the next waypoint and the route distance; True when the destination is reached.
+    """Update the front point, the next waypoint and the distances; True when the destination is reached.
 
     Route distance = distance along the waypoints to the next one - |front -> next waypoint|.
     """
@@ -26,6 +26,7 @@ def follow(vehicle):
         k += 1
         vehicle.next_waypoint = k
         away = geometry.distance(vehicle.front_x, vehicle.front_y, vehicle.waypoints[k, 0], vehicle.waypoints[k, 1])
+    vehicle.next_distance = away
     vehicle.route_distance = vehicle.along[k] - away
     return arrived
 

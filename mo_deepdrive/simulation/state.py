@@ -89,6 +89,7 @@ VEHICLE = np.dtype(
             ("front_x", _FLOAT),
             ("front_y", _FLOAT),
             ("travelled", _FLOAT),
+            ("next_distance", _FLOAT),
             ("route_distance", _FLOAT),
             ("furthest", _FLOAT),
             ("start_heading", _FLOAT),
