@@ -1,0 +1,93 @@
+"""The table of final scores over seeds, through its command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import table  # noqa: E402  (a script)
+
+from algorithms.experiment import load_experiment  # noqa: E402
+from algorithms.runs import Run  # noqa: E402
+
+
+def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> Path:
+    """A run directory with a final evaluation in which every number is ``utility``; None for none."""
+    experiment = load_experiment(ROOT / f"configs/one_waypoint/{algorithm}_linear.yaml", [f"--seed={seed}"])
+    path = folder / f"{algorithm}-{seed}"
+    run = Run.create(experiment, path)
+    run.unlock()
+    if utility is not None:
+        estimate = {"value": utility, "low": None, "high": None}
+        policies = {policy: dict.fromkeys(table.METRICS, estimate) for policy in table.POLICIES}
+        (path / "evaluation.json").write_text(json.dumps({"policies": policies}))
+    return path
+
+
+def run_table(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> int:
+    monkeypatch.setattr(sys, "argv", ["table.py", *(str(argument) for argument in arguments)])
+    return table.main()
+
+
+def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = {"a2c": [1.0, 2.0, 6.0], "mo_a2c": [11.0, 12.0, 16.0]}
+    for algorithm, utilities in scores.items():
+        for seed, utility in enumerate(utilities):
+            make_run(tmp_path, algorithm, seed, utility)
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    header, *groups = rows[: rows.index([])]
+    assert [(row[2], row[3], row[4]) for row in groups] == [
+        (algorithm, policy, "0 1 2") for algorithm in scores for policy in table.POLICIES
+    ]
+    utility = groups[0][header.index("utility_esr")]
+    assert float(utility.split()[0]) == pytest.approx(3.0, abs=0.05)
+    assert "[" in utility
+    compared = rows[rows.index([]) + 2]
+    assert compared[3] == "mo_a2c - a2c"
+    assert float(compared[4]) == pytest.approx(10.0)
+    assert float(compared[5]) < 10.0 < float(compared[6])
+    assert float(compared[7]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
+
+
+def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
+    sample = np.array([1.0, 2.0, 3.0, 4.0])
+    value, low, high, p = table.difference(sample, sample)
+    assert value == 0.0
+    assert low < 0.0 < high
+    assert p > 0.9
+
+
+def test_a_run_without_a_final_evaluation_is_named_and_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_run(tmp_path, "a2c", 0, 1.0)
+    unfinished = make_run(tmp_path, "a2c", 1, None)
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert f"left out: {unfinished}" in capsys.readouterr().err
+    assert list(csv.reader(output.read_text().splitlines()))[1][4] == "0"
+
+
+def test_folders_without_runs_and_repeated_seeds_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert run_table(monkeypatch, empty) == 2
+    assert "holds no run" in capsys.readouterr().err
+    make_run(tmp_path / "first", "a2c", 0, 1.0)
+    make_run(tmp_path / "second", "a2c", 0, 1.0)
+    assert run_table(monkeypatch, tmp_path / "first", tmp_path / "second") == 2
+    assert "repeats seed 0" in capsys.readouterr().err
