@@ -46,14 +46,6 @@ FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
 ALL_FORMS = pytest.mark.parametrize("form", FORMS)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture
 def global_seeds() -> Iterator[Callable[[int], None]]:
     """Seed the global generators for one test. Minecart draws its ore from NumPy's, whatever seed it is reset with."""

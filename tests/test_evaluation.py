@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -25,14 +24,6 @@ SEA = "deep-sea-treasure-v0"
 OBJECTIVES = ("distance", "destination", "g_force", "jerk")
 NONLINEAR = make_utility("one_waypoint_nonlinear", OBJECTIVES)
 CLASSES = pytest.mark.parametrize("cls", [A2C, MOA2C])
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def make_agent(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,14 +17,6 @@ from algorithms.networks import CategoricalActor, GaussianActor, mlp
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4
 ACTORS = pytest.mark.parametrize("kind", [CategoricalActor, GaussianActor])
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def seeded(seed: int) -> torch.Generator:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,14 +27,6 @@ SEA = "deep-sea-treasure-v0"
 GAMMA = 0.95
 SEED = 2**32 + 17
 DESTINATION = 1  # index of this objective in every scenario of ours
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def random_policy(worlds: Worlds) -> Act:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -19,14 +19,6 @@ COSTS = {"g_force", "collision", "jerk", "lane_violation"}
 ONE_WAYPOINT = ("distance", "destination", "g_force", "jerk")
 STATIC_OBSTACLE = ("distance", "destination", "g_force", "collision", "jerk")
 INTERSECTION = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 # The paper, on magnitudes: d distance, r destination, g g-force, c collision, j jerk, l lane violation.
