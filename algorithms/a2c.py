@@ -12,7 +12,7 @@ from pydantic import Field
 from algorithms.base import ActorCritic
 from algorithms.learner import ActorCriticConfig, Learner
 from algorithms.returns import discounted_sum
-from algorithms.rollout import Rollout
+from algorithms.rollout import VehicleRollout
 from algorithms.worlds import Worlds
 
 
@@ -40,21 +40,20 @@ class A2CLearner(Learner):
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
         return observations / self.observation_scales
 
-    def values(self, inputs: torch.Tensor) -> torch.Tensor:
-        return self.config.value_scale * self.critic(inputs)
+    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        return self.config.value_scale * self.critic(critic_inputs)
 
-    def losses(self, rollout: Rollout, entropy_weight: float) -> dict[str, torch.Tensor]:
+    def estimates(
+        self, rollout: VehicleRollout, values: torch.Tensor, following: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         gamma = self.config.gamma
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        values = self.values(inputs[:-1])
-        following = self.next_values(rollout, inputs, values).squeeze(-1)
-        values = values.squeeze(-1)
         going_on = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        deltas = self.utility(rollout.rewards) + gamma * following - values.detach()
+        deltas = self.utility(rollout.rewards) + gamma * following.squeeze(-1) - values.squeeze(-1)
         advantages = discounted_sum(deltas, going_on, gamma * self.config.gae_lambda)
-        targets = advantages + values.detach()
-        value_loss = ((targets - values) / self.config.value_scale).square()
-        return self.policy_losses(rollout, inputs, advantages, value_loss, entropy_weight)
+        return advantages, advantages.unsqueeze(-1) + values
+
+    def value_losses(self, values: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        return ((targets - values) / self.config.value_scale).square().squeeze(-1)
 
 
 class A2C(ActorCritic):

@@ -74,7 +74,9 @@ class ActorCritic:
         self.utilities = utilities
         weights_seed, actions_seed, worlds_seed = np.random.SeedSequence(seed).generate_state(3)
         initial = torch.Generator().manual_seed(int(weights_seed))
-        self.learners = [self.learner(self.worlds, u, self.config, initial, self.device) for u in utilities]
+        self.learners = [
+            self.learner(self.worlds, v, each, self.config, initial, self.device) for v, each in enumerate(utilities)
+        ]
         self.generator = torch.Generator(self.device).manual_seed(int(actions_seed))
         self._worlds_seed = FIRST_TRAINING_SEED + int(worlds_seed)
         self.collector = Collector(self.worlds, self.config.gamma, self.config.steps)
@@ -187,7 +189,7 @@ class ActorCritic:
         self._unlogged.append(episodes)
         for v, learner in enumerate(self.learners):
             learner.finished(episodes.discounted[episodes.vehicles == v])
-            losses = learner.update(_of_vehicle(rollout, v, self.device), learning_rate, entropy_weight)
+            losses = learner.update(rollout, learning_rate, entropy_weight)
             prefix = f"vehicle_{v}/" if len(self.learners) > 1 else ""
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
@@ -246,6 +248,7 @@ class ActorCritic:
             "cost_sign": self.worlds.cost_sign,
             "actions": [self.worlds.actions, self.worlds.continuous],
             "hidden": list(self.config.hidden),
+            "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size(self.worlds),
             "num_envs": self.worlds.num_envs,
         }
@@ -281,8 +284,3 @@ class ActorCritic:
             self.collector.reset(self._worlds_seed + self.step)
         unlogged = {name: t.numpy() for name, t in below(tensors, "unlogged.").items()}
         self._unlogged = [Episodes(**unlogged)] if unlogged else []
-
-
-def _of_vehicle(rollout: Rollout, v: int, device: torch.device) -> Rollout:
-    """The rollout of one vehicle: every tensor without the vehicle axis, on ``device``."""
-    return Rollout(**{name: tensor[:, :, v].to(device) for name, tensor in vars(rollout).items()})

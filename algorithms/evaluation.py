@@ -54,10 +54,13 @@ class Evaluation:
     def metrics(self) -> dict[str, float]:
         """Everything as named scalars; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
-        Mean and largest per-decision magnitudes are given for the costs that are rates: g-force and jerk.
+        With several vehicles ``success`` is the share of episodes in which all arrived. Mean and largest per-decision
+        magnitudes are given for the costs that are rates: g-force and jerk.
         """
         metrics: dict[str, float] = {}
         vehicles = self.returns.shape[1]
+        if vehicles > 1:
+            metrics["success"] = float(self.succeeded.all(axis=1).mean())
         for v in range(vehicles):
             prefix = f"vehicle_{v}/" if vehicles > 1 else ""
             utility = self.utilities[v]

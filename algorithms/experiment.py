@@ -41,8 +41,8 @@ class EnvironmentSettings(Settings):
     arguments: dict[str, Any] = {}
 
 
-class UtilitySettings(Settings):
-    """What to maximise.
+class OneUtility(Settings):
+    """A utility by name.
 
     Attributes:
         name: a registered utility, or "package.module:callable" for one of your own.
@@ -51,6 +51,21 @@ class UtilitySettings(Settings):
 
     name: str
     arguments: dict[str, Any] = {}
+
+
+class UtilitySettings(OneUtility):
+    """What to maximise.
+
+    Attributes:
+        name, arguments: the utility of every vehicle.
+        vehicles: vehicles that have another one, as "vehicle_0" or "vehicle_1".
+    """
+
+    vehicles: dict[str, OneUtility] = {}
+
+    def of_vehicle(self, v: int) -> OneUtility:
+        """The utility of vehicle ``v``."""
+        return self.vehicles.get(f"vehicle_{v}", self)
 
 
 class TrainingSettings(Settings):
@@ -104,10 +119,6 @@ class WandbSettings(Settings):
     mode: Literal["online", "offline"] = "online"
 
 
-def _wandb(value: Any) -> Any:
-    return parse(WandbSettings, value, "settings of wandb") if isinstance(value, Mapping) else value
-
-
 class LoggingSettings(Settings):
     """What is written while training; metrics.csv and TensorBoard always are.
 
@@ -119,7 +130,7 @@ class LoggingSettings(Settings):
 
     interval: Count = 10
     checkpoint_interval: Count | None = None
-    wandb: Annotated[WandbSettings | None, BeforeValidator(_wandb)] = None
+    wandb: WandbSettings | None = None
 
 
 class Experiment(Settings):

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from algorithms.checkpoints import below
 from algorithms.networks import CategoricalActor, GaussianActor, mlp
-from algorithms.rollout import Rollout
+from algorithms.rollout import Rollout, VehicleRollout
 from algorithms.worlds import Worlds
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
@@ -33,6 +33,7 @@ class ActorCriticConfig(Settings):
         max_grad_norm: clipping of the gradient's norm.
         normalise_advantages: bring the advantages of an update to mean 0 and deviation 1.
         objective_scales: nominal size of each objective's return; None for the environment's own.
+        centralised_critic: the critic also sees what the other vehicles observe; the actor does not.
     """
 
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
@@ -48,6 +49,7 @@ class ActorCriticConfig(Settings):
     max_grad_norm: float = Field(default=0.5, gt=0.0)
     normalise_advantages: bool = True
     objective_scales: list[float] | None = None
+    centralised_critic: bool = False
 
     @model_validator(mode="after")
     def _consistent(self) -> ActorCriticConfig:
@@ -75,13 +77,40 @@ class ActorCriticConfig(Settings):
         return self.learning_rate + (end - self.learning_rate) * min(1.0, progress)
 
 
+def normalised(advantages: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """``advantages`` with mean 0 and deviation 1 under ``weight``, which sums to 1; both of one shape."""
+    mean = (weight * advantages).sum()
+    deviation = (weight * (advantages - mean).square()).sum().sqrt()
+    return (advantages - mean) / (deviation + 1e-8)
+
+
 class Learner(ABC):
     """Networks and optimiser of one vehicle.
 
     Subclasses say what the networks see and predict, and how a rollout changes them.
+
+    Args:
+        worlds: where the vehicle drives.
+        vehicle: which one it is.
+        utility: what it maximises.
+        config: hyperparameters.
+        generator: draws the initial weights.
+        device: where the networks live.
+
+    Raises:
+        ValueError: for hyperparameters that do not fit the worlds.
     """
 
-    def __init__(self, worlds: Worlds, utility: Utility, config: Any, generator: torch.Generator, device: torch.device):
+    def __init__(
+        self,
+        worlds: Worlds,
+        vehicle: int,
+        utility: Utility,
+        config: Any,
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        self.vehicle = vehicle
         self.utility = utility
         self.config = config
         self.device = device
@@ -92,10 +121,14 @@ class Learner(ABC):
             )
         self.observation_scales = torch.tensor(worlds.observation_scales, device=device)
         self.objective_scales = torch.tensor(np.asarray(scales, dtype=np.float32), device=device)
+        if config.centralised_critic and worlds.vehicles == 1:
+            raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
         inputs = self.input_size(worlds)
+        others = (worlds.vehicles - 1) * worlds.observation_size if config.centralised_critic else 0
         kind = GaussianActor if worlds.continuous else CategoricalActor
         self.actor = kind(inputs, config.hidden, worlds.actions, generator).to(device)
-        self.critic = mlp(inputs, config.hidden, self.value_size(worlds), generator, output_gain=1.0).to(device)
+        outputs = self.value_size(worlds)
+        self.critic = mlp(inputs + others, config.hidden, outputs, generator, output_gain=1.0).to(device)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
 
@@ -109,70 +142,97 @@ class Learner(ABC):
 
     @abstractmethod
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """What the networks see, (..., inputs), from (..., o), (..., d) and (...)."""
+        """What the actor sees, (..., inputs), from (..., o), (..., d) and (...)."""
+
+    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """What the critic sees: ``inputs`` (..., inputs), and of the others (..., (V - 1) * o) if it is centralised."""
+        if not self.config.centralised_critic:
+            return inputs
+        scaled = others.unflatten(-1, (-1, len(self.observation_scales))) / self.observation_scales
+        return torch.cat([inputs, scaled.flatten(-2)], dim=-1)
 
     @abstractmethod
-    def losses(self, rollout: Rollout, entropy_weight: float) -> dict[str, torch.Tensor]:
-        """The loss to descend as "total", and its parts, from the rollout of this vehicle (no vehicle axis)."""
+    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        """v (..., value size) in the units of the returns."""
+
+    @abstractmethod
+    def estimates(
+        self, rollout: VehicleRollout, values: torch.Tensor, following: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Scalar advantages (T, N) and the critic's targets (T, N, value size), without gradient.
+
+        Args:
+            rollout: of this vehicle.
+            values: (T, N, value size) v(S_t).
+            following: (T, N, value size) v(S_{t+1}), 0 after termination.
+        """
+
+    @abstractmethod
+    def value_losses(self, values: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """Squared errors (...) of ``values`` (..., value size) in the critic's own units."""
 
     def finished(self, discounted_returns: NDArray[np.float64]) -> None:
         """Take note of the discounted returns (E, d) of episodes that ended; most learners need none."""
         return
 
     def update(self, rollout: Rollout, learning_rate: float, entropy_weight: float) -> dict[str, float]:
-        """One gradient step on ``rollout``."""
+        """Learn from the rollout of all vehicles; the losses by name."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate
+        return self.learn(rollout.of_vehicle(self.vehicle, self.device), entropy_weight)
+
+    def learn(self, rollout: VehicleRollout, entropy_weight: float) -> dict[str, float]:
+        """Learn from the rollout of this vehicle, by one gradient step; the losses by name."""
         losses = self.losses(rollout, entropy_weight)
-        self.optimiser.zero_grad()
-        losses["total"].backward()
-        torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
-        self.optimiser.step()
+        self.descend(losses["total"])
         return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
 
-    def next_values(self, rollout: Rollout, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    def losses(self, rollout: VehicleRollout, entropy_weight: float) -> dict[str, torch.Tensor]:
+        """The loss to descend as "total", and its parts: policy gradient, critic and entropy.
+
+        Samples in which the vehicle did not act do not count.
+        """
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        critic_inputs = self.critic_inputs(inputs, rollout.others)
+        values = self.values(critic_inputs[:-1])
+        following = self.next_values(rollout, critic_inputs, values)
+        advantages, targets = self.estimates(rollout, values.detach(), following)
+        weight = rollout.acted.to(advantages.dtype)
+        weight = weight / weight.sum().clamp(min=1.0)
+        if self.config.normalise_advantages:
+            advantages = normalised(advantages, weight)
+        log_probability, entropies = self.actor.log_probability(inputs[:-1], rollout.actions)
+        policy_loss = -(weight * advantages * log_probability).sum()
+        value_loss = (weight * self.value_losses(values, targets)).sum()
+        entropy = (weight * entropies).sum()
+        total = policy_loss + self.config.value_coefficient * value_loss - entropy_weight * entropy
+        return {"total": total, "loss/policy": policy_loss, "loss/value": value_loss, "policy/entropy": entropy}
+
+    def descend(self, loss: torch.Tensor) -> None:
+        """One step of the optimiser, with the gradient's norm clipped."""
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
+        self.optimiser.step()
+
+    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """v(S_{t+1}) (T, N, ...) without gradient: 0 after termination, of the true final state after truncation.
 
         Args:
-            inputs: (T + 1, N, inputs) what the networks saw.
+            rollout: of this vehicle.
+            critic_inputs: (T + 1, N, ...) what the critic saw.
             values: (T, N, value size) v(S_t).
         """
         with torch.no_grad():
-            following = torch.cat([values[1:].detach(), self.values(inputs[-1:])])
+            following = torch.cat([values[1:].detach(), self.values(critic_inputs[-1:])])
             following[rollout.terminated] = 0.0
             cut = rollout.truncated & ~rollout.terminated
             if cut.any():
                 factors = rollout.discounts[:-1][cut]
                 accrued = rollout.accrued[:-1][cut] + factors.unsqueeze(-1) * rollout.rewards[cut]
                 final = self.inputs(rollout.final[cut], accrued, factors * self.config.gamma)
-                following[cut] = self.values(final)
+                following[cut] = self.values(self.critic_inputs(final, rollout.final_others[cut]))
         return following
-
-    @abstractmethod
-    def values(self, inputs: torch.Tensor) -> torch.Tensor:
-        """v (..., value size) in the units of the returns."""
-
-    def policy_losses(
-        self,
-        rollout: Rollout,
-        inputs: torch.Tensor,
-        advantages: torch.Tensor,
-        value_loss: torch.Tensor,
-        entropy_weight: float,
-    ) -> dict[str, torch.Tensor]:
-        """The policy-gradient loss with entropy bonus, plus the critic's; samples that did not act do not count."""
-        weight = rollout.acted.to(advantages.dtype)
-        weight = weight / weight.sum().clamp(min=1.0)
-        if self.config.normalise_advantages:
-            mean = (weight * advantages).sum()
-            deviation = (weight * (advantages - mean).square()).sum().sqrt()
-            advantages = (advantages - mean) / (deviation + 1e-8)
-        log_probability, entropies = self.actor.log_probability(inputs[:-1], rollout.actions)
-        policy_loss = -(weight * advantages.detach() * log_probability).sum()
-        critic_loss = (weight * value_loss).sum()
-        entropy = (weight * entropies).sum()
-        total = policy_loss + self.config.value_coefficient * critic_loss - entropy_weight * entropy
-        return {"total": total, "loss/policy": policy_loss, "loss/value": critic_loss, "policy/entropy": entropy}
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Weights and the optimiser's state as named tensors."""

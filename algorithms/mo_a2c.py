@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from algorithms.base import ActorCritic
 from algorithms.learner import ActorCriticConfig, Learner
 from algorithms.returns import AdvantageForm, discounted_sum, utility_differences, utility_gradient
-from algorithms.rollout import Rollout
+from algorithms.rollout import VehicleRollout
 from algorithms.worlds import Worlds
 from mo_deepdrive.utilities import Utility
 
@@ -46,9 +46,15 @@ class MOA2CLearner(Learner):
     config: MOA2CConfig
 
     def __init__(
-        self, worlds: Worlds, utility: Utility, config: MOA2CConfig, generator: torch.Generator, device: torch.device
+        self,
+        worlds: Worlds,
+        vehicle: int,
+        utility: Utility,
+        config: MOA2CConfig,
+        generator: torch.Generator,
+        device: torch.device,
     ):
-        super().__init__(worlds, utility, config, generator, device)
+        super().__init__(worlds, vehicle, utility, config, generator, device)
         # Running mean (d,) of the discounted returns of finished episodes, and how many there were.
         self._expected_return = torch.zeros(len(worlds.objectives), device=device)
         self._episodes = 0
@@ -65,35 +71,33 @@ class MOA2CLearner(Learner):
             parts.append(discounts.unsqueeze(-1))
         return torch.cat(parts, dim=-1)
 
-    def values(self, inputs: torch.Tensor) -> torch.Tensor:
-        return self.objective_scales * self.critic(inputs)
+    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        return self.objective_scales * self.critic(critic_inputs)
 
-    def losses(self, rollout: Rollout, entropy_weight: float) -> dict[str, torch.Tensor]:
+    def estimates(
+        self, rollout: VehicleRollout, values: torch.Tensor, following: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         gamma, decay = self.config.gamma, self.config.gae_lambda
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        values = self.values(inputs[:-1])
-        following = self.next_values(rollout, inputs, values)
-        known = values.detach()
         going_on = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        deltas = rollout.rewards + gamma * following - known
+        deltas = rollout.rewards + gamma * following - values
         vector_advantages = discounted_sum(deltas, going_on.unsqueeze(-1), gamma * decay)
-        targets = vector_advantages + known
-        value_loss = ((targets - values) / self.objective_scales).square().mean(-1)
+        targets = vector_advantages + values
         if self.config.advantage == "utility_gradient":
-            advantages = vector_advantages @ utility_gradient(self.utility, self._expected_return)
-        else:
-            differences = utility_differences(
-                self.utility,
-                rollout.accrued[:-1],
-                rollout.rewards,
-                rollout.discounts[:-1],
-                known,
-                following,
-                gamma,
-                as_printed=self.config.advantage == "as_printed",
-            )
-            advantages = discounted_sum(differences, going_on, decay)
-        return self.policy_losses(rollout, inputs, advantages, value_loss, entropy_weight)
+            return vector_advantages @ utility_gradient(self.utility, self._expected_return), targets
+        differences = utility_differences(
+            self.utility,
+            rollout.accrued[:-1],
+            rollout.rewards,
+            rollout.discounts[:-1],
+            values,
+            following,
+            gamma,
+            as_printed=self.config.advantage == "as_printed",
+        )
+        return discounted_sum(differences, going_on, decay), targets
+
+    def value_losses(self, values: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        return ((targets - values) / self.objective_scales).square().mean(-1)
 
     def finished(self, discounted_returns: NDArray[np.float64]) -> None:
         if not len(discounted_returns):

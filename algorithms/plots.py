@@ -199,6 +199,9 @@ def _panels(groups: Sequence[Group]) -> list[tuple[str, tuple[str, ...]]]:
     objectives = dict.fromkeys(name.rpartition("return/")[2] for name in sorted(present) if "/return/" in name)
     ordered = sorted(objectives, key=lambda name: (INDEX.get(name, len(INDEX)), name))
     panels = []
+    both = tuple(f"{kind.prefix}success" for kind in KINDS)
+    if len(vehicles) > 1 and present & set(both):
+        panels.append(("All vehicles: arrival rate", both))
     for vehicle in vehicles:
         inner = f"{vehicle}/" if vehicle else ""
         prefix = f"{vehicle.replace('_', ' ')}: " if vehicle else ""
@@ -275,12 +278,18 @@ def _colour(groups: Sequence[Group], g: int, k: int) -> str:
     return ("#9AA3AD", COLOURS[0], COLOURS[1])[k]
 
 
+def _utilities(settings: Mapping[str, Any]) -> list[str]:
+    """The name of the utility, and of each vehicle's that has another one."""
+    own = [f"{each['name']} ({vehicle.replace('_', ' ')})" for vehicle, each in settings.get("vehicles", {}).items()]
+    return [settings["name"], *own]
+
+
 def _frame(figure: Figure, groups: Sequence[Group]) -> None:
     """Title, note and legend around the panels."""
     config = groups[0].config
     alone = len(groups) == 1
     ids = dict.fromkeys(group.config["environment"]["id"] for group in groups)
-    utilities = dict.fromkeys(group.config["utility"]["name"] for group in groups)
+    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.config["utility"]))
     title = f"{config['algorithm']['name']} on {', '.join(ids)}" if alone else ", ".join(ids)
     seeds = sorted({len(group.runs) for group in groups})
     count = " to ".join(str(n) for n in dict.fromkeys((seeds[0], seeds[-1])))

@@ -26,11 +26,17 @@ COMFORT = ("g_force", "jerk")
 def summarise(evaluation: Evaluation) -> dict[str, Estimate]:
     """Every number of an evaluation by name; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
+    With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in
+    which any collided.
+
     Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes of a
     decision have none.
     """
     summary: dict[str, Estimate] = {}
     vehicles = evaluation.returns.shape[1]
+    if vehicles > 1:
+        summary["success"] = rate(evaluation.succeeded.all(axis=1))
+        summary["end/collision"] = rate(np.array(["collision" in ends for ends in evaluation.ends.tolist()]))
     for v in range(vehicles):
         prefix = f"vehicle_{v}/" if vehicles > 1 else ""
         summary |= {prefix + name: value for name, value in _of_vehicle(evaluation, v).items()}

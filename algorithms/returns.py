@@ -57,6 +57,7 @@ def utility_differences(
 
 def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
     """Gradient of the utility at the expected return (d,): the weights of the objectives under SER."""
-    point = expected_return.detach().clone().requires_grad_(True)
-    (gradient,) = torch.autograd.grad(utility(point), point)
+    with torch.enable_grad():
+        point = expected_return.detach().clone().requires_grad_(True)
+        (gradient,) = torch.autograd.grad(utility(point), point)
     return gradient

@@ -21,7 +21,7 @@ class Rollout:
 
     Attributes:
         observations: (T + 1, N, V, o); the last is what follows the rollout.
-        final: (T, N, V, o) true observation after each step where an episode ended there, else undefined.
+        final: (T, N, V, o) true observations after each step where a vehicle's episode ended there, else undefined.
         actions: (T, N, V) or (T, N, V, k).
         rewards: (T, N, V, d).
         accrued: (T + 1, N, V, d) accrued reward R_t of the running episode (before each step).
@@ -38,6 +38,28 @@ class Rollout:
     terminated: torch.Tensor
     truncated: torch.Tensor
     acted: torch.Tensor
+
+    def of_vehicle(self, v: int, device: torch.device) -> VehicleRollout:
+        """The part of vehicle ``v``: every tensor without the vehicle axis, on ``device``."""
+        own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
+        others = {
+            name: torch.cat([tensor[:, :, :v], tensor[:, :, v + 1 :]], dim=2).flatten(2).to(device)
+            for name, tensor in (("others", self.observations), ("final_others", self.final))
+        }
+        return VehicleRollout(**own, **others)
+
+
+@dataclass
+class VehicleRollout(Rollout):
+    """One vehicle's part of a rollout: the fields of Rollout without the vehicle axis, and what the others see.
+
+    Attributes:
+        others: (T + 1, N, (V - 1) * o) observations of the other vehicles.
+        final_others: (T, N, (V - 1) * o) their true observations where this vehicle's episode ended, else undefined.
+    """
+
+    others: torch.Tensor
+    final_others: torch.Tensor
 
 
 @dataclass
@@ -78,7 +100,7 @@ class Collector:
         self.discounts = np.ones((n, v), dtype=np.float32)
         self.returns = np.zeros((n, v, d), dtype=np.float64)
         self.lengths = np.zeros((n, v), dtype=np.int64)
-        # Reused by every rollout; final observations are written only where episodes end.
+        # Reused by every rollout; final observations are written only in worlds where an episode ends.
         self._observations = np.zeros((steps + 1, n, v, o), dtype=np.float32)
         self._final = np.zeros((steps, n, v, o), dtype=np.float32)
         action_shape = (worlds.actions,) if worlds.continuous else ()
@@ -116,7 +138,8 @@ class Collector:
             self.lengths += step.acted
             over = (step.terminated | step.truncated) & step.acted
             if over.any():
-                self._final[t][over] = step.final[over]
+                rows = over.any(axis=1)
+                self._final[t, rows] = step.final[rows]
                 ended.append(
                     (
                         np.nonzero(over)[1],

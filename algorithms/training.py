@@ -24,6 +24,7 @@ from algorithms.reports import table, write
 from algorithms.runs import Run
 from algorithms.videos import record
 from algorithms.worlds import Worlds, make_env
+from mo_deepdrive.config import nearest
 from mo_deepdrive.utilities import Utility, make_utility
 
 POLICIES = ("greedy", "stochastic")
@@ -47,13 +48,19 @@ def build(experiment: Experiment, num_envs: int | None = None) -> ActorCritic:
     """
     torch.set_num_threads(experiment.training.threads)
     env = _make(experiment.environment, num_envs or experiment.training.num_envs)
-    objectives = Worlds(env).objectives
-    cost_sign = experiment.environment.arguments.get("cost_sign", "maximise")
-    utility = make_utility(experiment.utility.name, objectives, cost_sign=cost_sign, **experiment.utility.arguments)
-    _try(utility)
+    worlds = Worlds(env)
+    vehicles = [f"vehicle_{v}" for v in range(worlds.vehicles)]
+    for name in experiment.utility.vehicles:
+        if name not in vehicles:
+            raise ValueError(f"utility.vehicles has {name!r}; {nearest(name, vehicles)}")
+    utilities = []
+    for v in range(worlds.vehicles):
+        chosen = experiment.utility.of_vehicle(v)
+        utilities.append(make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments))
+        _try(utilities[-1])
     return ALGORITHMS[experiment.algorithm["name"]](
         env,
-        utility,
+        utilities,
         seed=experiment.training.seed,
         device=experiment.training.device,
         **experiment.hyperparameters,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
@@ -33,17 +33,26 @@ def nearest(name: object, known: Iterable[str]) -> str:
     return f"{guess}known: {', '.join(names)}"
 
 
+def _settings_in(annotation: Any) -> Any:
+    """The settings model of ``X`` or ``X | None``; a dict stays one."""
+    members = [annotation] if get_origin(annotation) in (None, dict) else list(get_args(annotation))
+    return next((each for each in members if get_origin(each) is dict or _is_model(each)), None)
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
 def _keys_at(model: Any, path: tuple[int | str, ...]) -> list[str]:
     """The field names of the settings model found by following ``path`` from ``model``."""
     for key in path:
-        if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        if get_origin(model) is dict:
+            model = _settings_in(get_args(model)[1])
+        elif _is_model(model) and key in model.model_fields:
+            model = _settings_in(model.model_fields[str(key)].annotation)
+        else:
             return []
-        if key not in model.model_fields:
-            continue  # the name of a union's member
-        model = model.model_fields[str(key)].annotation
-    if isinstance(model, type) and issubclass(model, BaseModel):
-        return list(model.model_fields)
-    return []
+    return list(model.model_fields) if _is_model(model) else []
 
 
 def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:

@@ -1,9 +1,9 @@
 """Final scores over seeds: ``python scripts/table.py RUN... [--output FILE.csv]``.
 
 Runs (or folders that hold runs) are grouped by everything but their seed. Each row gives the mean over seeds of the
-run's final evaluation with a 95% bootstrap interval, and the interquartile mean of the utility. Groups that differ in
-the algorithm alone are compared: difference of the mean utilities with its interval, and the p-value of a two-sided
-Mann-Whitney test.
+run's final evaluation with a 95% bootstrap interval, and the interquartile mean of the utility; with several vehicles
+there is a row for each, and one for all together (success: all arrived). Groups that differ in the algorithm alone are
+compared: difference of the mean utilities with its interval, and the p-value of a two-sided Mann-Whitney test.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import json
 import sys
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -24,28 +24,41 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
+from algorithms.experiment import EnvironmentSettings, UtilitySettings, find_environment, is_ours
 from algorithms.files import atomic_write
 from algorithms.intervals import mean
 from algorithms.runs import Run
+from mo_deepdrive.config import EnvConfig
 
 POLICIES = ("greedy", "stochastic")
-METRICS = ("utility_esr", "utility_ser", "success", "end/collision", "length", "mean_g_force", "mean_jerk")
+METRICS = (
+    *("utility_esr", "utility_ser", "success", "end/collision", "return/lane_violation"),
+    *("length", "mean_g_force", "mean_jerk"),
+)
 RESAMPLES = 10_000
 
 
 @dataclass
 class Group:
-    """Runs that differ in their seed alone; ``scores`` maps (policy, metric) to one value per seed."""
+    """Runs that differ in their seed alone; ``scores`` maps (policy, vehicle, metric) to one value per seed.
+
+    The vehicle is "" for the numbers of one vehicle, or of all together.
+    """
 
     scenario: str
     utility: str
     algorithm: str
     seeds: list[int]
-    scores: dict[tuple[str, str], list[float]]
+    scores: dict[tuple[str, str, str], list[float]]
 
     @property
     def setting(self) -> tuple[str, str]:
         return self.scenario, self.utility
+
+    @property
+    def vehicles(self) -> list[str]:
+        """The vehicles that have numbers, "" first."""
+        return sorted({vehicle for _, vehicle, _ in self.scores})
 
 
 def find_runs(paths: list[Path]) -> list[Path]:
@@ -78,8 +91,8 @@ def collect(paths: list[Path]) -> list[Group]:
         group = groups.setdefault(
             key,
             Group(
-                scenario=experiment.environment.id,
-                utility=experiment.utility.name,
+                scenario=environment_label(experiment.environment),
+                utility=utility_label(experiment.utility),
                 algorithm=experiment.algorithm["name"],
                 seeds=[],
                 scores=defaultdict(list),
@@ -90,10 +103,31 @@ def collect(paths: list[Path]) -> list[Group]:
         group.seeds.append(seed)
         policies = json.loads(evaluation.read_text())["policies"]
         for policy in POLICIES:
-            for metric in METRICS:
-                if metric in policies[policy]:
-                    group.scores[policy, metric].append(policies[policy][metric]["value"])
+            for name, estimate in policies[policy].items():
+                vehicle, metric = split_vehicle(name)
+                if metric in METRICS:
+                    group.scores[policy, vehicle, metric].append(estimate["value"])
     return sorted(groups.values(), key=lambda group: (*group.setting, group.algorithm))
+
+
+def environment_label(settings: EnvironmentSettings) -> str:
+    """The id, and the arguments that are not the default."""
+    if not is_ours(find_environment(settings.id)):
+        return settings.id
+    defaults = {name: field.default for name, field in EnvConfig.model_fields.items()}
+    changed = [f"{name}={value}" for name, value in settings.arguments.items() if value != defaults[name]]
+    return " ".join([settings.id, *changed])
+
+
+def utility_label(settings: UtilitySettings) -> str:
+    """The name, and those of the vehicles that have another utility."""
+    return " ".join([settings.name, *(f"{vehicle}={own.name}" for vehicle, own in settings.vehicles.items())])
+
+
+def split_vehicle(name: str) -> tuple[str, str]:
+    """``vehicle_0/end/collision`` as ``("vehicle_0", "end/collision")``; the vehicle is "" where none is named."""
+    vehicle, slash, metric = name.partition("/")
+    return (vehicle, metric) if slash and vehicle.startswith("vehicle_") else ("", name)
 
 
 def difference(first: NDArray[np.float64], second: NDArray[np.float64]) -> tuple[float, float, float, float]:
@@ -109,33 +143,39 @@ def difference(first: NDArray[np.float64], second: NDArray[np.float64]) -> tuple
 
 def scores_table(groups: list[Group]) -> list[list[str]]:
     """One row per group and policy, header first."""
-    rows = [["environment", "utility", "algorithm", "policy", "seeds", *METRICS, "utility_esr_iqm"]]
+    rows = [["environment", "utility", "algorithm", "policy", "vehicle", "seeds", *METRICS, "utility_esr_iqm"]]
     for group in groups:
-        for policy in POLICIES:
+        for policy, vehicle in product(POLICIES, group.vehicles):
             cells = []
             for metric in METRICS:
-                values = group.scores.get((policy, metric))
+                values = group.scores.get((policy, vehicle, metric))
                 cells.append(mean(np.array(values)).text() if values else "")
-            utilities = np.array(group.scores[policy, "utility_esr"])
-            iqm = f"{stats.trim_mean(utilities, 0.25):.3f}"
+            utilities = group.scores.get((policy, vehicle, "utility_esr"))
+            iqm = f"{stats.trim_mean(np.array(utilities), 0.25):.3f}" if utilities else ""
             seeds = " ".join(str(seed) for seed in sorted(group.seeds))
-            rows.append([group.scenario, group.utility, group.algorithm, policy, seeds, *cells, iqm])
-    return rows
+            rows.append([group.scenario, group.utility, group.algorithm, policy, vehicle, seeds, *cells, iqm])
+    return without_empty_columns(rows)
+
+
+def without_empty_columns(rows: list[list[str]]) -> list[list[str]]:
+    """The rows without the columns that only the header fills."""
+    kept = [i for i in range(len(rows[0])) if any(row[i] for row in rows[1:])]
+    return [[row[i] for i in kept] for row in rows]
 
 
 def comparisons(groups: list[Group]) -> list[list[str]]:
     """One row per pair of groups that differ in the algorithm, header first."""
-    rows = [["environment", "utility", "policy", "difference of utility_esr", "value", "low", "high", "p"]]
+    rows = [["environment", "utility", "policy", "vehicle", "difference of utility_esr", "value", "low", "high", "p"]]
     for first, second in combinations(groups, 2):
         if first.setting != second.setting or first.algorithm == second.algorithm:
             continue
-        for policy in POLICIES:
-            a, b = (np.array(group.scores[policy, "utility_esr"]) for group in (second, first))
-            if min(len(a), len(b)) < 2:
+        for policy, vehicle in product(POLICIES, first.vehicles):
+            pair = [np.array(group.scores.get((policy, vehicle, "utility_esr"), [])) for group in (second, first)]
+            if min(map(len, pair)) < 2:
                 continue
-            numbers = [f"{number:.3f}" for number in difference(a, b)]
-            rows.append([*first.setting, policy, f"{second.algorithm} - {first.algorithm}", *numbers])
-    return rows
+            numbers = [f"{number:.3f}" for number in difference(*pair)]
+            rows.append([*first.setting, policy, vehicle, f"{second.algorithm} - {first.algorithm}", *numbers])
+    return without_empty_columns(rows)
 
 
 def show(rows: list[list[str]]) -> None:

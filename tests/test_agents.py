@@ -1,4 +1,4 @@
-"""A2C and MO-A2C: that they run, repeat, resume, refuse, and learn; their losses against plain loops."""
+"""The actor-critics: that they run, repeat, resume, refuse, and learn; their losses against plain loops."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import os
 import pickle
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,36 +15,39 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from agents import (
+    ALL_FORMS,
+    CLASSES,
+    CONTINUOUS,
+    FORMS,
+    INTERSECTION,
+    MINECART,
+    ONE_WAYPOINT,
+    SEA,
+    STATIC_OBSTACLE,
+    exaggerate,
+    handmade,
+    learner_of,
+    make_agent,
+    plain_utility,
+    recorded,
+    same,
+    seen_by,
+    state,
+    value_of,
+)
 from gymnasium import spaces
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import A2C, ALGORITHMS, MOA2C
+from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO
 from algorithms.base import ActorCritic
 from algorithms.evaluation import evaluate
 from algorithms.learner import Learner
-from algorithms.rollout import Rollout
+from algorithms.rollout import Rollout, VehicleRollout
 from algorithms.worlds import Worlds, make_env
-from mo_deepdrive.utilities import Utility, make_utility
-
-ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
-STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
-INTERSECTION = "mo-deepdrive-intersection-v0"
-SEA = "deep-sea-treasure-v0"
-MINECART = "minecart-v0"
-CONTINUOUS = {"action_type": "continuous"}
-
-CLASSES = pytest.mark.parametrize("cls", [A2C, MOA2C])
-# Every algorithm in every form of its advantage.
-FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
-    "a2c": (A2C, {}),
-    "utility_difference": (MOA2C, {}),
-    "as_printed": (MOA2C, {"advantage": "as_printed"}),
-    "utility_gradient": (MOA2C, {"advantage": "utility_gradient"}),
-    "without discount": (MOA2C, {"observe_discount": False}),
-}
-ALL_FORMS = pytest.mark.parametrize("form", FORMS)
+from mo_deepdrive.utilities import make_utility
 
 
 @pytest.fixture
@@ -58,51 +62,6 @@ def global_seeds() -> Iterator[Callable[[int], None]]:
     yield seed
     np.random.set_state(numpy_state)  # noqa: NPY002
     torch.set_rng_state(torch_state)
-
-
-def plain_utility(worlds: Worlds) -> Utility:
-    """The linear utility of our scenarios, or the sum of the objectives elsewhere."""
-    for name in ("one_waypoint_linear", "static_obstacle_linear", "intersection_linear"):
-        try:
-            return make_utility(name, worlds.objectives)
-        except ValueError:
-            continue
-    return make_utility("linear", worlds.objectives, weights=[1.0] * len(worlds.objectives))
-
-
-def make_agent(
-    cls: type[ActorCritic],
-    env_id: str = ONE_WAYPOINT,
-    *,
-    num_envs: int = 4,
-    env: dict[str, Any] | None = None,
-    utility: Any = None,
-    seed: int = 0,
-    **hyperparameters: Any,
-) -> Any:
-    made = make_env(env_id, num_envs, env)
-    return cls(made, utility or plain_utility(Worlds(made)), seed=seed, **hyperparameters)
-
-
-def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
-    """Weights and the optimiser's state of every learner."""
-    return {
-        f"{v}.{name}": tensor.clone()
-        for v, learner in enumerate(agent.learners)
-        for name, tensor in learner.get_state().items()
-    }
-
-
-def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
-    """Equal bit for bit."""
-    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
-
-
-def exaggerate(agent: ActorCritic, factor: float = 300.0) -> None:
-    """Take the policies far from their initial, nearly uniform ones."""
-    with torch.no_grad():
-        for learner in agent.learners:
-            learner.actor.body[-1].weight.mul_(factor)
 
 
 # Running.
@@ -176,7 +135,7 @@ def test_training_does_not_touch_the_global_generators(cls: type[ActorCritic]) -
 
 
 def test_the_algorithms_are_known_by_their_names() -> None:
-    assert ALGORITHMS == {"a2c": A2C, "mo_a2c": MOA2C}
+    assert ALGORITHMS == {"a2c": A2C, "mo_a2c": MOA2C, "mo_ppo": MOPPO}
 
 
 @CLASSES
@@ -190,7 +149,7 @@ def test_the_networks_have_the_sizes_of_the_paper(cls: type[ActorCritic]) -> Non
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
-    for cls, depends in ((A2C, False), (MOA2C, True)):
+    for cls, depends in ((A2C, False), (MOA2C, True), (MOPPO, True)):
         agent = make_agent(cls)
         exaggerate(agent)
         observation = np.ones(15, dtype=np.float32)
@@ -285,17 +244,6 @@ def test_eval_understands_the_observations_of_a_foreign_discrete_space(cls: type
 # The training loop.
 
 
-def recorded(agent: ActorCritic, total: int, **arguments: Any) -> list[tuple[int, dict[str, float]]]:
-    """Train and return what was logged, without the times."""
-    lines: list[tuple[int, dict[str, float]]] = []
-
-    def log(step: int, metrics: dict[str, float]) -> None:
-        lines.append((step, {name: value for name, value in metrics.items() if not name.startswith("time/")}))
-
-    agent.train(total, log=log, **arguments)
-    return lines
-
-
 @CLASSES
 def test_training_stops_at_the_first_update_that_reaches_the_total(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=4, steps=5)
@@ -380,88 +328,11 @@ def test_the_learners_of_two_vehicles_do_not_share_anything(cls: type[ActorCriti
     assert all(torch.equal(first[name], second[name]) for name in first if name.startswith("0."))
     assert not torch.equal(first["1.actor.body.0.weight"], second["1.actor.body.0.weight"])
     # A vector critic does not know the utility, a scalar one predicts it.
-    assert torch.equal(first["1.critic.0.weight"], second["1.critic.0.weight"]) is (cls is MOA2C)
+    assert torch.equal(first["1.critic.0.weight"], second["1.critic.0.weight"]) is (cls is not A2C)
     assert not torch.equal(first["0.critic.0.weight"], first["1.critic.0.weight"])
 
 
 # Losses against plain loops.
-
-
-def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> Rollout:
-    """A rollout of one vehicle with random content and ends of every kind.
-
-    With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
-    """
-    worlds, gamma = agent.worlds, agent.config.gamma
-    n, o, d = worlds.num_envs, worlds.observation_size, len(worlds.objectives)
-    rng = np.random.default_rng(seed)
-    scales = worlds.observation_scales, worlds.objective_scales
-    observations = rng.normal(size=(steps + 1, n, o)) * scales[0]
-    rewards = rng.normal(size=(steps, n, d)) * scales[1] / 10
-    terminated, truncated, acted = np.zeros((3, steps, n), dtype=np.bool_)
-    accrued, discounts = np.zeros((steps + 1, n, d)), np.ones((steps + 1, n))
-    for i in range(n):
-        absent = 0
-        for t in range(steps):
-            acted[t, i] = absent == 0
-            kind = rng.integers(0, 8) if acted[t, i] else 7
-            # The first world ends in every way, whatever the dice say.
-            if i == 0 and t < 6:
-                kind = (0, 7, 1, 7, 2, 7)[t] if not masked else kind
-            terminated[t, i], truncated[t, i] = kind in (0, 2), kind in (1, 2)
-            if kind <= 2 or not acted[t, i]:
-                accrued[t + 1, i], discounts[t + 1, i] = 0.0, 1.0
-            else:
-                accrued[t + 1, i] = accrued[t, i] + discounts[t, i] * rewards[t, i]
-                discounts[t + 1, i] = gamma * discounts[t, i]
-            if masked:
-                absent = int(rng.integers(1, 4)) if kind <= 2 else max(0, absent - 1)
-    if worlds.continuous:
-        actions = torch.tensor(rng.normal(size=(steps, n, worlds.actions)), dtype=torch.float32)
-    else:
-        actions = torch.tensor(rng.integers(0, worlds.actions, (steps, n)))
-    arrays = {
-        "observations": observations,
-        "final": rng.normal(size=(steps, n, o)) * scales[0],
-        "rewards": rewards,
-        "accrued": accrued,
-        "discounts": discounts,
-    }
-    flags = {"terminated": terminated, "truncated": truncated, "acted": acted}
-    return Rollout(
-        actions=actions,
-        **{name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()},
-        **{name: torch.tensor(array) for name, array in flags.items()},
-    )
-
-
-NONLINEAR = make_utility("one_waypoint_nonlinear", ("distance", "destination", "g_force", "jerk"))
-EXPECTED_RETURN = [12.0, 0.9, -4.0, -30.0]
-
-
-def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
-    """An agent on OneWaypoint with a non-linear utility, and its learner with larger weights in the actor."""
-    cls, settings = FORMS[form]
-    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, gamma=0.9, **{**settings, **hyperparameters})
-    exaggerate(agent)
-    learner = agent.learners[0]
-    learner.finished(np.array([EXPECTED_RETURN]))
-    return agent, learner
-
-
-def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
-    """What the networks see, written out."""
-    parts = [observation / learner.observation_scales]
-    if form != "a2c":
-        parts.append(accrued / learner.objective_scales)
-        if form != "without discount":
-            parts.append(torch.as_tensor(discount).reshape(1))
-    return torch.cat(parts)
-
-
-def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
-    scale = learner.config.value_scale if form == "a2c" else learner.objective_scales
-    return (scale * learner.critic(seen_by(learner, form, *what))).detach()
 
 
 @ALL_FORMS
@@ -514,7 +385,7 @@ def u(returns: torch.Tensor) -> float:
     return 0.5 * d + r - (0.1 * g) ** 2 - (0.1 * j) ** 2
 
 
-def plain_losses(learner: Any, form: str, r: Rollout, entropy_weight: float) -> dict[str, float]:
+def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_weight: float) -> dict[str, float]:
     """The losses by loops over single samples."""
     gamma, decay = learner.config.gamma, learner.config.gae_lambda
     steps, n = r.acted.shape
@@ -586,7 +457,7 @@ def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised
         assert found[name] == pytest.approx(value, rel=1e-3, abs=1e-4), name
 
 
-def gradients(learner: Learner, rollout: Rollout) -> list[torch.Tensor]:
+def gradients(learner: Learner, rollout: VehicleRollout) -> list[torch.Tensor]:
     return list(torch.autograd.grad(learner.losses(rollout, 0.05)["total"], learner.parameters, allow_unused=False))
 
 
@@ -618,7 +489,7 @@ def test_a_rollout_in_which_nobody_acted_changes_the_policy_by_nothing(form: str
     assert all(not gradient.any() for gradient in gradients(learner, rollout))
 
 
-@CLASSES
+@pytest.mark.parametrize("cls", [A2C, MOA2C])
 def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=3, max_grad_norm=0.01)
     learner = agent.learners[0]
@@ -627,7 +498,8 @@ def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> Non
     norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
     assert norm > 0.01
     before = [parameter.detach().clone() for parameter in learner.parameters]
-    metrics = learner.update(rollout, 0.003, 0.05)
+    own = {field.name: getattr(rollout, field.name).unsqueeze(2) for field in fields(Rollout)}
+    metrics = learner.update(Rollout(**own), 0.003, 0.05)
     assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
     for parameter, old, gradient in zip(learner.parameters, before, raw, strict=True):
         clipped = gradient * 0.01 / norm
@@ -665,12 +537,15 @@ RESUMED: dict[str, tuple[str, str, dict[str, Any]]] = {
     "mo_a2c, gradient, two vehicles": ("utility_gradient", INTERSECTION, {"num_envs": 4, "steps": 6}),
     "mo_a2c, continuous, two vehicles": ("utility_difference", INTERSECTION, {"num_envs": 2, "env": CONTINUOUS}),
     "mo_a2c, without discount": ("without discount", ONE_WAYPOINT, {"num_envs": 4, "steps": 6}),
+    "mo_ppo": ("clipped", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
+    "mo_ppo, two vehicles, central": ("clipped", INTERSECTION, {"num_envs": 3, "centralised_critic": True}),
+    "mo_a2c, two vehicles, central": ("utility_difference", INTERSECTION, {"centralised_critic": True}),
 }
 
 
 def resumable(name: str, seed: int) -> Any:
     form, env_id, arguments = RESUMED[name]
-    cls, settings = FORMS[form]
+    cls, settings = {**FORMS, "clipped": (MOPPO, {})}[form]
     env = {**SHORT, **arguments.get("env", {})}
     return make_agent(cls, env_id, seed=seed, **{**settings, **SCHEDULES, **arguments, "env": env})
 

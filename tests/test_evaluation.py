@@ -384,13 +384,22 @@ def test_every_vehicle_has_metrics_and_a_utility_of_its_own() -> None:
     utilities = [make_utility("intersection_linear", objectives), make_utility("intersection_nonlinear", objectives)]
     found = evaluate(A2C(env, utilities), make_env(INTERSECTION, 4, SHORT), episodes=4, greedy=False)
     metrics = found.metrics()
-    assert all(name.startswith(("vehicle_0/", "vehicle_1/")) for name in metrics)
+    assert {name for name in metrics if not name.startswith(("vehicle_0/", "vehicle_1/"))} == {"success"}
     for v, utility in enumerate(utilities):
         values = [float(utility(found.returns[i, v])) for i in range(4)]
         assert metrics[f"vehicle_{v}/utility_esr"] == pytest.approx(np.mean(values))
         np.testing.assert_allclose(found.episode_utilities(v), values)
         assert metrics[f"vehicle_{v}/utility_ser"] == pytest.approx(float(utility(found.returns[:, v].mean(axis=0))))
         assert metrics[f"vehicle_{v}/return/lane_violation"] == pytest.approx(found.returns[:, v, 5].mean())
+
+
+def test_the_success_of_all_is_that_every_vehicle_arrives_in_the_same_episode() -> None:
+    agent = make_agent(A2C, INTERSECTION)
+    found = evaluate(agent, make_env(INTERSECTION, 4, SHORT), episodes=4)
+    found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
+    metrics = found.metrics()
+    assert metrics["success"] == 0.25
+    assert metrics["vehicle_0/success"] == metrics["vehicle_1/success"] == 0.5
 
 
 def test_metrics_are_plain_finite_numbers() -> None:

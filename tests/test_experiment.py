@@ -49,6 +49,15 @@ def test_every_default_is_filled_in(write: Write) -> None:
     assert experiment.hyperparameters["gamma"] == 0.99
 
 
+def test_a_vehicle_may_have_a_utility_of_its_own(write: Write) -> None:
+    override = "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [1, 0, 0, 0]}}"
+    utility = load_experiment(write(TEXT), [override]).utility
+    assert utility.of_vehicle(0) is utility
+    assert utility.of_vehicle(1).name == "linear"
+    assert utility.of_vehicle(1).arguments == {"weights": [1, 0, 0, 0]}
+    assert load_experiment(write(TEXT)).utility.of_vehicle(1).name == utility.name
+
+
 def test_the_resolved_experiment_reloads_equal(write: Write, tmp_path: Path) -> None:
     overrides = ["--logging.wandb={project: p, tags: [a, '1e3']}", "--environment.arguments.objectives=[distance]"]
     experiment = load_experiment(write(TEXT), overrides)
@@ -134,6 +143,9 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
         ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
         ("--utility=linear", ["utility", "'linear'"]),
         ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),
+        ("--utility.vehicles.vehicle_1.nam=x", ["utility.vehicles.vehicle_1.nam", "did you mean 'name'"]),
+        ("--utility.vehicles.vehicle_1={arguments: {}}", ["utility.vehicles.vehicle_1.name", "missing"]),
+        ("--utility.vehicles=[a, b]", ["utility.vehicles", "dictionary"]),
         ("--training.seed.x.y=1", ["training.seed"]),
     ],
 )

@@ -11,7 +11,7 @@ import pytest
 
 from algorithms.experiment import make_experiment
 from algorithms.logging import MetricsFile
-from algorithms.plots import MAX_POINTS, curve, load_groups, plot
+from algorithms.plots import MAX_POINTS, _panels, curve, load_groups, plot
 from algorithms.yaml_files import dump
 
 Make = Callable[..., Path]
@@ -45,6 +45,25 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     groups = load_groups(runs)
     assert [len(group.runs) for group in groups] == [2, 1, 1]
     assert [group.label for group in groups] == ["mo_a2c, gamma 0.99", "a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
+
+
+def test_two_vehicles_have_panels_of_their_own_and_one_for_both(make: Make) -> None:
+    run = make("a")
+    names = ["success", *(f"vehicle_{v}/{name}" for v in (0, 1) for name in ("success", "return/lane_violation"))]
+    metrics = MetricsFile(run / "metrics.csv")
+    for step in range(3):
+        metrics.write(step, {"train/vehicle_0/utility": 1.0, "train/vehicle_1/utility": 2.0})
+        metrics.write(step, {f"eval/greedy/{name}": 0.5 for name in names})
+    titles = [title for title, _ in _panels(load_groups([run]))]
+    assert titles[0] == "All vehicles: arrival rate"
+    for vehicle in ("Vehicle 0", "Vehicle 1"):
+        mine = [title for title in titles if title.startswith(vehicle)]
+        assert mine == [
+            f"{vehicle}: utility per episode",
+            f"{vehicle}: arrival rate",
+            f"{vehicle}: lane violation (sum, m)",
+        ]
+    plot(load_groups([run]), run / "curves.png")
 
 
 def test_algorithms_are_told_apart_by_their_names(make: Make) -> None:

@@ -122,6 +122,18 @@ def test_every_vehicle_has_its_numbers() -> None:
     assert {"vehicle_0/utility_esr", "vehicle_1/utility_esr", "vehicle_1/end/circling"} <= names
 
 
+def test_what_all_vehicles_do_together_is_counted_over_episodes() -> None:
+    found = evaluation(episodes=4, vehicles=2)
+    found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
+    found.ends[:] = [["arrived", "arrived"], ["arrived", "collision"], ["collision", "arrived"], ["collision"] * 2]
+    summary = summarise(found)
+    assert summary["success"].value == 0.25
+    assert summary["end/collision"].value == 0.75
+    assert summary["vehicle_1/end/collision"].value == 0.5
+    assert "success" in summarise(evaluation())
+    assert {"utility_esr", "length"}.isdisjoint(summary)
+
+
 def test_numbers_are_written_and_shown_whole(tmp_path: Path) -> None:
     policies = {"greedy": evaluation(5), "stochastic": evaluation(5, ends=False)}
     write(tmp_path, policies, {"seed": 7, "episodes": 5})

@@ -61,6 +61,41 @@ def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(
     assert float(compared[7]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
 
 
+def test_vehicles_have_rows_of_their_own_and_one_for_all_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
+        for seed in (0, 1):
+            config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
+            path = tmp_path / f"{algorithm}-{seed}"
+            Run.create(load_experiment(config, [f"--seed={seed}"]), path).unlock()
+            numbers = {"success": 0.5, "end/collision": 0.25}
+            for v in (0, 1):
+                numbers[f"vehicle_{v}/utility_esr"] = utility + v
+                numbers[f"vehicle_{v}/return/lane_violation"] = -2.0
+            estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
+            content = {"policies": dict.fromkeys(table.POLICIES, estimates)}
+            (path / "evaluation.json").write_text(json.dumps(content))
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    end = rows.index([])
+    found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
+    assert [(row["algorithm"], row["policy"], row["vehicle"]) for row in found] == [
+        (algorithm, policy, vehicle)
+        for algorithm in ("a2c", "mo_a2c")
+        for policy in table.POLICIES
+        for vehicle in ("", "vehicle_0", "vehicle_1")
+    ]
+    assert found[0]["environment"] == "mo-deepdrive-intersection-v0 end_together=True"
+    assert found[0]["success"].startswith("0.5")
+    assert found[0]["utility_esr"] == ""
+    assert found[2]["utility_esr"].startswith("2")
+    assert found[2]["return/lane_violation"].startswith("-2")
+    compared = [dict(zip(rows[end + 1], row, strict=True)) for row in rows[end + 2 :]]
+    assert [(row["vehicle"], float(row["value"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)] * 2
+
+
 def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
     sample = np.array([1.0, 2.0, 3.0, 4.0])
     value, low, high, p = table.difference(sample, sample)
