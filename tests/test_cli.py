@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import importlib.util
 import json
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from algorithms import ALGORITHMS
 from algorithms.logging import read_metrics
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -364,3 +366,34 @@ def test_both_vehicles_of_the_intersection_are_reported(driving: Path, call: Cal
     for vehicle in ("vehicle_0", "vehicle_1"):
         assert f"{vehicle}/utility_esr" in numbers
         assert f"{vehicle}/return/lane_violation" in numbers
+    header = (driving.parent / "run" / "metrics.csv").read_text().splitlines()[0].split(",")
+    for name in ("success", "vehicle_0/return/distance", "vehicle_1/return/lane_violation"):
+        assert f"eval/stochastic/{name}" in header
+
+
+@pytest.mark.parametrize("algorithm", sorted(ALGORITHMS))
+def test_the_vehicles_may_have_utilities_of_their_own(driving: Path, call: Call, algorithm: str) -> None:
+    overrides = [
+        "--environment.id=mo-deepdrive-intersection-v0",
+        f"--algorithm.name={algorithm}",
+        "--utility.name=intersection_linear",
+        "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [0, 0, 2, 0, 0, 0]}}",
+    ]
+    code, out, error = call("train", "--config", driving, *overrides, "--output", "run")
+    assert code == 0, out + error
+    with (driving.parent / "run" / "episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    weights = {"distance": 0.5, "destination": 10.0, "g_force": 0.03, "collision": 4.0, "jerk": 0.0006}
+    first = {**weights, "lane_violation": 0.06}
+    for row in rows:
+        returns = {name: float(row[f"return/{name}"]) for name in first}
+        expected = 2 * returns["g_force"]
+        if row["vehicle"] == "0":
+            expected = sum(weight * returns[name] for name, weight in first.items())
+        assert float(row["utility"]) == pytest.approx(expected, abs=1e-4)
+    assert {row["vehicle"] for row in rows} == {"0", "1"}
+
+    third = "--utility.vehicles.vehicle_2={name: linear}"
+    refused(call("train", "--config", driving, *overrides[:-1], third), "utility.vehicles has 'vehicle_2'")
+    foreign = "--utility.vehicles.vehicle_1={name: one_waypoint_linear}"
+    refused(call("train", "--config", driving, *overrides[:-1], foreign), "one_waypoint_linear")

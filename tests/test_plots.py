@@ -58,11 +58,8 @@ def test_two_vehicles_have_panels_of_their_own_and_one_for_both(make: Make) -> N
     assert titles[0] == "All vehicles: arrival rate"
     for vehicle in ("Vehicle 0", "Vehicle 1"):
         mine = [title for title in titles if title.startswith(vehicle)]
-        assert mine == [
-            f"{vehicle}: utility per episode",
-            f"{vehicle}: arrival rate",
-            f"{vehicle}: lane violation (sum, m)",
-        ]
+        panels = ["utility per episode", "arrival rate", "lane violation (sum, m)"]
+        assert mine == [f"{vehicle}: {panel}" for panel in panels]
     plot(load_groups([run]), run / "curves.png")
 
 
