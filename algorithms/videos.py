@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,28 +53,40 @@ def record(
         ValueError: if the environment gives no pictures.
         OSError: if the file cannot be written.
     """
-    path = Path(path)
-    env = _make(environment)
+    env = make_world(environment)
     try:
         modes = list(env.unwrapped.metadata.get("render_modes", []))
         if "rgb_array" not in modes:
             raise ValueError(f"environment {environment.id} has no rgb_array rendering; it has {modes}")
         fps = int(env.unwrapped.metadata.get("render_fps") or 10)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".video-") as folder:
-            part = Path(folder) / "video.mp4"
-            writer: Any = imageio.get_writer(part, format="FFMPEG", fps=fps, macro_block_size=1, quality=7)
-            with writer:
-                count = 0
-                for frame in islice(_episodes(agent, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
-                    writer.append_data(frame)
-                    count += 1
-            part.replace(path)
+        with writing(path, fps) as write:
+            count = 0
+            for frame in islice(_episodes(agent, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
+                write(frame)
+                count += 1
     finally:
         env.close()
     return count
 
 
-def _make(environment: EnvironmentSettings) -> VectorEnv:
+@contextmanager
+def writing(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+    """A function that adds a frame, with even sides, to an MP4; the file appears when it is whole, if it has any.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    path = Path(path)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".video-") as folder:
+        part = Path(folder) / "video.mp4"
+        writer: Any = imageio.get_writer(part, format="FFMPEG", fps=fps, macro_block_size=1, quality=7)
+        with writer:
+            yield writer.append_data
+        if part.exists():
+            part.replace(path)
+
+
+def make_world(environment: EnvironmentSettings) -> VectorEnv:
     """One world that can be drawn and, where it is ours, stays at the end of its episode."""
     arguments = {**environment.arguments, "render_mode": "rgb_array"}
     if not is_ours(find_environment(environment.id)):

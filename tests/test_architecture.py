@@ -245,6 +245,8 @@ def test_utilities_import_only_objectives_and_config(sources: Sources) -> None:
 def test_only_the_faces_import_rendering_and_only_when_they_draw(sources: Sources) -> None:
     others = [name for name in sources.modules if not within(name, "mo_deepdrive.envs")]
     assert sources.offences(bans("mo_deepdrive.rendering"), others) == {}
+    others = [name for name in sources.modules if name != "mo_deepdrive.rendering"]
+    assert sources.offences(bans("mo_deepdrive.drawing"), others) == {}
     assert sources.offences(eager_rendering, sources.below("mo_deepdrive.envs")) == {}
 
 

@@ -17,7 +17,7 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.rendering import Episode, Viewer
 from mo_deepdrive.scenarios import DRAWS, MAP_SIZE
-from mo_deepdrive.simulation.state import LENGTH
+from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 from mo_deepdrive.simulator import Simulator
 
 SCENARIOS = ("one_waypoint", "static_obstacle", "intersection")
@@ -26,6 +26,7 @@ INTERSECTION_ID = "mo-deepdrive-intersection-v0"
 MAP_PIXELS = 720
 SPEED_UP = 3
 BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (255, 36, 40)
+LABELS = ((84, 1030), (406, 1030))  # row and column in the frame, where it says why each of two vehicles ended
 
 
 def start(scenario: str) -> tuple[Simulator, Viewer]:
@@ -136,6 +137,62 @@ def test_a_car_whose_episode_has_ended_is_pale() -> None:
     frame = viewer.draw(simulator.state[0])
     assert not resembles(colour_at(frame, *ahead_of(simulator.state[0, 0], 1.8)), BLUE)
     assert resembles(colour_at(frame, *ahead_of(simulator.state[0, 1], 1.8)), ORANGE)
+
+
+def test_each_of_two_cars_wears_its_number() -> None:
+    simulator, viewer = start("intersection")
+    darkest = {}
+    for name, heading in (("ahead", 0.0), ("askew", 0.8)):
+        simulator.state[0, 0].heading = heading
+        frame = viewer.draw(simulator.state[0])
+        for v, vehicle in enumerate(simulator.state[0]):
+            points = [ahead_of(vehicle, -0.5 + 0.15 * k, 0.15 * j) for k in range(-2, 3) for j in range(-2, 3)]
+            darkest[name, v] = min(colour_at(frame, *point).sum() for point in points)
+    assert max(darkest.values()) < 200
+    alone, viewer = start("one_waypoint")
+    assert resembles(colour_at(viewer.draw(alone.state[0]), *ahead_of(alone.state[0, 0], -0.5)), BLUE)
+
+
+def test_waypoints_are_ticked_once_they_are_reached() -> None:
+    simulator, viewer = start("intersection")
+    turning = simulator.state[0, 0]
+    first, last = turning.waypoints[0], turning.waypoints[2]
+    stroke = (0.22, 0.04)  # m, from the middle of a waypoint to the middle of its tick's longer stroke
+    before = viewer.draw(simulator.state[0])
+    turning.next_waypoint = 1
+    reached = viewer.draw(simulator.state[0])
+    assert not resembles(colour_at(before, *(first + stroke)), BLUE, 30)
+    assert resembles(colour_at(reached, *(first + stroke)), BLUE, 30)
+    turning.next_waypoint = 2
+    assert not resembles(colour_at(viewer.draw(simulator.state[0]), *(last + stroke)), BLUE, 30)
+    turning.end = ARRIVED
+    assert resembles(colour_at(viewer.draw(simulator.state[0]), *(last + stroke)), BLUE, 30)
+
+
+def test_the_panel_says_in_colour_how_each_vehicle_ended() -> None:
+    simulator, viewer = start("intersection")
+    colours = {}
+    for end in (RUNNING, ARRIVED, COLLISION, TIME_LIMIT, OTHER_VEHICLE):
+        simulator.state[0, 0].end, simulator.state[0, 1].end = end, RUNNING
+        frame = viewer.draw(simulator.state[0])
+        colours[end] = tuple(frame[LABELS[0]].tolist())
+        assert tuple(frame[LABELS[1]].tolist()) == colours[RUNNING]
+    assert len(set(colours.values())) == 5
+    red, green, blue = colours[COLLISION]
+    assert red > 2 * green > blue
+    red, green, blue = colours[ARRIVED]
+    assert green > 1.5 * max(red, blue)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_view_that_was_widened_returns_to_what_it_was(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    vehicle = simulator.state[0, 0]
+    before = viewer.draw(simulator.state[0])
+    x, vehicle.x = vehicle.x, -60.0
+    assert (viewer.draw(simulator.state[0]) != before).any()
+    vehicle.x = x
+    assert np.array_equal(viewer.draw(simulator.state[0]), before)
 
 
 def test_the_destination_and_the_bicycle_show_where_they_are() -> None:

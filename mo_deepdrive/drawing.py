@@ -1,0 +1,218 @@
+"""Shapes of the map seen from above, drawn in metres: roads, waypoints, trails, the bicycle and the cars."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mo_deepdrive.scenarios import MAP_CENTRE
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, RUNNING
+
+with contextlib.redirect_stdout(io.StringIO()):  # pygame greets on import; standard output belongs to the program
+    import pygame
+    from pygame import gfxdraw
+
+Colour = tuple[int, ...]  # red, green, blue and possibly alpha, each 0 to 255
+Points = NDArray[np.float64]  # (points, 2), m
+
+MAP_PIXELS = 720
+SUPERSAMPLING = 2
+DESTINATION_RADIUS = 1.8  # m, of the ring that makes it stand out
+
+GROUND, FINE_GRID, GRID = (232, 233, 228), (223, 225, 220), (207, 210, 205)
+GRASS, KERB, ASPHALT = (176, 190, 160), (205, 205, 196), (72, 76, 84)
+EDGE_LINE, CENTRE_LINE = (232, 232, 228), (236, 190, 74)
+BLACK, WHITE, GREY, SHADOW, SHADOW_OFFSET = (0, 0, 0), (255, 255, 255), (190, 190, 190), (0, 0, 0, 45), (0.12, -0.16)
+TYRE, GLASS, HEADLIGHT = (24, 26, 30), (34, 46, 62), (255, 244, 190)
+TAIL_LIGHT, BRAKE_LIGHT, GLOW = (122, 22, 28), (255, 36, 40), (255, 36, 40, 90)
+OBSTACLE, WARNING = (196, 30, 84), (196, 30, 84, 30)
+
+CIRCLE = np.stack([np.cos(np.linspace(0.0, math.tau, 49)), np.sin(np.linspace(0.0, math.tau, 49))], axis=1)
+TICK = np.array([(-0.5, 0.05), (-0.12, -0.38), (0.56, 0.46)])
+# Right halves of a car's parts (m to the right, m ahead of its centre).
+NOSE = ((0.0, 2.588), (0.55, 2.55), (0.85, 2.42), (1.0, 2.12), (1.04, 1.2), (1.02, 0.0))
+BODY = np.array([*NOSE, (1.04, -1.2), (1.0, -2.2), (0.86, -2.48), (0.55, -2.57), (0.0, -2.588)])
+BONNET = np.array([(0.0, 2.34), (0.5, 2.3), (0.66, 1.05), (0.0, 1.05)])
+CABIN = np.array([(0.0, 1.12), (0.5, 1.06), (0.86, 0.84), (0.86, -1.4), (0.72, -1.86), (0.0, -1.92)])
+ROOF = np.array([(0.0, 0.3), (0.64, 0.24), (0.7, -0.2), (0.68, -1.1), (0.6, -1.3), (0.0, -1.34)])
+ROOF_CENTRE, NUMBER_HEIGHT = np.array([0.0, -0.52]), 1.7  # m
+FRONT_LAMP = np.array([(0.5, 2.5), (0.82, 2.4), (0.97, 2.08), (0.66, 2.2)])
+REAR_LAMP = np.array([(0.46, -2.52), (0.84, -2.44), (0.98, -2.14), (0.8, -2.2), (0.46, -2.34)])
+BRAKE_GLOW = (0.7, -2.5) + 0.55 * CIRCLE
+MIRROR = np.array([(1.0, 0.92), (1.24, 0.82), (1.24, 0.66), (1.0, 0.7)])
+WHEEL = np.array([(-0.15, 0.44), (0.15, 0.44), (0.15, -0.44), (-0.15, -0.44)])
+FRONT_HUB, REAR_HUB = (0.98, 1.5), (0.98, -1.5)
+SIDES = np.array([(1, 1), (-1, 1)])  # right, left
+# The tubes of a bicycle that is 1 long (along it, above its axles): rear triangle, front triangle, fork, saddle.
+FRAME = (
+    np.array([(0.2, 0.0), (0.46, 0.0), (0.37, 0.26), (0.2, 0.0)]),
+    np.array([(0.46, 0.0), (0.68, 0.26), (0.37, 0.26), (0.34, 0.34)]),
+    np.array([(0.8, 0.0), (0.67, 0.38), (0.79, 0.38)]),
+    np.array([(0.27, 0.35), (0.42, 0.35)]),
+)
+
+
+def mix(colour: Colour, other: Colour, share: float) -> Colour:
+    """``colour`` with a ``share`` in [0, 1] of ``other``."""
+    return tuple(round(a + (b - a) * share) for a, b in zip(colour, other, strict=True))
+
+
+def turned(points: Points, angle: float) -> Points:
+    """``points`` turned counter-clockwise by ``angle`` (rad) about the origin."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    rotated: Points = points @ np.array([[cos, sin], [-sin, cos]])
+    return rotated
+
+
+class Canvas:
+    """Draws in metres (x to the right, y up) on a surface that shows ``reach`` m to each side of the map's centre.
+
+    Attributes:
+        touched: rectangles of pixels that hold everything drawn so far; none of their sides is odd.
+    """
+
+    def __init__(self, surface: pygame.Surface, reach: float):
+        self.surface = surface
+        self.reach = reach
+        self.scale = MAP_PIXELS * SUPERSAMPLING / (2 * reach)  # pixels per metre
+        self.touched: list[pygame.Rect] = []
+
+    def pixels(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Pixels (points, 2) of ``points`` (points, 2)."""
+        offset = (np.array(points) - MAP_CENTRE) * (self.scale, -self.scale) + MAP_PIXELS * SUPERSAMPLING / 2
+        return np.rint(offset).astype(np.int64)
+
+    def touch(self, area: pygame.Rect) -> None:
+        """Take note of a rectangle that has been drawn on, together with one that it overlaps."""
+        area = area.inflate(4, 4).clip(self.surface.get_rect())
+        left, top = area.left // SUPERSAMPLING * SUPERSAMPLING, area.top // SUPERSAMPLING * SUPERSAMPLING
+        width, height = (-(-size // SUPERSAMPLING) * SUPERSAMPLING for size in (area.right - left, area.bottom - top))
+        area = pygame.Rect(left, top, width, height)
+        overlapped = area.collidelist(self.touched)
+        if overlapped >= 0:
+            self.touched[overlapped].union_ip(area)
+        elif width and height:
+            self.touched.append(area)
+
+    def polygon(self, points: ArrayLike, colour: Colour) -> None:
+        """A filled polygon, blended with what is below it if ``colour`` has an alpha."""
+        corners = self.pixels(points)
+        pixels = corners.tolist()
+        gfxdraw.filled_polygon(self.surface, pixels, colour)
+        if len(colour) == 3:
+            gfxdraw.aapolygon(self.surface, pixels, colour)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self.touch(pygame.Rect(low.tolist(), (high - low + 1).tolist()))
+
+    def line(self, start: ArrayLike, end: ArrayLike, width: float, colour: Colour) -> None:
+        """A straight line with blunt ends."""
+        a, b = np.array(start), np.array(end)
+        side = (b - a)[::-1] * (1, -1) * (width / 2 / max(math.dist(a, b), 1e-9))
+        self.polygon([a - side, a + side, b + side, b - side], colour)
+
+    def ring(self, centre: Points, radius: float, width: float, colour: Colour) -> None:
+        """A ring of outer ``radius``; a disc if it is as wide."""
+        self.polygon(np.concatenate([centre + radius * CIRCLE, centre + (radius - width) * CIRCLE[::-1]]), colour)
+
+    def grid(self) -> None:
+        """A line for every metre and a stronger one for every fifth; none where they would lie too densely."""
+        low, high = math.floor(MAP_CENTRE - self.reach), math.ceil(MAP_CENTRE + self.reach)
+        for step, colour in ((1, FINE_GRID), (5, GRID)):
+            for k in range(low - low % step, high + 1, step) if step * self.scale > 8 * SUPERSAMPLING else ():
+                self.line((k, low), (k, high), 1 / self.scale, colour)
+                self.line((low, k), (high, k), 1 / self.scale, colour)
+
+    def roads(self) -> None:
+        """Two crossing roads of two lanes; their lines break at the crossing."""
+        far = self.reach + 1.0
+        lines = [(side, LANE_WIDTH, far, EDGE_LINE) for side in (0.07 - LANE_WIDTH, LANE_WIDTH - 0.07)]
+        lines += [(0.0, start, start + 1.5, CENTRE_LINE) for start in np.arange(LANE_WIDTH + 0.75, far, 3.0)]
+        arms = [turned(np.eye(2), quarter * math.pi / 2) for quarter in range(4)]  # each: its right and its way out
+        for width, surface in ((LANE_WIDTH + 0.4, KERB), (LANE_WIDTH, ASPHALT)):
+            for _, out in arms:
+                self.line(np.full(2, MAP_CENTRE), MAP_CENTRE + far * out, 2 * width, surface)
+        for right, out in arms:
+            for side, start, end, colour in lines:
+                origin = MAP_CENTRE + side * right
+                self.line(origin + start * out, origin + end * out, 0.14, colour)
+
+    def route(self, vehicle: Any, colour: Colour) -> None:
+        """Waypoints: rings of the arrival radius, the next one filled, reached ones ticked, the last ringed twice."""
+        reached = vehicle.n_waypoints if vehicle.end == ARRIVED else vehicle.next_waypoint
+        for k, waypoint in enumerate(vehicle.waypoints[: vehicle.n_waypoints]):
+            strength = 255 if k == reached else 150
+            if k == reached:
+                self.ring(waypoint, ARRIVAL_RADIUS, ARRIVAL_RADIUS, (*colour, 110))
+            self.ring(waypoint, ARRIVAL_RADIUS, 0.16, (*colour, strength))
+            if k == vehicle.n_waypoints - 1:
+                self.ring(waypoint, DESTINATION_RADIUS, 0.3, (*colour, strength))
+            if k < reached:
+                for start, end in itertools.pairwise(waypoint + TICK):
+                    self.line(start, end, 0.26, colour)
+            else:
+                self.ring(waypoint, 0.16, 0.16, (*colour, strength))
+
+    def trail(self, positions: Points, colour: Colour, sheet: pygame.Surface) -> None:
+        """A ribbon along ``positions`` (points, 2), oldest first, that widens and gains colour towards the last.
+
+        It is drawn on ``sheet`` first, transparent and of this surface's size, and taken off it again.
+        """
+        course = np.gradient(positions, axis=0)
+        course /= np.maximum(np.hypot(course[:, 0], course[:, 1]), 1e-9)[:, None]
+        youth = np.linspace(0.0, 1.0, len(positions))
+        side = course[:, ::-1] * (-1, 1) * (0.15 + 0.3 * youth)[:, None]
+        left, right = self.pixels(positions + side).tolist(), self.pixels(positions - side).tolist()
+        pieces = []
+        for k in range(len(positions) - 1):
+            # Unlike gfxdraw, pygame.draw replaces what is below: pieces that share an edge show no seam.
+            corners = [left[k], right[k], right[k + 1], left[k + 1]]
+            pieces.append(pygame.draw.polygon(sheet, (*colour, round(170 * youth[k])), corners))
+        area = pieces[0].unionall(pieces[1:])
+        self.surface.blit(sheet, area, area)
+        sheet.fill((0, 0, 0, 0), area)
+        self.touch(area)
+
+    def bicycle(self, ends: Points) -> None:
+        """A bicycle lying from ``ends[0]`` to ``ends[1]``; the line between them is what can be hit."""
+        along = ends[1] - ends[0]
+        length = math.hypot(*along)
+        axes = np.stack([along, (-along[1], along[0])])
+        self.ring(ends.mean(axis=0), 0.5 * length + 0.5, 0.5 * length + 0.5, WARNING)
+        self.line(ends[0], ends[1], 0.12, OBSTACLE)
+        for hub in (0.2, 0.8):
+            self.ring(ends[0] + hub * along, 0.2 * length, 0.055 * length, TYRE)
+        for tube in FRAME:
+            joints = ends[0] + np.dot(tube, axes)
+            for start, end in itertools.pairwise(joints):
+                self.line(start, end, 0.05 * length, TYRE)
+
+    def vehicle(self, vehicle: Any, colour: Colour, number: int | None = None) -> None:
+        """A car, with its number on the roof if it has one; pale when its episode has ended."""
+        paint = colour if vehicle.end == RUNNING else mix(colour, GREY, 0.6)
+        glow, light = ([(BRAKE_GLOW, GLOW)], BRAKE_LIGHT) if vehicle.brake > 0.0 else ([], TAIL_LIGHT)
+        trim, bonnet, roof = mix(paint, BLACK, 0.35), mix(paint, WHITE, 0.14), mix(paint, WHITE, 0.22)
+        parts = [*glow, (BODY, trim), (BODY * (0.95, 0.98), paint), (BONNET, bonnet), (CABIN, GLASS), (ROOF, roof)]
+        parts += [(MIRROR, trim), (FRONT_LAMP, HEADLIGHT), (REAR_LAMP, light), (WHEEL + REAR_HUB, TYRE)]
+        shapes: list[tuple[Points, Colour]] = [(part * side, shade) for part, shade in parts for side in SIDES]
+        # Both front wheels turn the same way: they are no mirror images.
+        shapes += [(turned(WHEEL, vehicle.steer) + FRONT_HUB * side, TYRE) for side in SIDES]
+        position = np.array([vehicle.x, vehicle.y])
+        for spread in (1.02, 1.07):
+            outline = np.concatenate([BODY, (BODY * SIDES[1])[::-1]]) * spread
+            self.polygon(turned(outline, vehicle.heading) + position + SHADOW_OFFSET, SHADOW)
+        for shape, shade in shapes:
+            self.polygon(position + turned(shape, vehicle.heading), shade)
+        if number is not None:
+            self.number(number, position + turned(ROOF_CENTRE, vehicle.heading))
+
+    def number(self, number: int, centre: Points) -> None:
+        """An upright number; it lies on what is there already."""
+        pygame.font.init()
+        picture = pygame.font.Font(None, round(NUMBER_HEIGHT * self.scale)).render(str(number), True, TYRE)
+        self.surface.blit(picture, picture.get_rect(center=self.pixels([centre])[0].tolist()))
