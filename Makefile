@@ -3,16 +3,26 @@ PYTHON ?= python3
 VENV ?= .venv
 CONFIG ?= configs/one_waypoint/mo_a2c_linear.yaml
 SEED ?= 0
+RAY_VENV ?= .venv-ray
 PIP = $(VENV)/bin/python -m pip --disable-pip-version-check
 READY = $(VENV)/.ready
+RAY_READY = $(RAY_VENV)/.ready
 
-.PHONY: install train test lint benchmark clean
+.PHONY: install train test test-ray lint benchmark clean
 
 install: $(READY)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+# RLlib pins an older Gymnasium, so its tests have an environment of their own.
+$(RAY_READY): pyproject.toml constraints.txt constraints-ray.txt
+	$(PYTHON) -m venv $(RAY_VENV)
+	grep --invert-match '^gymnasium==' constraints.txt > $(RAY_VENV)/constraints.txt
+	$(RAY_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
+		--constraint $(RAY_VENV)/constraints.txt --constraint constraints-ray.txt --editable ".[rllib]" pytest hypothesis
 	touch $@
 
 train: $(READY)
@@ -26,8 +36,11 @@ lint: $(READY)
 test: lint
 	$(VENV)/bin/python -m pytest --numprocesses 2
 
+test-ray: $(RAY_READY)
+	$(RAY_VENV)/bin/python -m pytest tests/ray
+
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) .mypy_cache .ruff_cache .pytest_cache

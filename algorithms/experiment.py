@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field
 import mo_deepdrive  # noqa: F401  (registers our ids)
 from algorithms import ALGORITHMS
 from algorithms.yaml_files import read_mapping, read_value
-from mo_deepdrive.config import EnvConfig, Settings, nearest, parse
+from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 
@@ -41,19 +41,7 @@ class EnvironmentSettings(Settings):
     arguments: dict[str, Any] = {}
 
 
-class OneUtility(Settings):
-    """A utility by name.
-
-    Attributes:
-        name: a registered utility, or "package.module:callable" for one of your own.
-        arguments: its keyword arguments.
-    """
-
-    name: str
-    arguments: dict[str, Any] = {}
-
-
-class UtilitySettings(OneUtility):
+class UtilitySettings(UtilityChoice):
     """What to maximise.
 
     Attributes:
@@ -61,9 +49,9 @@ class UtilitySettings(OneUtility):
         vehicles: vehicles that have another one, as "vehicle_0" or "vehicle_1".
     """
 
-    vehicles: dict[str, OneUtility] = {}
+    vehicles: dict[str, UtilityChoice] = {}
 
-    def of_vehicle(self, v: int) -> OneUtility:
+    def of_vehicle(self, v: int) -> UtilityChoice:
         """The utility of vehicle ``v``."""
         return self.vehicles.get(f"vehicle_{v}", self)
 

@@ -35,7 +35,7 @@ def summarise(evaluation: Evaluation) -> dict[str, Estimate]:
     summary: dict[str, Estimate] = {}
     vehicles = evaluation.returns.shape[1]
     if vehicles > 1:
-        summary["success"] = rate(evaluation.succeeded.all(axis=1))
+        summary["success"] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
         summary["end/collision"] = rate(np.array(["collision" in ends for ends in evaluation.ends.tolist()]))
     for v in range(vehicles):
         prefix = f"vehicle_{v}/" if vehicles > 1 else ""

@@ -79,6 +79,18 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
         raise ValueError(f"invalid {what}: " + "; ".join(lines)) from None
 
 
+class UtilityChoice(Settings):
+    """A utility by name, as :func:`mo_deepdrive.utilities.make_utility` takes it.
+
+    Attributes:
+        name: a registered utility, or "package.module:callable" for one of your own.
+        arguments: its keyword arguments.
+    """
+
+    name: str
+    arguments: dict[str, Any] = {}
+
+
 class EnvConfig(Settings):
     """Everything that determines an environment, apart from its seed.
 

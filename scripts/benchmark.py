@@ -25,7 +25,7 @@ from gymnasium.vector import AutoresetMode
 from rich.console import Console
 from rich.table import Table
 
-import mo_deepdrive  # noqa: F401  (registers the ids)
+import mo_deepdrive
 from algorithms import ALGORITHMS
 from algorithms.worlds import make_env
 from mo_deepdrive.utilities import make_utility
@@ -35,6 +35,7 @@ IDS = {
     "StaticObstacle": "mo-deepdrive-static-obstacle-v0",
     "Intersection": "mo-deepdrive-intersection-v0",
 }
+LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
 PEERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
 
@@ -140,11 +141,32 @@ def single_rate(env_id: str, repetitions: int, steps: int) -> float | None:
     return best(run, repetitions)
 
 
-def training_rate(algorithm: str, total: int) -> float:
-    """Environment steps per second of training end to end: 256 worlds x 16 steps, the paper's network."""
-    env = make_env(IDS["OneWaypoint"], 256)
-    utility = make_utility("one_waypoint_linear", env.unwrapped.objectives)  # type: ignore[attr-defined]
-    agent = ALGORITHMS[algorithm](env, utility, seed=0, steps=16, hidden=[64, 32])
+def parallel_rate(repetitions: int, steps: int) -> float:
+    """Joint steps per second of the PettingZoo parallel environment of the intersection under random actions."""
+    env = mo_deepdrive.parallel_env()
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    choices = rng.integers(0, 22, (steps, len(env.possible_agents))).tolist()
+    joint = [dict(zip(env.possible_agents, choice, strict=True)) for choice in choices]
+
+    def run() -> int:
+        for actions in joint:
+            if len(env.agents) < len(actions):
+                actions = {agent: actions[agent] for agent in env.agents}
+            env.step(actions)
+            if not env.agents:
+                env.reset()
+        return steps
+
+    run()
+    return best(run, repetitions)
+
+
+def training_rate(algorithm: str, title: str, hidden: list[int], total: int) -> float:
+    """Environment steps per second (of both vehicles together) of training end to end, 256 worlds x 16 steps."""
+    env = make_env(IDS[title], 256)
+    utility = make_utility(LINEAR[title], env.unwrapped.objectives)  # type: ignore[attr-defined]
+    agent = ALGORITHMS[algorithm](env, utility, seed=0, steps=16, hidden=hidden)
     rates: list[float] = []
     agent.train(total, log=lambda step, metrics: rates.append(metrics["time/steps_per_second"]), log_interval=50)
     return rates[-1]
@@ -191,9 +213,15 @@ def measure(repetitions: int, training_steps: int, with_threads: bool) -> list[R
         if rate_of_peer is not None:
             rows.append(Row(f"{peer}, mo_gymnasium.make", rate_of_peer, "steps/s"))
             rows.append(Row(f"OneWaypoint / {peer}, single", ours / rate_of_peer, "x"))
-    for algorithm, target in (("a2c", "400 k"), ("mo_a2c", "300 k")):
-        rate = training_rate(algorithm, training_steps)
+    rows.append(Row("Intersection, parallel_env", parallel_rate(repetitions, 5000), "joint steps/s", "25 k"))
+    for algorithm, target in (("a2c", "400 k"), ("mo_a2c", "300 k"), ("mo_ppo", "")):
+        rate = training_rate(algorithm, "OneWaypoint", [64, 32], training_steps)
         rows.append(Row(f"{algorithm} training, 256 x 16, 1 thread", rate, "steps/s", target))
+    for algorithm, target in (("a2c", "150 k"), ("mo_a2c", ""), ("mo_ppo", "")):
+        for hidden in ([64, 32], [128, 64]):
+            rate = training_rate(algorithm, "Intersection", hidden, training_steps // 2)
+            what = f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread"
+            rows.append(Row(what, rate, "joint steps/s", target))
     cold, warm = first_step_seconds()
     rows.append(Row("import and first step, cold cache", cold, "s", "< 20"))
     rows.append(Row("import and first step, warm cache", warm, "s", "< 1.5"))

@@ -615,7 +615,7 @@ def test_environment_arguments_that_make_no_sense_are_refused(what: str) -> None
         DrivingVectorEnv(scenario=scenario, **options)
 
 
-def test_make_vec_gives_the_native_environment_and_make_refuses_the_intersection() -> None:
+def test_make_vec_gives_the_native_environment() -> None:
     from mo_deepdrive.envs.vector import DrivingVectorEnv
 
     for scenario in SCENARIOS:
@@ -623,5 +623,3 @@ def test_make_vec_gives_the_native_environment_and_make_refuses_the_intersection
         assert type(env) is DrivingVectorEnv
         assert env.num_envs == 2
         env.close()
-    with pytest.raises(gymnasium.error.Error):
-        gymnasium.make("mo-deepdrive-intersection-v0")

@@ -7,15 +7,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.envs import spaces as env_spaces
-from mo_deepdrive.envs.options import make_pins
-from mo_deepdrive.scenarios import DRAWS
-from mo_deepdrive.simulator import Simulator
-
-_WORLD = np.zeros(1, dtype=np.int64)
+from mo_deepdrive.envs.world import RENDER_MODES, World
+from mo_deepdrive.scenarios import SCENARIOS
 
 
 class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
@@ -75,7 +73,7 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
     ``info["end"]`` says why, ``info["success"]`` whether the car arrived. Terminated: ``arrived`` (front within 1 m
     of the destination), ``collision``, ``harmful_g_force`` (above 1 g), ``harmful_jerk`` (off by default),
     ``circling`` (turned by more than 400 degrees), ``backwards`` (more than 2 m behind its best route distance).
-    Truncated: ``time_limit`` (60 s). In Intersection also ``off_lane`` and ``skipped_waypoint``.
+    Truncated: ``time_limit`` (60 s).
 
     ## Arguments
 
@@ -89,48 +87,35 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
     - v0: initial release; the departures from the published code are listed in ``docs/simulator.md``.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode = {render_mode!r} must be None or one of {self.metadata['render_modes']}")
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        if SCENARIOS[config.scenario].vehicles > 1:
+            raise ValueError(
+                f"scenario = {scenario!r} has two vehicles; use gymnasium.make('mo-deepdrive-intersection-v0'), where "
+                "they take turns, its make_vec, or mo_deepdrive.parallel_env()"
+            )
         self.config = config
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": config.decision_frequency}
-        self.simulator = Simulator(config, 1)
-        if self.simulator.scenario.vehicles != 1:
-            raise ValueError(f"scenario = {scenario!r} has more than one vehicle; use gymnasium.make_vec")
+        self.world = World(config, render_mode)
+        self.simulator = self.world.simulator
         self.objectives = self.simulator.objectives
         self.observation_space = env_spaces.observation_space(config)  # type: ignore[assignment]
         self.action_space = env_spaces.action_space(config)
         self.reward_space = env_spaces.reward_space(config)
         self.reward_dim = len(self.objectives)
         self._running = False
-        self._viewer: Any = None
-
-    def _draw(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        return self.np_random.random((1, DRAWS))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a new episode; ``options`` pin the scenario (see the class)."""
-        pins = make_pins(options, self.simulator.scenario)
-        before = self._np_random, self._np_random_seed
-        super().reset(seed=seed)
-        stream = self.np_random.bit_generator.state
-        try:
-            self.simulator.place(_WORLD, self._draw, pins)
-        except ValueError:
-            # Refused: the random stream stands where it stood.
-            self.np_random.bit_generator.state = stream
-            if seed is not None:
-                self._np_random, self._np_random_seed = before
-            raise
+        generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
+        self.world.place(generator, options)
+        self._np_random, self._np_random_seed = generator, used
         self._running = True
-        if self.render_mode == "human":
-            self.render()
         return self.simulator.observations[0, 0].copy(), {}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
@@ -145,43 +130,27 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
         """
         if not self._running:
             raise ResetNeeded("step() before reset() or after the end of an episode")
-        sim = self.simulator
         array = np.asarray(action)
         if array.shape != self.action_space.shape:
             raise ValueError(f"action {action!r} has shape {array.shape}; expected {self.action_space.shape}")
-        sim.step(array[None, None])
+        self.world.step(array[None, None])
+        sim = self.simulator
         terminated = bool(sim.terminated[0, 0])
         truncated = bool(sim.truncated[0, 0])
         info: dict[str, Any] = {}
         if terminated or truncated:
             self._running = False
-            (end,) = sim.end_names(0)
-            info = {"end": end, "success": end == "arrived"}
-        if self.render_mode == "human":
-            self.render()
+            info = self.world.outcome(0)
         return sim.observations[0, 0].copy(), sim.rewards[0, 0].copy(), terminated, truncated, info
 
     def telemetry(self) -> tuple[dict[str, float], ...]:
         """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
-        return self.simulator.telemetry(0)
+        return self.world.telemetry()
 
     def render(self) -> NDArray[np.uint8] | None:
         """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
-        if self.render_mode is None:
-            return None
-        if self._viewer is None:
-            from mo_deepdrive.rendering import Viewer
-
-            self._viewer = Viewer(self.config, self.render_mode)
-        frame = self._viewer.draw(self.simulator.state[0])
-        return frame if self.render_mode == "rgb_array" else None
+        return self.world.render()
 
     def close(self) -> None:
         """Release what rendering holds."""
-        if self._viewer is not None:
-            self._viewer.close()
-            self._viewer = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """A copy or pickle goes on exactly where this environment stands; windows stay behind."""
-        return {**self.__dict__, "_viewer": None}
+        self.world.close()

@@ -41,6 +41,13 @@ def observation_space(config: EnvConfig) -> spaces.Box:
     return spaces.Box(low, high, dtype=np.float32)
 
 
+def joint_observation_space(config: EnvConfig) -> spaces.Box:
+    """The observations of all vehicles, one after the other: float32, shape (vehicles * size,)."""
+    space = observation_space(config)
+    vehicles = SCENARIOS[config.scenario].vehicles
+    return spaces.Box(np.tile(space.low, vehicles), np.tile(space.high, vehicles), dtype=np.float32)
+
+
 def action_space(config: EnvConfig) -> spaces.Discrete | spaces.Box:
     """What one vehicle may do: Discrete(22), Discrete(16) or Box(-1, 1, (3,)) (steer, acceleration, brake)."""
     if config.action_type == actions.CONTINUOUS:

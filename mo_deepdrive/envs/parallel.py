@@ -1,0 +1,246 @@
+"""The PettingZoo environments: the vehicles of one world act together, or (AEC) one after the other."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.wrappers import BaseWrapper
+
+from mo_deepdrive.config import EnvConfig, nearest, parse
+from mo_deepdrive.envs import spaces as env_spaces
+from mo_deepdrive.envs.options import option_names
+from mo_deepdrive.envs.world import RENDER_MODES, World
+
+Array = NDArray[np.float32]
+
+
+class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
+    """The vehicles of one world as PettingZoo agents with vector rewards, after MOMAland's conventions.
+
+    At the intersection ``vehicle_0`` turns left across the path of ``vehicle_1``, which drives straight on; the other
+    scenarios have ``vehicle_0`` alone. Actions, observations and rewards are those of the Gymnasium environments (see
+    :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv`). All vehicles move together: none sees the other's choice.
+
+    A vehicle whose episode ends reports its last observation and reward, its ``terminated`` or ``truncated`` flag and
+    ``infos[agent] = {"end": why, "success": whether it arrived}``, and leaves ``agents``; the other drives on. When
+    ``agents`` is empty the episode is over.
+
+    Args:
+        scenario: "intersection", or any other scenario.
+        render_mode: None, "rgb_array" or "human".
+        keep_finished: keep a vehicle that has ended in ``agents`` until the episode is over: it goes on reporting its
+            last observation, a reward of zeros and flags that are down; the actions that it must still be given are
+            ignored. Its ``infos`` tell of its end when it ends, its own flag is up in the last step. For wrappers that
+            need every agent in every step, such as MOMAland's RecordEpisodeStatistics and CentraliseAgent.
+        **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
+
+    Attributes:
+        objectives: names of the reward's components, in order.
+        reward_dim: how many they are, d.
+        observation_spaces, action_spaces, reward_spaces: per agent.
+        state_space: of :meth:`state`.
+
+    Raises:
+        ValueError: for unknown or ill-typed arguments.
+    """
+
+    metadata: dict[str, Any] = {
+        "name": "mo_deepdrive_v0",
+        "render_modes": RENDER_MODES,
+        "render_fps": 10,
+        "is_parallelizable": True,
+        "central_observation": True,
+    }
+
+    def __init__(
+        self,
+        scenario: str = "intersection",
+        render_mode: str | None = None,
+        keep_finished: bool = False,
+        **options: Any,
+    ):
+        if not isinstance(keep_finished, bool):
+            raise ValueError(f"keep_finished = {keep_finished!r} must be True or False")
+        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        self.config = config
+        self.render_mode = render_mode
+        self.keep_finished = keep_finished
+        self.world = World(config, render_mode)
+        self.simulator = self.world.simulator
+        self.metadata = {
+            **type(self).metadata,
+            "name": f"mo_deepdrive_{scenario}_v0",
+            "render_fps": config.decision_frequency,
+        }
+        self.objectives = self.simulator.objectives
+        self.reward_dim = len(self.objectives)
+        vehicles = self.simulator.scenario.vehicles
+        self.possible_agents = [f"vehicle_{v}" for v in range(vehicles)]
+        self.agents: list[str] = []
+        self._index = {agent: v for v, agent in enumerate(self.possible_agents)}
+        self.observation_spaces = {agent: env_spaces.observation_space(config) for agent in self.possible_agents}
+        self.action_spaces = {agent: env_spaces.action_space(config) for agent in self.possible_agents}
+        self.reward_spaces = {agent: env_spaces.reward_space(config) for agent in self.possible_agents}
+        self.state_space = env_spaces.joint_observation_space(config)
+        self._np_random: np.random.Generator | None = None
+        # Of each vehicle: whether it is on the road, and what it observed last if it has left.
+        self._driving = [True] * vehicles
+        self._last = [np.zeros_like(row) for row in self.simulator.observations[0]]
+        self._joint = self.world.joint_action()
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """What ``agent`` observes: float32 in SI units."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete | spaces.Box:
+        """What ``agent`` may do."""
+        return self.action_spaces[agent]
+
+    def reward_space(self, agent: str) -> spaces.Box:
+        """The vector rewards of ``agent``: float32, shape (d,)."""
+        return self.reward_spaces[agent]
+
+    def get_central_observation_space(self) -> spaces.Box:
+        """The space of :meth:`state`, by the name that MOMAland's CentraliseAgent asks for."""
+        return self.state_space
+
+    def state(self) -> Array:
+        """The last observations of all vehicles, one after the other: float32, (vehicles * size,)."""
+        return np.concatenate([self._observation(v) for v in self._index.values()])
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        """Start a new episode.
+
+        Args:
+            seed: of the random stream; None goes on drawing.
+            options: pin the scenario as in the Gymnasium environments (``{"starts": ...}`` at the intersection).
+                Names that are unknown there are ignored with a warning: PettingZoo's own checks pass one.
+
+        Returns:
+            observations and (empty) infos per agent.
+
+        Raises:
+            ValueError: for options that make no scenario; nothing has changed.
+        """
+        known = option_names(self.simulator.scenario)
+        unknown = [name for name in options or {} if name not in known]
+        if unknown:
+            warnings.warn(f"unknown reset option {unknown[0]!r} is ignored; {nearest(unknown[0], known)}", stacklevel=2)
+        generator = self._np_random
+        if seed is not None or generator is None:
+            generator, _ = seeding.np_random(seed)
+        self.world.place(generator, {name: value for name, value in (options or {}).items() if name in known})
+        self._np_random = generator
+        self.agents = list(self.possible_agents)
+        self._driving = [True] * len(self.agents)
+        observations = {agent: self._observation(v).copy() for agent, v in self._index.items()}
+        return observations, {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[dict[str, Array], dict[str, Array], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Drive for one decision.
+
+        Args:
+            actions: one for every agent in ``agents``, and for no other.
+
+        Returns:
+            observations (size,), vector rewards (d,), terminated, truncated and infos of every agent that acted.
+
+        Raises:
+            ResetNeeded: before the first reset and after the end of an episode.
+            ValueError: for missing or other agents and for actions outside the action space; nothing has changed.
+        """
+        if not self.agents:
+            raise ResetNeeded("step() before reset() or after the end of an episode")
+        self._choose(actions)
+        self.world.step(self._joint)
+        sim = self.simulator
+        terminated, truncated = sim.terminated[0].tolist(), sim.truncated[0].tolist()
+        observations, rewards, terminations, truncations = {}, {}, {}, {}
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        for agent in self.agents:
+            v = self._index[agent]
+            if self._driving[v] and (terminated[v] or truncated[v]):
+                self._driving[v] = False
+                self._last[v] = sim.observations[0, v].copy()
+                infos[agent] = self.world.outcome(v)
+            observations[agent] = self._observation(v).copy()
+            rewards[agent] = sim.rewards[0, v].copy()
+            terminations[agent], truncations[agent] = terminated[v], truncated[v]
+        if self.keep_finished and any(self._driving):
+            terminations, truncations = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, False)
+        elif not all(self._driving):
+            self.agents = [agent for agent in self.agents if self._driving[self._index[agent]]]
+        return observations, rewards, terminations, truncations, infos
+
+    def _observation(self, v: int) -> Array:
+        """What a vehicle observes, or observed last."""
+        return self.simulator.observations[0, v] if self._driving[v] else self._last[v]
+
+    def _choose(self, actions: Mapping[str, Any]) -> None:
+        """Check the actions of all agents and write them into the joint action."""
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions = {actions!r} must be a dict with an action for each of {self.agents}")
+        if actions.keys() != set(self.agents):
+            missing = [agent for agent in self.agents if agent not in actions]
+            others = [agent for agent in actions if agent not in self.agents]
+            wrong = [f"{what} {names}" for what, names in (("lack", missing), ("name others:", others)) if names]
+            raise ValueError(f"actions {' and '.join(wrong)}; expected one for each of {self.agents} and no more")
+        for agent in self.agents:
+            self._joint[0, self._index[agent]] = self.world.checked(actions[agent], agent)
+
+    def telemetry(self) -> tuple[dict[str, float], ...]:
+        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        return self.world.telemetry()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        return self.world.render()
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.world.close()
+
+
+class CheckedSteps(BaseWrapper[str, Array, Any]):
+    """Refuses a wrong step when it is made, where the conversion to AEC would find it when the world moves.
+
+    Raises:
+        ResetNeeded: before the first reset and after the end of an episode.
+        ValueError: for an action outside the action space, or one other than None for a vehicle that has ended.
+    """
+
+    def step(self, action: Any) -> None:
+        """Choose for ``agent_selection``; None for a vehicle that has ended."""
+        if not getattr(self.env, "agents", None):
+            raise ResetNeeded("step() before reset() or after the end of an episode")
+        agent = self.agent_selection
+        if not (self.terminations[agent] or self.truncations[agent]):
+            self.unwrapped.world.checked(action, agent)
+        elif action is not None:
+            raise ValueError(f"action {action!r} of {agent}, which has ended, must be None")
+        super().step(action)
+
+
+def aec_env(parallel: DrivingParallelEnv) -> AECEnv[str, Array, Any]:
+    """``parallel`` as an AEC environment, by MOMAland's conversion.
+
+    Raises:
+        ImportError: where MOMAland is not installed.
+    """
+    try:
+        from momaland.utils.conversions import mo_parallel_to_aec
+    except ImportError as error:
+        raise ImportError('the AEC environment needs MOMAland: pip install "mo-deepdrive[momaland]"') from error
+    return CheckedSteps(mo_parallel_to_aec(parallel))

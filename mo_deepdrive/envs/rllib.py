@@ -1,0 +1,160 @@
+"""The RLlib environment (current API stack): the parallel environment with a utility that makes every reward a scalar.
+
+Needs Ray, which nothing else in the package imports: ``pip install "mo-deepdrive[rllib]"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.config import EnvConfig, UtilityChoice, nearest, parse
+from mo_deepdrive.envs.options import make_pins
+from mo_deepdrive.envs.parallel import DrivingParallelEnv
+from mo_deepdrive.utilities import Utility, make_utility
+
+try:
+    from ray.rllib.env.multi_agent_env import MultiAgentEnv
+except ImportError as error:
+    raise ImportError('mo_deepdrive.envs.rllib needs RLlib: pip install "mo-deepdrive[rllib]"') from error
+
+Array = NDArray[np.float32]
+KEYS = (*EnvConfig.model_fields, "utility", "render_mode")
+
+
+class DrivingMultiAgentEnv(MultiAgentEnv):
+    """The vehicles of one world as RLlib agents.
+
+    RLlib learns from scalars: the reward of a vehicle is the utility of the vector reward of this one decision, so
+    what is maximised is the sum of utilities over time, which for a non-linear utility differs from the utility of
+    the summed rewards. The vector itself is ``infos[agent]["vector_reward"]``, float32 of shape (d,).
+
+    Agents, spaces and episodes are those of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: a vehicle whose
+    episode ends reports ``infos[agent]["end"]`` and ``["success"]`` with its last observation and leaves ``agents``.
+
+    Args:
+        config: a dict, as in ``AlgorithmConfig.environment(env_config=...)``, of
+
+            - ``"scenario"``: "intersection" (default), or any other scenario;
+            - ``"utility"``: a name, or ``{"name": ..., "arguments": {...}}``, or a dict with one of these for every
+              vehicle; by default the linear utility that the paper has for the scenario;
+            - ``"render_mode"``: None, "rgb_array" or "human";
+            - any other field of :class:`mo_deepdrive.config.EnvConfig`.
+
+    Attributes:
+        objectives: names of the vector reward's components, in order.
+        reward_dim: how many they are, d.
+        utilities: per vehicle.
+        observation_spaces, action_spaces, reward_spaces: per vehicle.
+
+    Raises:
+        ValueError: for unknown keys, vehicles or utilities, and for a utility that does not fit the objectives.
+    """
+
+    metadata: dict[str, Any] = DrivingParallelEnv.metadata
+
+    def __init__(self, config: Mapping[str, Any] | None = None):
+        super().__init__()
+        options = dict(config or {})
+        for key in options:
+            if key not in KEYS:
+                raise ValueError(f"env config has {key!r}, which is unknown; {nearest(key, KEYS)}")
+        utility = options.pop("utility", None)
+        self.parallel = DrivingParallelEnv(**options)
+        self.metadata = self.parallel.metadata
+        self.render_mode = self.parallel.render_mode
+        self.objectives = self.parallel.objectives
+        self.reward_dim = self.parallel.reward_dim
+        self.possible_agents = list(self.parallel.possible_agents)
+        self.agents: list[str] = []
+        self.observation_spaces = self.parallel.observation_spaces
+        self.action_spaces = self.parallel.action_spaces
+        self.reward_spaces = self.parallel.reward_spaces
+        self.utilities = _make_utilities(utility, self.parallel)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        """Start a new episode; ``seed`` and ``options`` as in the Gymnasium environments.
+
+        Raises:
+            ValueError: for unknown options and for options that make no scenario; nothing has changed.
+        """
+        # The parallel environment would ignore unknown ones.
+        make_pins(options, self.parallel.simulator.scenario)
+        observations, infos = self.parallel.reset(seed=seed, options=options)
+        self.agents = list(self.parallel.agents)
+        return observations, infos
+
+    def step(
+        self, action_dict: Mapping[str, Any]
+    ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Drive for one decision.
+
+        Args:
+            action_dict: one action for every agent in ``agents``, and for no other.
+
+        Returns:
+            observations, utilities, terminated, truncated and infos. ``terminated`` has every vehicle that acted;
+            ``truncated`` has "__all__" alone: the time limit ends the episode for whoever is on the road, and RLlib
+            would take a truncated vehicle for a terminated one, and not bootstrap, if each had a flag of its own.
+            At the end of an episode exactly one of the two flags of "__all__" is up.
+
+        Raises:
+            ResetNeeded: before the first reset and after the end of an episode.
+            ValueError: for missing or other agents and for actions outside the action space; nothing has changed.
+        """
+        observations, vectors, terminations, truncations, infos = self.parallel.step(action_dict)
+        self.agents = list(self.parallel.agents)
+        truncated = any(truncations.values())
+        for agent, vector in vectors.items():
+            infos[agent]["vector_reward"] = vector
+        return (
+            observations,
+            {agent: float(self.utilities[agent](vector)) for agent, vector in vectors.items()},
+            {**terminations, "__all__": not self.agents and not truncated},
+            {"__all__": truncated},
+            infos,
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        return self.parallel.render()
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.parallel.close()
+
+
+def _make_utilities(choice: Any, env: DrivingParallelEnv) -> dict[str, Utility]:
+    """The utility of every vehicle, from the "utility" of an env config."""
+    if choice is None:
+        choice = f"{env.config.scenario}_linear"
+    agents = env.possible_agents
+    if isinstance(choice, str) or (isinstance(choice, Mapping) and "name" in choice):
+        choice = dict.fromkeys(agents, choice)
+    if not isinstance(choice, Mapping):
+        raise ValueError(f"utility = {choice!r} must be a name, a dict with 'name' and 'arguments', or one per vehicle")
+    for agent in choice:
+        if agent not in agents:
+            raise ValueError(f"utility is given for {agent!r}, which is unknown; {nearest(agent, agents)}")
+    for agent in agents:
+        if agent not in choice:
+            raise ValueError(f"utility lacks {agent!r}; expected one for each of {agents}")
+    return {agent: _make_utility(choice[agent], agent, env) for agent in agents}
+
+
+def _make_utility(choice: Any, agent: str, env: DrivingParallelEnv) -> Utility:
+    if isinstance(choice, str):
+        choice = {"name": choice}
+    if not isinstance(choice, Mapping):
+        raise ValueError(f"utility of {agent} = {choice!r} must be a name or a dict with 'name' and 'arguments'")
+    settings = parse(UtilityChoice, choice, f"utility of {agent}")
+    utility = make_utility(settings.name, env.objectives, env.config.cost_sign, **settings.arguments)
+    shape = np.shape(utility(np.zeros(env.reward_dim, dtype=np.float32)))
+    if shape:
+        raise ValueError(f"utility {settings.name!r} of {agent} gives shape {shape} for one reward; expected a number")
+    return utility

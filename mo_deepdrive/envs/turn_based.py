@@ -1,0 +1,190 @@
+"""The turn-based environment: the vehicles of one world take turns in one Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.envs import spaces as env_spaces
+from mo_deepdrive.envs.world import RENDER_MODES, World
+
+
+class TurnBasedEnv(gymnasium.Env[NDArray[np.float32], Any]):
+    """## Description
+
+    Two cars meet at a crossing with one lane per direction: vehicle 0 makes an unprotected left turn across the path
+    of vehicle 1, which drives straight on. After MO-DeepDrive Zero (Ajridi et al., "Deconstructing Reinforcement
+    Learning Benchmarks: Revealing the Objectives", ECAI 2023), which offers its intersection in this alternating
+    form. The cars are kinematic bicycles with friction, simulated at 60 Hz; each decides at 10 Hz.
+
+    The vehicles take turns, and ``info["vehicle"]`` says whose turn it is. ``step`` takes that vehicle's action and
+    returns the observation of the vehicle whose turn is next, with the vector reward that its own previous decision
+    earned (zeros on its first turn). The world moves when every vehicle on the road has chosen, so none sees the
+    other's choice. A vehicle that has ended in a move has one last turn: it hands over its final observation and
+    reward, with ``info["end"]`` and ``info["success"]``; the action answered to it must be in the action space and is
+    ignored. From then on only the other has turns.
+
+    | call | the world | returns | of vehicle |
+    |---|---|---|---|
+    | ``reset()`` | is placed | first observation | 0 |
+    | ``step(a0)`` | waits | first observation, zeros | 1 |
+    | ``step(a1)`` | moves by (a0, a1) | observation, reward of a0 | 0 |
+    | ``step(b0)`` | waits | observation, reward of a1 | 1 |
+    | ``step(b1)`` | moves by (b0, b1); vehicle 1 arrives | observation, reward of b0 | 0 |
+    | ``step(c0)`` | waits | final observation, reward of b1, ``"end": "arrived"`` | 1 |
+    | ``step(any)`` | moves by c0; vehicle 0 arrives | final observation, reward of c0, ``"end"``, terminated | 0 |
+
+    So every vehicle is shown all that it observes and earns. Where both end in the same move, vehicle 0 has its last
+    turn before vehicle 1.
+
+    ## Action Space
+
+    Of the vehicle whose turn it is:
+
+    - ``action_type="discrete"`` (default): ``Discrete(22)``. 0 is idle; action 1 + 3 g + c steers by group g (decay,
+      small left, small right, micro left, micro right, large left, large right) and changes speed by c (maintain,
+      decrease, increase). ``mo_deepdrive.actions.action_names`` lists them.
+    - ``"discrete-16"``: ``Discrete(16)``, the older set without the micro groups.
+    - ``"continuous"``: ``Box(-1, 1, (3,))``: steer (times 30 degrees, positive to the left), acceleration (times
+      3.625 m/s^2) and brake (-1 none, 1 full). Values beyond are clipped.
+
+    ## Observation Space
+
+    ``Box`` of float32 in SI units, 29 numbers.
+
+    | index | observation | unit |
+    |---|---|---|
+    | 0, 1 | angle from the heading to the next waypoint and the one after, positive to the right | rad |
+    | 2, 3 | distance from the front to the next waypoint; along it to the one after | m |
+    | 4, 5 | velocity x, y | m/s |
+    | 6, 7 | acceleration x, y | m/s^2 |
+    | 8, 9, 10 | held steer, throttle, brake | rad, m/s^2, 1 |
+    | 11 | speed | m/s |
+    | 12, 13 | distance to the left and right lane line | m |
+    | 14 | inside the crossing | 0 or 1 |
+    | 15, 16 | the other's velocity x, y relative to one's own | m/s |
+    | 17, 18 | the other's velocity x, y | m/s |
+    | 19, 20 | the other's acceleration x, y | m/s^2 |
+    | 21 to 28 | angle and distance to the other's front left, front right, back right, back left corner | rad, m |
+
+    A vehicle that has left the road is seen straight ahead, at rest, 100 m away.
+
+    ## Reward Space
+
+    ``Box`` of float32, every component to be maximised (``cost_sign="paper"`` gives magnitudes instead).
+
+    | objective | reward per decision |
+    |---|---|
+    | distance | route distance gained (m); negative for the left turn in the crossing while the other approaches |
+    | destination | 1 on the decision that arrives |
+    | g_force | minus the g-force at the end of the decision (g) |
+    | collision | -1 on the decision that collides, for both |
+    | jerk | minus the jerk at the end of the decision (m/s^3) |
+    | lane_violation | minus the metres outside the lane |
+
+    ## Starting State
+
+    Both cars rest in their lanes, each at a random distance from the crossing. ``reset(options={"starts": ((x, y,
+    heading), (x, y, heading))})`` pins where, for that episode.
+
+    ## Episode End
+
+    Each vehicle ends for itself: ``arrived`` (front within 1 m of the destination), ``collision`` (ends both),
+    ``harmful_g_force`` (above 1 g), ``harmful_jerk`` and ``off_lane`` (off by default), ``circling`` (turned by more
+    than 400 degrees), ``skipped_waypoint``, ``backwards`` (more than 2 m behind its best route distance),
+    ``time_limit`` (60 s); with ``end_together=True`` the first to end ends it for the other too (``other_vehicle``).
+    The episode ends with the last turn of the last vehicle, which carries that vehicle's own flag: truncated at the
+    time limit, otherwise terminated. Both flags are down in all turns before, whichever vehicle has ended.
+
+    ## Arguments
+
+    ``scenario`` is set by the id. Every other field of :class:`mo_deepdrive.config.EnvConfig` is a keyword argument:
+    ``action_type``, ``time_limit``, ``objectives``, ``cost_sign``, ``simulation_frequency``, ``decision_frequency``,
+    ``constrain_controls``, ``ignore_brake``, ``harmful_g_force``, ``harmful_jerk``, ``lane_margin``,
+    ``end_on_lane_violation``, ``yield_to_oncoming``, ``end_together``. ``render_mode`` is None, "rgb_array" or
+    "human". Unknown arguments raise ValueError. (Gymnasium's ``max_episode_steps`` counts turns.)
+
+    ## Version History
+
+    - v0: initial release; the departures from the published code are listed in ``docs/simulator.md``.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
+
+    def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
+        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        self.config = config
+        self.render_mode = render_mode
+        self.world = World(config, render_mode)
+        self.simulator = self.world.simulator
+        self.objectives = self.simulator.objectives
+        self.vehicles = self.simulator.scenario.vehicles
+        # Turns per second, so that a video with a frame per turn plays at the speed of life.
+        self.metadata = {**type(self).metadata, "render_fps": self.vehicles * config.decision_frequency}
+        self.observation_space = env_spaces.observation_space(config)  # type: ignore[assignment]
+        self.action_space = env_spaces.action_space(config)
+        self.reward_space = env_spaces.reward_space(config)
+        self.reward_dim = len(self.objectives)
+        # Vehicles that have a turn before the world moves on, the next one first; none where no episode runs.
+        self._turns: list[int] = []
+        self._moved = False
+        self._joint = self.world.joint_action()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start a new episode with the first turn of vehicle 0; ``options`` pin the scenario (see the class)."""
+        generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
+        self.world.place(generator, options)
+        self._np_random, self._np_random_seed = generator, used
+        self._turns = list(range(self.vehicles))
+        self._moved = False
+        return self.simulator.observations[0, 0].copy(), {"vehicle": 0}
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
+        """Choose for the vehicle whose turn it is.
+
+        Returns:
+            observation (size,), vector reward (d,), terminated, truncated, info of the vehicle whose turn is next,
+            ``info["vehicle"]``.
+
+        Raises:
+            ResetNeeded: before the first reset and after the end of an episode.
+            ValueError: for an action outside the action space; nothing has changed and it is still that vehicle's turn.
+        """
+        if not self._turns:
+            raise ResetNeeded("step() before reset() or after the end of an episode")
+        sim = self.simulator
+        vehicle, *waiting = self._turns
+        self._joint[0, vehicle] = self.world.checked(action, f"vehicle {vehicle}")
+        if not waiting:
+            waiting = self.world.on_road()
+            self.world.step(self._joint)
+            self._moved = True
+        vehicle = waiting[0]
+        reward = sim.rewards[0, vehicle].copy() if self._moved else np.zeros(self.reward_dim, dtype=np.float32)
+        info: dict[str, Any] = {"vehicle": vehicle}
+        terminated, truncated = bool(sim.terminated[0, vehicle]), bool(sim.truncated[0, vehicle])
+        if terminated or truncated:
+            info.update(self.world.outcome(vehicle))
+        over = len(waiting) == 1 and not self.world.on_road()
+        self._turns = [] if over else waiting
+        return sim.observations[0, vehicle].copy(), reward, over and terminated, over and truncated, info
+
+    def telemetry(self) -> tuple[dict[str, float], ...]:
+        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        return self.world.telemetry()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        return self.world.render()
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.world.close()

@@ -1,0 +1,126 @@
+"""One world: what every environment of a single world shares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.envs.options import make_pins
+from mo_deepdrive.envs.spaces import action_space
+from mo_deepdrive.scenarios import DRAWS
+from mo_deepdrive.simulator import Simulator
+
+RENDER_MODES = ["rgb_array", "human"]
+_WORLD = np.zeros(1, dtype=np.int64)
+
+
+class World:
+    """A simulator of one world, with its window or picture.
+
+    Args:
+        config: the environment's settings.
+        render_mode: None, "rgb_array" or "human" (a window that follows every reset and step).
+
+    Raises:
+        ValueError: for an unknown ``render_mode``.
+    """
+
+    def __init__(self, config: EnvConfig, render_mode: str | None):
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode = {render_mode!r} must be None or one of {RENDER_MODES}")
+        self.config = config
+        self.render_mode = render_mode
+        self.simulator = Simulator(config, 1)
+        self._viewer: Any = None
+        space = action_space(config)
+        self._shape = space.shape or ()
+        self._choices = int(space.n) if isinstance(space, spaces.Discrete) else 0
+        self._kinds = "iu" if self._choices else "fiu"
+        self._allowed = f"integers in [0, {self._choices})" if self._choices else "finite numbers"
+
+    def place(self, generator: np.random.Generator, options: Mapping[str, Any] | None) -> None:
+        """Start a new episode drawn from ``generator``, with what ``options`` pin.
+
+        Raises:
+            ValueError: for options that make no scenario; the world and the generator stand where they stood.
+        """
+        pins = make_pins(options, self.simulator.scenario)
+        stream = generator.bit_generator.state
+        try:
+            self.simulator.place(_WORLD, lambda rows: generator.random((1, DRAWS)), pins)
+        except ValueError:
+            generator.bit_generator.state = stream
+            raise
+        if self.render_mode == "human":
+            self.render()
+
+    def joint_action(self) -> NDArray[Any]:
+        """A joint action to fill in, as :meth:`step` takes it: (1, vehicles) integers or (1, vehicles, 3) floats."""
+        shape = (1, self.simulator.scenario.vehicles, *self._shape)
+        return np.zeros(shape, dtype=np.int64 if self._choices else np.float64)
+
+    def on_road(self) -> list[int]:
+        """The vehicles that have not ended."""
+        ended = self.simulator.terminated[0] | self.simulator.truncated[0]
+        return [v for v, gone in enumerate(ended.tolist()) if not gone]
+
+    def checked(self, action: Any, agent: str) -> Any:
+        """The action of one vehicle as an int or a list of floats.
+
+        Raises:
+            ValueError: naming ``agent``, if the action is of the wrong shape or type, not finite or out of range.
+        """
+        try:
+            array = np.asarray(action)
+        except ValueError:
+            raise ValueError(f"action {action!r} of {agent} is not an array") from None
+        if array.shape != self._shape:
+            raise ValueError(f"action {action!r} of {agent} has shape {array.shape}; expected {self._shape}")
+        if array.dtype.kind not in self._kinds:
+            raise ValueError(f"action {action!r} of {agent} has dtype {array.dtype}; expected {self._allowed}")
+        values = array.tolist()
+        if not (0 <= values < self._choices if self._choices else all(map(math.isfinite, values))):
+            raise ValueError(f"action {action!r} of {agent} is not allowed; expected {self._allowed}")
+        return values
+
+    def step(self, actions: NDArray[Any]) -> None:
+        """Move every vehicle on the road by one decision; see :meth:`joint_action`."""
+        self.simulator.step(actions)
+        if self.render_mode == "human":
+            self.render()
+
+    def outcome(self, vehicle: int) -> dict[str, Any]:
+        """Why a vehicle has ended, and whether it arrived."""
+        end = self.simulator.end_names(0)[vehicle]
+        return {"end": end, "success": end == "arrived"}
+
+    def telemetry(self) -> tuple[dict[str, float], ...]:
+        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        return self.simulator.telemetry(0)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        if self.render_mode is None:
+            return None
+        if self._viewer is None:
+            from mo_deepdrive.rendering import Viewer
+
+            self._viewer = Viewer(self.config, self.render_mode)
+        frame = self._viewer.draw(self.simulator.state[0])
+        return frame if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy or pickle goes on exactly where this world stands; windows stay behind."""
+        return {**self.__dict__, "_viewer": None}

@@ -1,0 +1,403 @@
+"""The RLlib environment, in an environment of its own: `make test-ray`."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mo_gymnasium
+import numpy as np
+import pytest
+from faces import ACTION_TYPES, Drive, Episode, Report, assert_same, begin, play_parallel, record
+from gymnasium.error import ResetNeeded
+from mo_gymnasium.wrappers import LinearReward
+
+import mo_deepdrive  # noqa: F401  (registers the ids)
+from mo_deepdrive.envs.parallel import DrivingParallelEnv
+from mo_deepdrive.utilities import make_utility
+
+pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
+
+import ray
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.env.multi_agent_episode import MultiAgentEpisode
+from ray.rllib.utils.pre_checks.env import check_multiagent_environments
+from ray.tune.registry import register_env
+
+from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
+
+VEHICLES = ["vehicle_0", "vehicle_1"]
+IDLE = 0
+CONFIGS: list[dict[str, Any]] = [
+    {},
+    {"end_together": True},
+    {"action_type": "continuous", "cost_sign": "paper"},
+    {"scenario": "one_waypoint", "utility": "one_waypoint_nonlinear"},
+    {"scenario": "static_obstacle", "action_type": "discrete-16"},
+]
+
+
+def play(env: Any, seed: int) -> Iterator[tuple[dict[str, Any], Any]]:
+    """One episode of random actions: the joint actions and what each step returned."""
+    env.reset(seed=seed)
+    generator = np.random.default_rng(seed)
+    while env.agents:
+        actions = {}
+        for agent in env.agents:
+            space = env.action_spaces[agent]
+            actions[agent] = generator.uniform(-1, 1, 3) if space.shape else int(generator.integers(space.n))
+        yield actions, env.step(actions)
+
+
+# -------------------------------------------------------------------------------------------------------- environment
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_rllibs_own_check_passes(config: dict[str, Any]) -> None:
+    check_multiagent_environments(DrivingMultiAgentEnv(config))
+
+
+def test_without_a_config_it_is_the_intersection_under_the_papers_linear_utility() -> None:
+    env = DrivingMultiAgentEnv()
+    assert env.possible_agents == VEHICLES
+    assert env.parallel.config.scenario == "intersection"
+    assert {agent: utility.name for agent, utility in env.utilities.items()} == dict.fromkeys(
+        VEHICLES, "intersection_linear"
+    )
+
+
+def test_spaces_and_objectives_are_those_of_the_parallel_environment() -> None:
+    options = {"scenario": "static_obstacle", "action_type": "continuous", "objectives": ["jerk", "distance"]}
+    weights = {"name": "linear", "arguments": {"weights": [0.1, 1.0]}}
+    env, parallel = DrivingMultiAgentEnv({**options, "utility": weights}), DrivingParallelEnv(**options)
+    assert env.possible_agents == parallel.possible_agents == ["vehicle_0"]
+    assert env.objectives == parallel.objectives == ("jerk", "distance")
+    for agent in env.possible_agents:
+        assert env.get_observation_space(agent) == parallel.observation_space(agent)
+        assert env.get_action_space(agent) == parallel.action_space(agent)
+        assert env.reward_spaces[agent] == parallel.reward_space(agent)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_the_reward_is_the_utility_of_the_vector_reward(config: dict[str, Any]) -> None:
+    env = DrivingMultiAgentEnv(config)
+    name = config.get("utility", f"{config.get('scenario', 'intersection')}_linear")
+    utility = make_utility(name, env.objectives, config.get("cost_sign", "maximise"))
+    for _, (observations, rewards, _, _, infos) in play(env, seed=3):
+        assert observations.keys() == rewards.keys() == infos.keys()
+        for agent, reward in rewards.items():
+            vector = infos[agent]["vector_reward"]
+            assert vector.dtype == np.float32
+            assert env.reward_spaces[agent].contains(vector)
+            assert env.get_observation_space(agent).contains(observations[agent])
+            assert type(reward) is float
+            assert reward == float(utility(vector))
+
+
+def test_every_vehicle_can_have_its_own_utility() -> None:
+    weights = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    env = DrivingMultiAgentEnv(
+        {
+            "utility": {
+                "vehicle_0": "intersection_nonlinear",
+                "vehicle_1": {"name": "linear", "arguments": {"weights": weights}},
+            }
+        }
+    )
+    nonlinear = make_utility("intersection_nonlinear", env.objectives)
+    for _, (_, rewards, _, _, infos) in play(env, seed=0):
+        if "vehicle_0" in rewards:
+            assert rewards["vehicle_0"] == float(nonlinear(infos["vehicle_0"]["vector_reward"]))
+        if "vehicle_1" in rewards:
+            assert rewards["vehicle_1"] == pytest.approx(float(infos["vehicle_1"]["vector_reward"] @ weights), rel=1e-5)
+
+
+@pytest.mark.parametrize("end_together", [False, True])
+@pytest.mark.parametrize("time_limit", [7.0, 60.0])
+def test_flags_say_which_vehicle_ends_and_when_all_is_over(end_together: bool, time_limit: float) -> None:
+    env = DrivingMultiAgentEnv({"end_together": end_together, "time_limit": time_limit})
+    ends: Counter[str] = Counter()
+    early = 0
+    for seed in range(25):
+        driving = list(VEHICLES)
+        for _, (observations, _, terminateds, truncateds, infos) in play(env, seed):
+            assert list(observations) == driving
+            ended = {agent: infos[agent]["end"] for agent in driving if "end" in infos[agent]}
+            timed_out = "time_limit" in ended.values()
+            for agent, end in ended.items():
+                assert infos[agent]["success"] is (end == "arrived")
+            stayed = [agent for agent in driving if agent not in ended]
+            early += bool(ended and stayed)
+            assert env.agents == stayed
+            assert terminateds == {
+                **{agent: ended.get(agent, "time_limit") != "time_limit" for agent in driving},
+                "__all__": not stayed and not timed_out,
+            }
+            assert truncateds == {"__all__": timed_out}
+            ends.update(ended.values())
+            driving = stayed
+        assert driving == []
+    assert (early == 0) is end_together
+    assert ends["time_limit"] > 0 if time_limit < 10 else len(ends) > 2
+
+
+def play_rllib(drive: Drive) -> list[Episode]:
+    """The RLlib face, whose vehicles leave when they end."""
+    env = DrivingMultiAgentEnv(drive.arguments)
+    episodes = []
+    for reset, actions in drive.resets():
+        reports = begin(env, env.reset(**reset)[0])
+        for joint in actions:
+            told = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
+            observations, _, terminateds, truncateds, infos = told
+            for v, agent in enumerate(env.possible_agents):
+                if agent in observations:
+                    flags = terminateds[agent], truncateds["__all__"] and not terminateds[agent]
+                    info = infos[agent]
+                    reports[v].append(Report(observations[agent], info["vector_reward"], *flags, info.get("end", "")))
+        assert env.agents == []
+        episodes.append(reports)
+    return episodes
+
+
+@pytest.mark.parametrize("end_together", [False, True])
+@pytest.mark.parametrize("action_type", ACTION_TYPES)
+def test_trajectories_are_those_of_the_parallel_environment_bit_for_bit(action_type: str, end_together: bool) -> None:
+    drive = record(action_type, end_together)
+    assert_same(play_rllib(drive), play_parallel(drive))
+
+
+def test_reset_hands_on_seed_and_options() -> None:
+    env = DrivingMultiAgentEnv()
+    starts = ((-10.0, 0.0, 0.1), (10.0, 5.0, -0.2))
+    env.reset(seed=1, options={"starts": starts})
+    assert [(car["x"], car["y"], car["heading"]) for car in env.parallel.telemetry()] == list(starts)
+    first, _ = env.reset(seed=5)
+    second, _ = env.reset()
+    third, _ = env.reset(seed=5)
+    np.testing.assert_equal(third, first)
+    assert not np.array_equal(second["vehicle_0"], first["vehicle_0"])
+
+
+def test_frames_are_rendered() -> None:
+    env = DrivingMultiAgentEnv({"render_mode": "rgb_array"})
+    env.reset(seed=0)
+    frame = env.render()
+    assert frame is not None
+    assert frame.dtype == np.uint8
+    assert frame.ndim == 3
+    assert frame.std() > 0
+    env.close()
+
+
+# ---------------------------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"utlity": "intersection_linear"}, "'utlity'.* did you mean 'utility'"),
+        ({"keep_finished": True}, "'keep_finished'.*unknown"),
+        ({"scenario": "roundabout"}, "'scenario' = 'roundabout'"),
+        ({"time_limit": "long"}, "'time_limit' = 'long'"),
+        ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
+        ({"utility": "intersection_linaer"}, "'intersection_linaer' is unknown; did you mean 'intersection_linear'"),
+        ({"utility": "one_waypoint_linear"}, "is defined on .*; the environment emits .*lane_violation"),
+        ({"objectives": ["distance", "collision"]}, "'intersection_linear' is defined on"),
+        ({"utility": 3}, "utility = 3 must be"),
+        ({"utility": "linear"}, "needs the argument 'weights'"),
+        ({"utility": {"name": "linear", "arguments": {"weights": [1.0, 2.0]}}}, "must be 6 finite numbers"),
+        ({"utility": {"name": "linear", "weights": [1.0]}}, "'weights' is unknown; known: arguments, name"),
+        ({"utility": {"vehicle_0": "intersection_linear"}}, "utility lacks 'vehicle_1'"),
+        ({"utility": {"vehicle_0": "intersection_linear", "vehicle_1": 3}}, "utility of vehicle_1 = 3 must be"),
+        ({"utility": {"vehicle_0": "intersection_linear", "vehicle_2": "linear"}}, "'vehicle_2', which is unknown"),
+        ({"utility": "numpy:sqrt"}, "gives shape .* expected a number"),
+    ],
+)
+def test_a_config_that_makes_no_sense_is_refused(config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DrivingMultiAgentEnv(config)
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ({"vehicle_0": IDLE}, "lack .*vehicle_1"),
+        ({"vehicle_0": IDLE, "vehicle_1": IDLE, "vehicle_2": IDLE}, "vehicle_2"),
+        ({"vehicle_0": IDLE, "vehicle_1": 22}, "22 of vehicle_1"),
+        ({"vehicle_0": math.nan, "vehicle_1": IDLE}, "nan of vehicle_0"),
+    ],
+)
+def test_wrong_actions_are_refused_and_change_nothing(actions: dict[str, Any], message: str) -> None:
+    env = DrivingMultiAgentEnv()
+    env.reset(seed=0)
+    before = env.parallel.telemetry()
+    with pytest.raises(ValueError, match=message):
+        env.step(actions)
+    assert env.parallel.telemetry() == before
+    assert env.agents == VEHICLES
+
+
+def test_reset_options_that_make_no_sense_are_refused_and_change_nothing() -> None:
+    env = DrivingMultiAgentEnv()
+    env.reset(seed=0)
+    before = env.parallel.telemetry()
+    for options, message in (({"start": (0.0, 0.0, 0.0)}, "unknown reset option 'start'"), ({"starts": 3}, "'starts'")):
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=1, options=options)
+        assert env.parallel.telemetry() == before
+        assert env.agents == VEHICLES
+
+
+def test_stepping_before_a_reset_or_after_the_end_is_refused() -> None:
+    env = DrivingMultiAgentEnv({"time_limit": 0.1})
+    actions = dict.fromkeys(VEHICLES, IDLE)
+    with pytest.raises(ResetNeeded):
+        env.step(actions)
+    env.reset(seed=0)
+    env.step(actions)
+    with pytest.raises(ResetNeeded):
+        env.step(actions)
+
+
+def test_without_ray_the_import_names_the_extra(run_python: Callable[[str], str]) -> None:
+    snippet = (
+        "import sys\n"
+        "sys.modules['ray'] = None\n"
+        "import mo_deepdrive\n"
+        "try:\n"
+        "    import mo_deepdrive.envs.rllib\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
+    )
+    assert 'pip install "mo-deepdrive[rllib]"' in run_python(snippet)
+
+
+def test_the_package_itself_does_not_import_ray(run_python: Callable[[str], str]) -> None:
+    snippet = "import sys, mo_deepdrive, mo_deepdrive.envs.parallel\nprint('ray' in sys.modules)"
+    assert run_python(snippet).strip() == "False"
+
+
+# --------------------------------------------------------------------------------------------------- RLlib's machinery
+
+
+def recorded(env: DrivingMultiAgentEnv, seed: int) -> MultiAgentEpisode:
+    """One episode of random actions as RLlib records it."""
+    observations, infos = env.reset(seed=seed)
+    episode = MultiAgentEpisode(
+        observation_space=env.observation_spaces,
+        action_space=env.action_spaces,
+        agent_to_module_mapping_fn=lambda agent, episode: agent,
+    )
+    episode.add_env_reset(observations=observations, infos=infos)
+    for actions, (observations, rewards, terminateds, truncateds, infos) in play(env, seed):
+        episode.add_env_step(observations, actions, rewards, infos, terminateds=terminateds, truncateds=truncateds)
+    return episode
+
+
+@pytest.mark.parametrize("time_limit", [2.0, 9.0])
+def test_rllib_bootstraps_at_the_time_limit_and_nowhere_else(time_limit: float) -> None:
+    env = DrivingMultiAgentEnv({"time_limit": time_limit})
+    seen = Counter()
+    for seed in range(20):
+        episode = recorded(env, seed)
+        assert episode.is_done
+        for agent in VEHICLES:
+            single = episode.agent_episodes[agent]
+            end = single.get_infos(-1)["end"]
+            assert single.is_done
+            assert single.is_terminated is (end != "time_limit")
+            seen[agent, end == "time_limit"] += 1
+    assert seen["vehicle_0", True] > 0
+    assert time_limit < 5 or seen["vehicle_0", False] > 0
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[None]:
+    """A small Ray of its own, which needs no network and leaves nothing behind."""
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory(prefix="ray-") as directory:
+        # No reports of usage, no token in the home directory, and no yielding to whatever else the machine does.
+        settings = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled", "RAY_worker_niceness": "0"}
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        ray.init(
+            address="local",
+            num_cpus=2,
+            include_dashboard=False,
+            object_store_memory=100 * 2**20,
+            log_to_driver=False,
+            _node_ip_address="127.0.0.1",
+            _temp_dir=directory,
+        )
+        yield
+        ray.shutdown()
+
+
+def small(config: PPOConfig, runners: int = 0) -> PPOConfig:
+    """PPO with as little work as it takes."""
+    return (
+        config.env_runners(num_env_runners=runners, num_envs_per_env_runner=2)
+        .training(train_batch_size_per_learner=256, minibatch_size=64, num_epochs=1)
+        .debugging(seed=0)
+    )
+
+
+def train(config: PPOConfig, policies: list[str]) -> dict[str, Any]:
+    """One iteration, which must have sampled whole episodes and learnt from them; what it says about sampling."""
+    algorithm = config.build_algo()
+    try:
+        result = algorithm.train()
+    finally:
+        algorithm.stop()
+    sampled: dict[str, Any] = result["env_runners"]
+    assert sampled["num_env_steps_sampled"] >= 256
+    assert sampled["num_episodes"] > 0
+    assert math.isfinite(sampled["episode_return_mean"])
+    assert set(sampled["num_module_steps_sampled"]) == set(policies)
+    for policy in policies:
+        assert sampled["num_module_steps_sampled"][policy] > 0
+        assert all(math.isfinite(result["learners"][policy][loss]) for loss in ("total_loss", "policy_loss", "vf_loss"))
+    return sampled
+
+
+def one_policy_each(config: dict[str, Any], vehicles: list[str]) -> PPOConfig:
+    """The settings of the documentation: every vehicle learns a policy of its own."""
+    return (
+        PPOConfig()
+        .environment(DrivingMultiAgentEnv, env_config=config)
+        .multi_agent(policies=set(vehicles), policy_mapping_fn=lambda agent, episode, **_: agent)
+    )
+
+
+@pytest.mark.usefixtures("cluster")
+def test_ppo_trains_one_vehicle() -> None:
+    train(small(one_policy_each({"scenario": "one_waypoint", "time_limit": 5.0}, VEHICLES[:1])), VEHICLES[:1])
+
+
+@pytest.mark.usefixtures("cluster")
+def test_ppo_trains_two_vehicles_with_utilities_of_their_own_of_which_one_leaves_early() -> None:
+    utilities = {"vehicle_0": "intersection_nonlinear", "vehicle_1": "intersection_linear"}
+    config = {"utility": utilities, "harmful_g_force": 0.2, "time_limit": 9.0}
+    sampled = train(small(one_policy_each(config, VEHICLES)), VEHICLES)
+    assert sum(sampled["num_module_steps_sampled"].values()) < 2 * sampled["num_env_steps_sampled"]
+
+
+@pytest.mark.usefixtures("cluster")
+def test_ppo_trains_on_samples_of_another_process() -> None:
+    config = {"action_type": "continuous", "time_limit": 5.0}
+    train(small(one_policy_each(config, VEHICLES), runners=1), VEHICLES)
+
+
+@pytest.mark.usefixtures("cluster")
+def test_ppo_trains_on_a_gymnasium_id_that_mo_gymnasium_scalarises() -> None:
+    def make(config: dict[str, Any]) -> LinearReward:
+        env = mo_gymnasium.make("mo-deepdrive-one-waypoint-v0", **config)
+        utility = make_utility("one_waypoint_linear", env.unwrapped.objectives)
+        return LinearReward(env, weight=np.array(utility.weights))
+
+    register_env("one_waypoint_linear", make)
+    config = PPOConfig().environment("one_waypoint_linear", env_config={"time_limit": 5.0})
+    train(small(config), ["default_policy"])
