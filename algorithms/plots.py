@@ -199,9 +199,6 @@ def _panels(groups: Sequence[Group]) -> list[tuple[str, tuple[str, ...]]]:
     objectives = dict.fromkeys(name.rpartition("return/")[2] for name in sorted(present) if "/return/" in name)
     ordered = sorted(objectives, key=lambda name: (INDEX.get(name, len(INDEX)), name))
     panels = []
-    both = tuple(f"{kind.prefix}success" for kind in KINDS)
-    if len(vehicles) > 1 and present & set(both):
-        panels.append(("All vehicles: arrival rate", both))
     for vehicle in vehicles:
         inner = f"{vehicle}/" if vehicle else ""
         prefix = f"{vehicle.replace('_', ' ')}: " if vehicle else ""
@@ -214,6 +211,9 @@ def _panels(groups: Sequence[Group]) -> list[tuple[str, tuple[str, ...]]]:
             if present & set(metrics):
                 text = prefix + title
                 panels.append((text[0].upper() + text[1:], metrics))
+    together = tuple(f"{kind.prefix}success" for kind in KINDS)
+    if len(vehicles) > 1 and present & set(together):
+        panels.append(("All vehicles: arrival rate", together))
     return panels
 
 
