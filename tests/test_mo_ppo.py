@@ -213,7 +213,8 @@ def test_the_value_after_a_time_limit_is_that_of_what_both_vehicles_saw_last(cls
 
 
 def test_a_vehicle_that_ends_alone_leaves_what_the_other_saw_at_that_moment() -> None:
-    agent = make_agent(MOPPO, INTERSECTION, num_envs=32, steps=64)
+    # A limit on the g-force that random driving soon exceeds.
+    agent = make_agent(MOPPO, INTERSECTION, num_envs=16, steps=64, env={"harmful_g_force": 0.3})
     exaggerate(agent)
     worlds, seen = agent.worlds, []
     inner = worlds.step
@@ -229,7 +230,7 @@ def test_a_vehicle_that_ends_alone_leaves_what_the_other_saw_at_that_moment() ->
         for i, v in zip(*np.nonzero(step.terminated | step.truncated), strict=True):
             np.testing.assert_array_equal(rollout.of_vehicle(v, agent.device).final_others[t, i], step.final[i, 1 - v])
             alone += int(not (step.terminated | step.truncated)[i].all())
-    assert alone > 1
+    assert alone > 5
 
 
 @CLASSES
