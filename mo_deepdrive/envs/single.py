@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from mo_deepdrive.config import EnvConfig, parse
-from mo_deepdrive.envs import spaces as env_spaces
-from mo_deepdrive.envs.world import RENDER_MODES, World
+from mo_deepdrive.envs.world import WorldEnv
 from mo_deepdrive.scenarios import SCENARIOS
 
 
-class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
+class DrivingEnv(WorldEnv):
     """## Description
 
     A car drives to a destination in the plane (OneWaypoint), around a bicycle in its way (StaticObstacle). After
@@ -87,8 +84,6 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
     - v0: initial release; the departures from the published code are listed in ``docs/simulator.md``.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
-
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         if SCENARIOS[config.scenario].vehicles > 1:
@@ -96,25 +91,14 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
                 f"scenario = {scenario!r} has two vehicles; use gymnasium.make('mo-deepdrive-intersection-v0'), where "
                 "they take turns, its make_vec, or mo_deepdrive.parallel_env()"
             )
-        self.config = config
-        self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": config.decision_frequency}
-        self.world = World(config, render_mode)
-        self.simulator = self.world.simulator
-        self.objectives = self.simulator.objectives
-        self.observation_space = env_spaces.observation_space(config)  # type: ignore[assignment]
-        self.action_space = env_spaces.action_space(config)
-        self.reward_space = env_spaces.reward_space(config)
-        self.reward_dim = len(self.objectives)
+        super().__init__(config, render_mode)
         self._running = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a new episode; ``options`` pin the scenario (see the class)."""
-        generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
-        self.world.place(generator, options)
-        self._np_random, self._np_random_seed = generator, used
+        self._place(seed, options)
         self._running = True
         return self.simulator.observations[0, 0].copy(), {}
 
@@ -142,15 +126,3 @@ class DrivingEnv(gymnasium.Env[NDArray[np.float32], Any]):
             self._running = False
             info = self.world.outcome(0)
         return sim.observations[0, 0].copy(), sim.rewards[0, 0].copy(), terminated, truncated, info
-
-    def telemetry(self) -> tuple[dict[str, float], ...]:
-        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
-        return self.world.telemetry()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
-        return self.world.render()
-
-    def close(self) -> None:
-        """Release what rendering holds."""
-        self.world.close()

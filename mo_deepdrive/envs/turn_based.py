@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from mo_deepdrive.config import EnvConfig, parse
-from mo_deepdrive.envs import spaces as env_spaces
-from mo_deepdrive.envs.world import RENDER_MODES, World
+from mo_deepdrive.envs.world import WorldEnv
 
 
-class TurnBasedEnv(gymnasium.Env[NDArray[np.float32], Any]):
+class TurnBasedEnv(WorldEnv):
     """## Description
 
     Two cars meet at a crossing with one lane per direction: vehicle 0 makes an unprotected left turn across the path
@@ -115,22 +112,12 @@ class TurnBasedEnv(gymnasium.Env[NDArray[np.float32], Any]):
     - v0: initial release; the departures from the published code are listed in ``docs/simulator.md``.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
-
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
-        self.config = config
-        self.render_mode = render_mode
-        self.world = World(config, render_mode)
-        self.simulator = self.world.simulator
-        self.objectives = self.simulator.objectives
+        super().__init__(config, render_mode)
         self.vehicles = self.simulator.scenario.vehicles
         # Turns per second, so that a video with a frame per turn plays at the speed of life.
-        self.metadata = {**type(self).metadata, "render_fps": self.vehicles * config.decision_frequency}
-        self.observation_space = env_spaces.observation_space(config)  # type: ignore[assignment]
-        self.action_space = env_spaces.action_space(config)
-        self.reward_space = env_spaces.reward_space(config)
-        self.reward_dim = len(self.objectives)
+        self.metadata["render_fps"] = self.vehicles * config.decision_frequency
         # Vehicles that have a turn before the world moves on, the next one first; none where no episode runs.
         self._turns: list[int] = []
         self._moved = False
@@ -140,9 +127,7 @@ class TurnBasedEnv(gymnasium.Env[NDArray[np.float32], Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a new episode with the first turn of vehicle 0; ``options`` pin the scenario (see the class)."""
-        generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
-        self.world.place(generator, options)
-        self._np_random, self._np_random_seed = generator, used
+        self._place(seed, options)
         self._turns = list(range(self.vehicles))
         self._moved = False
         return self.simulator.observations[0, 0].copy(), {"vehicle": 0}
@@ -176,15 +161,3 @@ class TurnBasedEnv(gymnasium.Env[NDArray[np.float32], Any]):
         over = len(waiting) == 1 and not self.world.on_road()
         self._turns = [] if over else waiting
         return sim.observations[0, vehicle].copy(), reward, over and terminated, over and truncated, info
-
-    def telemetry(self) -> tuple[dict[str, float], ...]:
-        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
-        return self.world.telemetry()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
-        return self.world.render()
-
-    def close(self) -> None:
-        """Release what rendering holds."""
-        self.world.close()

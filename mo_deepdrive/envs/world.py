@@ -6,13 +6,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.envs.options import make_pins
-from mo_deepdrive.envs.spaces import action_space
+from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
 from mo_deepdrive.scenarios import DRAWS
 from mo_deepdrive.simulator import Simulator
 
@@ -124,3 +126,44 @@ class World:
     def __getstate__(self) -> dict[str, Any]:
         """A copy or pickle goes on exactly where this world stands; windows stay behind."""
         return {**self.__dict__, "_viewer": None}
+
+
+class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
+    """What the Gymnasium environments of one world share; a subclass says what a step is.
+
+    Args:
+        config: the environment's settings.
+        render_mode: as in :class:`World`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
+
+    def __init__(self, config: EnvConfig, render_mode: str | None):
+        self.config = config
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": config.decision_frequency}
+        self.world = World(config, render_mode)
+        self.simulator = self.world.simulator
+        self.objectives = self.simulator.objectives
+        self.observation_space = observation_space(config)  # type: ignore[assignment]
+        self.action_space = action_space(config)
+        self.reward_space = reward_space(config)
+        self.reward_dim = len(self.objectives)
+
+    def _place(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+        """Start a new episode; where ``options`` are refused, the random stream stays too."""
+        generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
+        self.world.place(generator, options)
+        self._np_random, self._np_random_seed = generator, used
+
+    def telemetry(self) -> tuple[dict[str, float], ...]:
+        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        return self.world.telemetry()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        return self.world.render()
+
+    def close(self) -> None:
+        """Release what rendering holds."""
+        self.world.close()
