@@ -1,10 +1,12 @@
-"""Trainers for multi-objective environments with a known utility."""
+"""Trainers for multi-objective environments, for a known utility or for all."""
 
 from algorithms.a2c import A2C
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
+from algorithms.base import Agent
 from algorithms.mo_a2c import MOA2C
 from algorithms.mo_ppo import MOPPO
+from algorithms.pcn import PCN
 
-ALGORITHMS: dict[str, type[ActorCritic]] = {algorithm.name: algorithm for algorithm in (A2C, MOA2C, MOPPO)}
+ALGORITHMS: dict[str, type[Agent]] = {algorithm.name: algorithm for algorithm in (A2C, MOA2C, MOPPO, PCN)}
 
-__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "ActorCritic"]
+__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "ActorCritic", "Agent"]

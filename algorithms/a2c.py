@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from pydantic import Field
 
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.learner import ActorCriticConfig, Learner
 from algorithms.returns import discounted_sum
 from algorithms.rollout import VehicleRollout

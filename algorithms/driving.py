@@ -16,7 +16,8 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from algorithms.base import ActorCritic
+from algorithms.base import Agent
+from algorithms.history import History
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
@@ -114,7 +115,7 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         env: DrivingVectorEnv,
         seats: Sequence[int],
         *,
-        agent: ActorCritic | None = None,
+        agent: Agent | None = None,
         generator: torch.Generator | None = None,
         film: Callable[[NDArray[np.uint8]], None] | None = None,
     ):
@@ -146,8 +147,7 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         self._observations, _ = self.world.reset(seed=self._seed, options=options)
         shape = (self.world.vehicles, self.world.reward_dim)
         self._returns = np.zeros(shape)
-        self._accrued = np.zeros((1, *shape), dtype=np.float32)
-        self._discounts = np.ones((1, self.world.vehicles), dtype=np.float32)
+        self._history = History.begin(1, *shape)
         self._down = np.zeros(self._keys, dtype=np.bool_)
         self._pictures = 0
         self._over = False
@@ -185,14 +185,13 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         joint = self._continuous(chosen) if world.simulator.continuous else chosen
         if agent is not None:
             observations = self._observations.reshape(1, world.vehicles, -1)
-            theirs = agent.act(observations, self._accrued, self._discounts, self._generator)
+            theirs = agent.act(observations, self._history, self._generator)
             others = [v for v in range(world.vehicles) if v not in self._seats]
             joint[:, others] = agent.worlds.environment_actions(theirs)[:, others]
         self._observations, raw, terminated, truncated, _ = world.step(joint.reshape(world.action_space.shape))
         rewards = raw.reshape(self._returns.shape)
         self._returns += rewards
-        self._accrued += self._discounts[..., None] * rewards
-        self._discounts *= 1.0 if agent is None else agent.config.gamma
+        self._history.add(rewards[None], 1.0 if agent is None else agent.gamma)
         self._over = bool((terminated | truncated).all())
         self._picture = None
         return rewards

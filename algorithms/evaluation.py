@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from algorithms.history import History
 from algorithms.worlds import Worlds
 from mo_deepdrive.utilities import Utility
 
-if TYPE_CHECKING:
-    from algorithms.base import ActorCritic
+
+class Policy(Protocol):
+    """What can be evaluated: an agent, a policy of a front, or another library's behind an adapter.
+
+    Attributes:
+        worlds: what it was made for.
+        utilities: one per vehicle; empty where none is known.
+        gamma: discount of the accrued reward that it is shown.
+        device: where it draws random numbers.
+    """
+
+    @property
+    def worlds(self) -> Worlds: ...
+
+    @property
+    def utilities(self) -> Sequence[Utility]: ...
+
+    @property
+    def gamma(self) -> float: ...
+
+    @property
+    def device(self) -> torch.device: ...
+
+    def act(
+        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
 
 
 @dataclass
@@ -24,7 +51,7 @@ class Evaluation:
 
     Attributes:
         objectives: names of the d components.
-        utilities: one per vehicle.
+        utilities: one per vehicle; empty where none is known.
         returns: (E, V, d) undiscounted vector returns.
         discounted: (E, V, d) discounted with the evaluation's gamma.
         lengths: (E, V) decisions.
@@ -83,7 +110,7 @@ class Evaluation:
 
 
 def evaluate(
-    agent: ActorCritic,
+    policy: Policy,
     env: VectorEnv,
     *,
     episodes: int = 100,
@@ -91,33 +118,71 @@ def evaluate(
     greedy: bool = True,
     gamma: float = 0.99,
 ) -> Evaluation:
-    """Run ``episodes`` episodes of the agent's policy.
+    """Run ``episodes`` episodes of a policy.
 
     The worlds of ``env`` run the first episode after a reset, which gives every scenario the same weight whatever the
     episodes' lengths; more episodes than worlds take several resets. Episode i is seeded with ``seed + i``.
 
     Args:
-        agent: the policy.
+        policy: an agent, or anything that acts like one.
         env: a raw environment, from `algorithms.worlds.make_env`; not the one that trains.
         episodes: E.
         seed: of the first episode.
         greedy: argmax or mean action, instead of samples.
-        gamma: discount of the discounted returns; the agent's own discount is used for what it observes.
+        gamma: discount of the discounted returns; the policy's own discount is used for what it observes.
     """
     worlds = Worlds(env)
-    generator = None if greedy else torch.Generator(agent.device).manual_seed(seed)
+    generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
+    columns = _in_batches(lambda rows: policy, worlds, seed + np.arange(episodes), gamma, generator)
+    return Evaluation(worlds.objectives, tuple(policy.utilities), *columns)
+
+
+def evaluate_each(
+    policy_of: Callable[[NDArray[np.intp]], Policy],
+    count: int,
+    env: VectorEnv,
+    *,
+    episodes: int,
+    seed: int,
+    gamma: float,
+) -> list[Evaluation]:
+    """Run ``episodes`` greedy episodes of each of ``count`` policies, all policies on the same seeds, side by side.
+
+    Args:
+        policy_of: the policy that acts in N worlds as the policies at N indices do.
+        count: K policies.
+        env, episodes, seed, gamma: as for :func:`evaluate`.
+    """
+    worlds = Worlds(env)
+    policies = np.repeat(np.arange(count), episodes)
+    seeds = seed + np.tile(np.arange(episodes), count)
+    columns = _in_batches(lambda rows: policy_of(policies[rows]), worlds, seeds, gamma, None)
+    parts = [np.split(column, count) for column in columns]
+    return [Evaluation(worlds.objectives, (), *part) for part in zip(*parts, strict=True)]
+
+
+def _in_batches(
+    policy_of: Callable[[NDArray[np.intp]], Policy],
+    worlds: Worlds,
+    seeds: NDArray[np.int64],
+    gamma: float,
+    generator: torch.Generator | None,
+) -> list[NDArray[Any]]:
+    """One episode per seed, as many at a time as there are worlds: the fields of Evaluation from ``returns`` on."""
     batches = []
-    for first in range(0, episodes, worlds.num_envs):
-        count = min(worlds.num_envs, episodes - first)
-        batches.append([array[:count] for array in _first_episodes(agent, worlds, seed + first, gamma, generator)])
-    columns = [np.concatenate(column) for column in zip(*batches, strict=True)]
-    return Evaluation(worlds.objectives, tuple(agent.utilities), *columns)
+    for first in range(0, len(seeds), worlds.num_envs):
+        # The worlds left over in the last batch repeat its last episode.
+        rows = np.minimum(first + np.arange(worlds.num_envs), len(seeds) - 1)
+        count = min(worlds.num_envs, len(seeds) - first)
+        episodes = _first_episodes(policy_of(rows), worlds, seeds[rows].tolist(), gamma, generator)
+        batches.append([array[:count] for array in episodes])
+    return [np.concatenate(column) for column in zip(*batches, strict=True)]
 
 
 def _first_episodes(
-    agent: ActorCritic, worlds: Worlds, seed: int, gamma: float, generator: torch.Generator | None
+    policy: Policy, worlds: Worlds, seeds: list[int], gamma: float, generator: torch.Generator | None
 ) -> tuple[NDArray[Any], ...]:
-    """Every world's first episode after a reset: the fields of Evaluation from ``returns`` on."""
+    """Every world's first episode after a reset."""
     n, v, d = worlds.num_envs, worlds.vehicles, len(worlds.objectives)
     returns = np.zeros((n, v, d))
     discounted = np.zeros((n, v, d))
@@ -127,19 +192,17 @@ def _first_episodes(
     ends = np.full((n, v), None, dtype=object)
     running = np.ones((n, v), dtype=np.bool_)
     unfinished = np.ones(n, dtype=np.bool_)
-    accrued = np.zeros((n, v, d), dtype=np.float32)
-    discounts = np.ones((n, v), dtype=np.float32)
+    history = History.begin(n, v, d)
     factor = 1.0
-    observations = worlds.reset(seed)
+    observations = worlds.reset(seeds)
     while unfinished.any():
-        step = worlds.step(agent.act(observations, accrued, discounts, generator))
+        step = worlds.step(policy.act(observations, history, generator))
         counted = running & step.acted
         rewards = np.where(counted[..., None], step.rewards, 0.0)
         returns += rewards
         discounted += factor * rewards
         factor *= gamma
-        accrued += discounts[..., None] * step.rewards
-        discounts *= agent.config.gamma
+        history.add(step.rewards, policy.gamma)
         largest = np.maximum(largest, np.abs(rewards))
         lengths += counted
         succeeded |= counted & step.succeeded

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field
 
 import mo_deepdrive  # noqa: F401  (registers our ids)
 from algorithms import ALGORITHMS
+from algorithms.peers import PEERS
 from algorithms.yaml_files import read_mapping, read_value
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
@@ -83,6 +84,8 @@ class EvaluationSettings(Settings):
         final_episodes: episodes of the evaluation at the end.
         seed: of the first evaluation episode; training draws its own seeds from 2**32 on.
         gamma: discount of the discounted returns reported.
+        reference_point: of a front's hypervolume, one number per objective; None for the agreed one of our
+            environments, and for none elsewhere.
     """
 
     interval: Count | None = None
@@ -90,6 +93,7 @@ class EvaluationSettings(Settings):
     final_episodes: Count = 200
     seed: int = Field(default=1_000_000, ge=0, lt=2**31)
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
+    reference_point: list[float] | None = None
 
 
 class WandbSettings(Settings):
@@ -125,15 +129,22 @@ class Experiment(Settings):
     """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default.
 
     Attributes:
-        algorithm: "name" (a key of ``algorithms.ALGORITHMS``) and that algorithm's hyperparameters.
+        utility: for algorithms that learn for a known utility; None for those that learn a front.
+        algorithm: "name" (a key of ``algorithms.ALGORITHMS`` or ``algorithms.peers.PEERS``) and that algorithm's
+            hyperparameters.
     """
 
     environment: EnvironmentSettings
-    utility: UtilitySettings
+    utility: UtilitySettings | None = None
     algorithm: dict[str, Any]
     training: TrainingSettings
     evaluation: EvaluationSettings = EvaluationSettings()
     logging: LoggingSettings = LoggingSettings()
+
+    @property
+    def known_utility(self) -> bool:
+        """Whether the algorithm learns for a known utility, or a front for every utility."""
+        return bool(_known(self.algorithm["name"]).known_utility)
 
     @property
     def hyperparameters(self) -> dict[str, Any]:
@@ -186,6 +197,11 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment") -> Expe
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     algorithm = attempt(lambda: _algorithm(experiment.algorithm))
     attempt(lambda: _check_device(experiment.training.device))
+    if algorithm:
+        attempt(lambda: _check_utility(experiment))
+    reference: dict[str, Any] = {}
+    if algorithm and arguments and not experiment.known_utility:
+        reference = attempt(lambda: _reference_point(experiment, arguments))
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     twentieth = max(1, experiment.training.total_timesteps // 20)
@@ -194,7 +210,9 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment") -> Expe
         update={
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "algorithm": algorithm,
-            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or twentieth}),
+            "evaluation": evaluation.model_copy(
+                update={"interval": evaluation.interval or twentieth, **reference}
+            ),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or twentieth}),
         }
     )
@@ -279,15 +297,53 @@ def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"scenario"})
 
 
+def _known(name: Any) -> Any:
+    """The class of an algorithm, or the row of another library's."""
+    known: dict[str, Any] = {**ALGORITHMS, **PEERS}
+    if not isinstance(name, str) or name not in known:
+        raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, known)}")
+    return known[name]
+
+
 def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
     if "name" not in values:
         raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
     name = values["name"]
-    if not isinstance(name, str) or name not in ALGORITHMS:
-        raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, ALGORITHMS)}")
     rest = {key: value for key, value in values.items() if key != "name"}
-    config = parse(ALGORITHMS[name].Config, rest, f"hyperparameters of algorithm {name!r}")
+    config = parse(_known(name).Config, rest, f"hyperparameters of algorithm {name!r}")
     return {"name": name, **config.model_dump(mode="json")}
+
+
+def _check_utility(experiment: Experiment) -> dict[str, Any]:
+    name = experiment.algorithm["name"]
+    if experiment.known_utility and experiment.utility is None:
+        raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
+    if not experiment.known_utility and experiment.utility is not None:
+        raise ValueError(
+            f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
+            "section out (scripts/choose.py applies a utility to the front)"
+        )
+    return {}
+
+
+def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The reference point of a front's hypervolume: the one given, else the agreed one of our environments."""
+    spec = find_environment(experiment.environment.id)
+    given = experiment.evaluation.reference_point
+    if not is_ours(spec):
+        return {"reference_point": given}
+    config = parse(EnvConfig, {**spec.kwargs, **arguments}, "environment arguments")
+    if config.cost_sign != "maximise":
+        raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
+    if given is not None:
+        return {"reference_point": given}
+    try:
+        point = mo_deepdrive.reference_point(
+            config.scenario, config.action_type, experiment.evaluation.gamma, config.objectives
+        )
+    except ValueError as error:
+        raise ValueError(f"evaluation.reference_point must be given: {error}") from None
+    return {"reference_point": point.values.tolist()}
 
 
 def _check_device(name: str) -> dict[str, Any]:

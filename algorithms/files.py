@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,3 +42,10 @@ def write_json(path: str | Path, value: Any) -> None:
         OSError: as :func:`atomic_write`.
     """
     atomic_write(path, (json.dumps(value, indent=2) + "\n").encode())
+
+
+def csv_bytes(rows: Iterable[Sequence[Any]]) -> bytes:
+    """``rows`` as the text of a CSV file, with plain newlines."""
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    return buffer.getvalue().encode()

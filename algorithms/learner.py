@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from algorithms.checkpoints import below
 from algorithms.networks import CategoricalActor, GaussianActor, mlp
+from algorithms.optimisers import optimiser_state, set_optimiser_state
 from algorithms.rollout import Rollout, VehicleRollout
 from algorithms.worlds import Worlds
 from mo_deepdrive.config import Settings
@@ -238,16 +239,11 @@ class Learner(ABC):
         """Weights and the optimiser's state as named tensors."""
         state = {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
         state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        for index, entries in self.optimiser.state_dict()["state"].items():
-            state |= {f"optimiser.{index}.{name}": tensor for name, tensor in entries.items()}
+        state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
         return state
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.actor.load_state_dict(below(state, "actor."))
         self.critic.load_state_dict(below(state, "critic."))
-        entries: dict[int, dict[str, torch.Tensor]] = {}
-        for name, tensor in below(state, "optimiser.").items():
-            index, _, entry = name.partition(".")
-            entries.setdefault(int(index), {})[entry] = tensor
-        self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": entries})
+        set_optimiser_state(self.optimiser, below(state, "optimiser."))

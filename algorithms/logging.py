@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from algorithms.experiment import WandbSettings
 from algorithms.files import atomic_write
+from algorithms.front import Front
 
 CONNECTION_TIMEOUT = 20.0  # s, after which W&B's online mode gives way to offline
 
@@ -98,6 +99,40 @@ class MetricsFile:
         else:
             with self.path.open("a") as file:
                 file.write(_line(row))
+
+
+class FrontsFile:
+    """A CSV of every front in the making: one row per policy, with its step and its discounted returns.
+
+    Args:
+        path: the file.
+        after: as for :class:`MetricsFile`.
+    """
+
+    def __init__(self, path: Path, after: int | None = None):
+        self.path = path
+        header, rows = _whole_rows(path) if after is not None else (["step"], [])
+        self._begun = len(header) > 1
+        if self._begun and after is not None:
+            kept = [_line(row) for row in rows if int(row[0]) <= after]
+            atomic_write(path, "".join([_line(header), *kept]).encode())
+
+    def write(self, step: int, front: Front) -> None:
+        """Append a front.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        lines = [
+            _line([str(step), str(policy), *map(_cell, returns)]) for policy, returns in enumerate(front.discounted)
+        ]
+        if self._begun:
+            with self.path.open("a") as file:
+                file.write("".join(lines))
+        else:
+            names = [f"discounted_return/{name}" for name in front.objectives]
+            atomic_write(self.path, "".join([_line(["step", "policy", *names]), *lines]).encode())
+            self._begun = True
 
 
 class WandbRun:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.learner import ActorCriticConfig, Learner
 from algorithms.returns import AdvantageForm, discounted_sum, utility_differences, utility_gradient
 from algorithms.rollout import VehicleRollout

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import torch
 from pydantic import Field
 
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.learner import normalised
 from algorithms.mo_a2c import MOA2CConfig, MOA2CLearner
 from algorithms.rollout import VehicleRollout

@@ -1,4 +1,4 @@
-"""Networks of the actor-critics: small multilayer perceptrons and action distributions."""
+"""Small multilayer perceptrons, action distributions, and the network that obeys a command."""
 
 from __future__ import annotations
 
@@ -79,3 +79,28 @@ class GaussianActor(nn.Module):
         log_density = (-0.5 * z.square() - self.log_std - 0.5 * LOG_TWO_PI).sum(-1)
         entropy = (self.log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum()
         return log_density, entropy.expand(log_density.shape)
+
+
+class CommandedNetwork(nn.Module):
+    """What to do on an observation under a command: the network of Pareto Conditioned Networks.
+
+    Observation and command each pass a linear layer and a sigmoid; their product goes through a multilayer
+    perceptron (Reymond et al. 2022, figure 2).
+
+    Args:
+        inputs: o, width of an observation.
+        commands: width of a command.
+        hidden: width of the embeddings, then of the layers after them.
+        outputs: width of the result.
+        generator: draws the initial weights.
+    """
+
+    def __init__(self, inputs: int, commands: int, hidden: Sequence[int], outputs: int, generator: torch.Generator):
+        super().__init__()
+        self.observation = mlp(inputs, (), hidden[0], generator, output_gain=1.0)
+        self.command = mlp(commands, (), hidden[0], generator, output_gain=1.0)
+        self.body = mlp(hidden[0], hidden[1:], outputs, generator, output_gain=0.01)
+
+    def forward(self, observations: torch.Tensor, commands: torch.Tensor) -> torch.Tensor:
+        """(n, outputs) for scaled observations (n, o) and commands (n, c)."""
+        return self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())

@@ -66,6 +66,14 @@ KINDS = (
     Kind("training", "train/", "utility", "-", 1.1),
     Kind("evaluation, greedy", "eval/greedy/", "utility_esr", "-", 2.0),
     Kind("evaluation, stochastic", "eval/stochastic/", "utility_esr", "--", 1.7),
+    Kind("front, best of its policies", "eval/front/", "utility_esr", "-", 2.0),
+)
+# Panels of fronts: titles and metrics.
+INDICATORS = (
+    ("hypervolume", "hypervolume"),
+    ("policies of the front", "cardinality"),
+    ("expected utility, 50 weights", "expected_utility"),
+    ("IGD+ to the best-known front", "igd_plus"),
 )
 
 
@@ -202,7 +210,8 @@ def _panels(groups: Sequence[Group]) -> list[tuple[str, tuple[str, ...]]]:
     for vehicle in vehicles:
         inner = f"{vehicle}/" if vehicle else ""
         prefix = f"{vehicle.replace('_', ' ')}: " if vehicle else ""
-        wanted = [("utility per episode", tuple(kind.utility for kind in KINDS))]
+        wanted = [(title, (metric,) * len(KINDS)) for title, metric in INDICATORS]
+        wanted.append(("utility per episode", tuple(kind.utility for kind in KINDS)))
         if ours:
             wanted.append(("arrival rate", ("success",) * len(KINDS)))
         wanted += [(_title(name), (f"return/{name}",) * len(KINDS)) for name in ordered]
@@ -275,11 +284,13 @@ def _cut_off(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[A
 def _colour(groups: Sequence[Group], g: int, k: int) -> str:
     if len(groups) > 1:
         return COLOURS[g % len(COLOURS)]
-    return ("#9AA3AD", COLOURS[0], COLOURS[1])[k]
+    return ("#9AA3AD", COLOURS[0], COLOURS[1], COLOURS[0])[k]
 
 
-def _utilities(settings: Mapping[str, Any]) -> list[str]:
-    """The name of the utility, and of each vehicle's that has another one."""
+def _utilities(settings: Mapping[str, Any] | None) -> list[str]:
+    """The name of the utility, and of each vehicle's that has another one; nothing where none is known."""
+    if settings is None:
+        return []
     own = [f"{each['name']} ({vehicle.replace('_', ' ')})" for vehicle, each in settings.get("vehicles", {}).items()]
     return [settings["name"], *own]
 
@@ -289,11 +300,12 @@ def _frame(figure: Figure, groups: Sequence[Group]) -> None:
     config = groups[0].config
     alone = len(groups) == 1
     ids = dict.fromkeys(group.config["environment"]["id"] for group in groups)
-    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.config["utility"]))
+    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.config.get("utility")))
     title = f"{config['algorithm']['name']} on {', '.join(ids)}" if alone else ", ".join(ids)
     seeds = sorted({len(group.runs) for group in groups})
     count = " to ".join(str(n) for n in dict.fromkeys((seeds[0], seeds[-1])))
-    note = f"utility {', '.join(utilities)}; undiscounted returns per episode"
+    note = f"utility {', '.join(utilities)}; " if utilities else ""
+    note += "undiscounted returns per episode"
     if config["environment"].get("arguments", {}).get("cost_sign", "maximise") == "maximise":
         note += ", costs negative"
     note += f"; {count} seed{'' if seeds == [1] else 's'}"
@@ -303,8 +315,9 @@ def _frame(figure: Figure, groups: Sequence[Group]) -> None:
         for g, group in enumerate(groups)
         if not alone
     ]
+    present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
-        if alone or k > 0:
+        if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
             colour = _colour(groups, 0, k) if alone else "#5B6470"
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
     height = figure.get_figheight()

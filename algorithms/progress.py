@@ -26,10 +26,16 @@ class Reporter:
         step: where it begins.
         console: where to write.
         arrivals: whether the environment says who arrives.
+        front: whether a front is learnt, of which the hypervolume is shown instead of a utility.
     """
 
-    def __init__(self, total: int, step: int, console: Console, arrivals: bool = True):
-        self._shown = (("utility", "utility {:.2f}"), *([("success", "arrivals {:.0%}")] if arrivals else []))
+    def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
+        what = (
+            [("hypervolume", "hypervolume {:.4g}"), ("cardinality", "{:.0f} policies")]
+            if front
+            else [("utility", "utility {:.2f}")]
+        )
+        self._shown = (*what, *([("success", "arrivals {:.0%}")] if arrivals else []))
         self._total = total
         self._step = self._first = step
         self._told_step: int | None = None
@@ -50,7 +56,7 @@ class Reporter:
     def note(self, metrics: Mapping[str, float]) -> None:
         """Keep the newest of the metrics that are shown."""
         for name, value in metrics.items():
-            if name == "time/steps_per_second" or (
+            if name in ("time/steps_per_second", "eval/front/hypervolume", "eval/front/cardinality") or (
                 name.startswith("train/") and name.endswith(("/utility", "/success"))
             ):
                 self._metrics[name] = value

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.evaluation import Evaluation
-from algorithms.files import atomic_write, write_json
+from algorithms.files import atomic_write, csv_bytes, write_json
 from algorithms.intervals import Estimate, mean, rate, utility_of_mean
 
 # Ends of an episode that are reported even when none occurred.
@@ -109,8 +107,8 @@ def write(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping
     rows: list[list[Any]] = [["policy", "metric", "value", "low", "high"]]
     for policy, summary in summaries.items():
         rows += [[policy, name, e.value, e.low, e.high] for name, e in summary.items()]
-    atomic_write(directory / "evaluation.csv", _csv(rows))
-    atomic_write(directory / "episodes.csv", _csv(_episodes(evaluations, int(about["seed"]))))
+    atomic_write(directory / "evaluation.csv", csv_bytes(rows))
+    atomic_write(directory / "episodes.csv", csv_bytes(_episodes(evaluations, int(about["seed"]))))
 
 
 def _episodes(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any]]:
@@ -131,9 +129,3 @@ def _episodes(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any
                 returns = [*evaluation.returns[e, v].tolist(), *evaluation.discounted[e, v].tolist()]
                 rows.append([policy, seed + e, v, *how, float(utilities[e]), *returns])
     return rows
-
-
-def _csv(rows: list[list[Any]]) -> bytes:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
-    return buffer.getvalue().encode()

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from algorithms.history import History
 from algorithms.worlds import Worlds
 
-# From observations (N, V, o), accrued rewards (N, V, d) and discounts (N, V) to actions (N, V) or (N, V, k).
-Act = Callable[[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]], NDArray]
+# From observations (N, V, o) and what the episodes have come to, to actions (N, V) or (N, V, k).
+Act = Callable[[NDArray[np.float32], History], NDArray]
 
 
 @dataclass
@@ -82,7 +83,7 @@ class Episodes:
 
 
 class Collector:
-    """Steps worlds and keeps what runs on between rollouts: observations, accrued rewards, discounts.
+    """Steps worlds and keeps what runs on between rollouts: observations, histories, returns.
 
     Args:
         worlds: where to act.
@@ -96,10 +97,8 @@ class Collector:
         self.gamma = gamma
         self.steps = steps
         self.observations = np.zeros((n, v, o), dtype=np.float32)
-        self.accrued = np.zeros((n, v, d), dtype=np.float32)
-        self.discounts = np.ones((n, v), dtype=np.float32)
+        self.history = History.begin(n, v, d)
         self.returns = np.zeros((n, v, d), dtype=np.float64)
-        self.lengths = np.zeros((n, v), dtype=np.int64)
         # Reused by every rollout; final observations are written only in worlds where an episode ends.
         self._observations = np.zeros((steps + 1, n, v, o), dtype=np.float32)
         self._final = np.zeros((steps, n, v, o), dtype=np.float32)
@@ -113,29 +112,24 @@ class Collector:
     def reset(self, seed: int) -> None:
         """Start every world anew."""
         self.observations = self.worlds.reset(seed)
-        self.accrued[:] = 0.0
-        self.discounts[:] = 1.0
-        self.returns[:] = 0.0
-        self.lengths[:] = 0
+        self._restart(np.ones(self.returns.shape[:2], dtype=np.bool_))
 
     def collect(self, act: Act) -> tuple[Rollout, Episodes]:
         """Run all worlds for T steps."""
         ended: list[tuple[NDArray, ...]] = []
         for t in range(self.steps):
             self._observations[t] = self.observations
-            self._accrued[t] = self.accrued
-            self._discounts[t] = self.discounts
-            actions = act(self.observations, self.accrued, self.discounts)
+            self._accrued[t] = self.history.accrued
+            self._discounts[t] = self.history.discounts
+            actions = act(self.observations, self.history)
             step = self.worlds.step(actions)
             self._actions[t] = actions
             self._rewards[t] = step.rewards
             self._flags[0, t] = step.terminated
             self._flags[1, t] = step.truncated
             self._flags[2, t] = step.acted
-            self.accrued += self.discounts[..., None] * step.rewards
-            self.discounts *= self.gamma
+            self.history.add(step.rewards, self.gamma)
             self.returns += step.rewards
-            self.lengths += step.acted
             over = (step.terminated | step.truncated) & step.acted
             if over.any():
                 rows = over.any(axis=1)
@@ -144,8 +138,8 @@ class Collector:
                     (
                         np.nonzero(over)[1],
                         self.returns[over],
-                        self.accrued[over],
-                        self.lengths[over],
+                        self.history.accrued[over],
+                        self.history.decisions[over],
                         step.succeeded[over],
                     )
                 )
@@ -154,8 +148,8 @@ class Collector:
                 self._restart(~step.acted)
             self.observations = step.observations
         self._observations[-1] = self.observations
-        self._accrued[-1] = self.accrued
-        self._discounts[-1] = self.discounts
+        self._accrued[-1] = self.history.accrued
+        self._discounts[-1] = self.history.discounts
         rollout = Rollout(
             observations=torch.from_numpy(self._observations),
             final=torch.from_numpy(self._final),
@@ -170,10 +164,8 @@ class Collector:
         return rollout, self._episodes(ended)
 
     def _restart(self, where: NDArray[np.bool_]) -> None:
-        self.accrued[where] = 0.0
-        self.discounts[where] = 1.0
+        self.history.restart(where)
         self.returns[where] = 0.0
-        self.lengths[where] = 0
 
     def _episodes(self, ended: list[tuple[NDArray, ...]]) -> Episodes:
         if not ended:
@@ -183,22 +175,25 @@ class Collector:
         columns = [np.concatenate(column) for column in zip(*ended, strict=True)]
         return Episodes(columns[0], columns[1], columns[2].astype(np.float64), columns[3], columns[4])
 
+    def _own(self) -> dict[str, NDArray]:
+        history = self.history
+        return {
+            "observations": self.observations,
+            "accrued": history.accrued,
+            "discounts": history.discounts,
+            "returns": self.returns,
+            "lengths": history.decisions,
+        }
+
     def get_state(self) -> dict[str, NDArray]:
         """What runs on between rollouts, the worlds included."""
-        own: dict[str, NDArray] = {
-            "observations": self.observations,
-            "accrued": self.accrued,
-            "discounts": self.discounts,
-            "returns": self.returns,
-            "lengths": self.lengths,
-        }
-        own = {name: array.copy() for name, array in own.items()}
+        own = {name: array.copy() for name, array in self._own().items()}
         return {**own, **{f"worlds.{name}": array for name, array in self.worlds.get_state().items()}}
 
     def set_state(self, state: dict[str, NDArray]) -> None:
         """Resume from :meth:`get_state`."""
-        for name in ("observations", "accrued", "discounts", "returns", "lengths"):
-            getattr(self, name)[...] = state[name]
+        for name, array in self._own().items():
+            array[...] = state[name]
         worlds = {name.removeprefix("worlds."): array for name, array in state.items() if name.startswith("worlds.")}
         if worlds:
             self.worlds.set_state(worlds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -14,10 +14,13 @@ from gymnasium.vector import VectorEnv
 from rich.console import Console
 
 from algorithms import ALGORITHMS
-from algorithms.base import ActorCritic
+from algorithms.base import Agent
 from algorithms.evaluation import Evaluation, evaluate
-from algorithms.experiment import EnvironmentSettings, Experiment, find_environment, is_ours
-from algorithms.logging import Logger
+from algorithms.front import Front
+from algorithms.pcn import PCN
+from algorithms.experiment import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
+from algorithms.front_reports import best_known_front, check_reference_point, film_front, report_front
+from algorithms.logging import FrontsFile, Logger
 from algorithms.plots import load_groups, plot
 from algorithms.progress import Reporter
 from algorithms.reports import table, write
@@ -30,13 +33,14 @@ from mo_deepdrive.utilities import Utility, make_utility
 POLICIES = ("greedy", "stochastic")
 # Parallel worlds of an evaluation: ours cost next to nothing, others one Python step each.
 OUR_WORLDS, OTHER_WORLDS = 256, 8
+FRONT_EPISODES = 256  # a front's policies and their episodes, side by side
 
 
 class Stopped(Exception):
     """Training cannot go on for a reason outside of it, such as a full disk; the message says what to do."""
 
 
-def build(experiment: Experiment, num_envs: int | None = None) -> ActorCritic:
+def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     """The agent of an experiment, untrained, with its training environment.
 
     Args:
@@ -46,28 +50,46 @@ def build(experiment: Experiment, num_envs: int | None = None) -> ActorCritic:
     Raises:
         ValueError: if environment, utility and hyperparameters do not fit together.
     """
+    name = experiment.algorithm["name"]
+    if name not in ALGORITHMS:
+        raise ValueError(f"algorithm {name!r} is another library's; scripts/peers.py runs it")
     torch.set_num_threads(experiment.training.threads)
-    env = _make(experiment.environment, num_envs or experiment.training.num_envs)
+    env = make(experiment.environment, num_envs or experiment.training.num_envs)
     worlds = Worlds(env)
-    vehicles = [f"vehicle_{v}" for v in range(worlds.vehicles)]
-    for name in experiment.utility.vehicles:
-        if name not in vehicles:
-            raise ValueError(f"utility.vehicles has {name!r}; {nearest(name, vehicles)}")
-    utilities = []
-    for v in range(worlds.vehicles):
-        chosen = experiment.utility.of_vehicle(v)
-        utilities.append(make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments))
-        _try(utilities[-1])
-    return ALGORITHMS[experiment.algorithm["name"]](
+    given: dict[str, Any] = {}
+    if experiment.utility is None:
+        check_reference_point(experiment, worlds.objectives)
+    else:
+        given["utility"] = _utilities(experiment.utility, worlds)
+    return ALGORITHMS[name](
         env,
-        utilities,
+        **given,
         seed=experiment.training.seed,
         device=experiment.training.device,
         **experiment.hyperparameters,
     )
 
 
-def _make(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
+def _utilities(settings: UtilitySettings, worlds: Worlds) -> list[Utility]:
+    """One utility per vehicle, each tried."""
+    vehicles = [f"vehicle_{v}" for v in range(worlds.vehicles)]
+    for name in settings.vehicles:
+        if name not in vehicles:
+            raise ValueError(f"utility.vehicles has {name!r}; {nearest(name, vehicles)}")
+    utilities = []
+    for v in range(worlds.vehicles):
+        chosen = settings.of_vehicle(v)
+        utilities.append(make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments))
+        _try(utilities[-1])
+    return utilities
+
+
+def make(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
+    """The environment of an experiment.
+
+    Raises:
+        ValueError: if it cannot be made with these arguments.
+    """
     try:
         return make_env(settings.id, num_envs, settings.arguments)
     except ValueError:
@@ -126,7 +148,7 @@ class Interrupts:
         self._restore()
 
 
-def train(run: Run, agent: ActorCritic, console: Console, *, resumed: bool = False) -> int | None:
+def train(run: Run, agent: Agent, console: Console, *, resumed: bool = False) -> int | None:
     """Train ``agent`` to the end of the run's experiment, or until SIGINT or SIGTERM; either way save it.
 
     When it ends or stops changes nothing about what is learnt: checkpoints and evaluations go by steps alone.
@@ -147,14 +169,16 @@ def train(run: Run, agent: ActorCritic, console: Console, *, resumed: bool = Fal
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
     every = logging.checkpoint_interval or training.total_timesteps
     saved = agent.step
-    eval_env = _evaluation_env(experiment, evaluation.episodes)
+    known_utility = experiment.known_utility
+    eval_env = evaluation_env(experiment, evaluation.episodes if known_utility else FRONT_EPISODES)
+    reference_front = None if known_utility else best_known_front(eval_env, evaluation.gamma)
     ours = is_ours(find_environment(experiment.environment.id))
     after = (saved if saved > 0 else -1) if resumed else None
     config = {**experiment.to_dict(), "versions": run.versions}
     try:
         with (
             Interrupts() as interrupts,
-            Reporter(training.total_timesteps, saved, console, arrivals=ours) as reporter,
+            Reporter(training.total_timesteps, saved, console, arrivals=ours, front=not known_utility) as reporter,
             Logger(
                 run.path, after=after, wandb=logging.wandb, config=config, name=run.path.name, say=reporter.say
             ) as logger,
@@ -164,13 +188,15 @@ def train(run: Run, agent: ActorCritic, console: Console, *, resumed: bool = Fal
                 logger.log(step, metrics)
                 reporter.note(metrics)
 
+            fronts = None if known_utility else FrontsFile(run.path / "fronts.csv", after)
+
             def save(state: Any) -> None:
                 nonlocal saved
                 agent.save(run.checkpoint)
                 saved = agent.step
                 run.set_status(state, saved)
 
-            def after_update(trained: ActorCritic) -> bool:
+            def after_update(trained: Agent) -> bool:
                 reporter.update(trained.step)
                 if trained.step // every > saved // every:
                     save("running")
@@ -184,7 +210,10 @@ def train(run: Run, agent: ActorCritic, console: Console, *, resumed: bool = Fal
                 eval_episodes=evaluation.episodes,
                 eval_seed=evaluation.seed,
                 eval_gamma=evaluation.gamma,
+                reference_point=evaluation.reference_point,
+                reference_front=reference_front,
                 log=log,
+                log_front=None if fronts is None else fronts.write,
                 log_interval=logging.interval,
                 after_update=after_update,
             )
@@ -208,9 +237,9 @@ def _failed(run: Run, step: int) -> None:
         run.set_status("failed", step)
 
 
-def evaluate_policies(agent: ActorCritic, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
+def evaluate_policies(agent: Agent, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
     """The greedy and the stochastic policy's evaluations, on an environment of their own."""
-    env = _evaluation_env(experiment, episodes)
+    env = evaluation_env(experiment, episodes)
     try:
         return {
             policy: evaluate(
@@ -227,17 +256,31 @@ def evaluate_policies(agent: ActorCritic, experiment: Experiment, *, episodes: i
         env.close()
 
 
-def _evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
+def evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
+    """A raw environment of its own for evaluations of so many episodes."""
     ours = is_ours(find_environment(experiment.environment.id))
-    return _make(experiment.environment, min(episodes, OUR_WORLDS if ours else OTHER_WORLDS))
+    return make(experiment.environment, min(episodes, OUR_WORLDS if ours else OTHER_WORLDS))
 
 
-def finish(run: Run, agent: ActorCritic, console: Console) -> None:
+def finish(run: Run, agent: Agent, console: Console) -> None:
     """Evaluate the trained agent; write and print the numbers; draw the curves; film the greedy policy.
+
+    Where the agent learnt a front, it is re-evaluated and drawn, and four of its policies are filmed.
 
     Raises:
         Stopped: if the numbers or the curves could not be written; the trained policy is safe.
     """
+    try:
+        if run.experiment.known_utility:
+            _finish_policy(run, agent, console)
+        else:
+            _finish_front(run, agent, console)
+        run.set_status("finished", agent.step)
+    except OSError as error:
+        raise Stopped(f"the run is trained, but its results could not be written: {error}") from error
+
+
+def _finish_policy(run: Run, agent: Agent, console: Console) -> None:
     experiment = run.experiment
     settings = experiment.evaluation
     evaluations = evaluate_policies(agent, experiment, episodes=settings.final_episodes, seed=settings.seed)
@@ -248,21 +291,39 @@ def finish(run: Run, agent: ActorCritic, console: Console) -> None:
         "gamma": settings.gamma,
     }
     console.print(table(evaluations, f"{settings.final_episodes} episodes from seed {settings.seed}"))
+    write(run.path, evaluations, about)
+    plot(load_groups([run.path]), run.path / "curves.png")
+    film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
+
+
+def evaluate_front(agent: PCN, experiment: Experiment, *, episodes: int, seed: int) -> Front:
+    """The front of a trained agent, evaluated anew on an environment of its own."""
+    env = evaluation_env(experiment, FRONT_EPISODES)
     try:
-        write(run.path, evaluations, about)
-        plot(load_groups([run.path]), run.path / "curves.png")
-        film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
-        run.set_status("finished", agent.step)
-    except OSError as error:
-        raise Stopped(f"the run is trained, but its results could not be written: {error}") from error
+        return agent.front(env, episodes=episodes, seed=seed, gamma=experiment.evaluation.gamma)
+    finally:
+        env.close()
+
+
+def _finish_front(run: Run, agent: PCN, console: Console) -> None:
+    settings = run.experiment.evaluation
+    front = evaluate_front(agent, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
+    report_front(run, front, console, step=agent.step)
+    plot(load_groups([run.path]), run.path / "curves.png")
+    attempt_film(lambda: film_front(agent, front, run.experiment, run.path / "video.mp4", seed=settings.seed), console)
 
 
 def film(
-    agent: ActorCritic, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True
+    agent: Agent, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True
 ) -> bool:
     """Record a video, or say why there is none; whether there is one."""
+    return attempt_film(lambda: record(agent, experiment.environment, path, seed=seed, greedy=greedy), console)
+
+
+def attempt_film(recording: Callable[[], Any], console: Console) -> bool:
+    """Do what records a video, or say why there is none; whether there is one."""
     try:
-        record(agent, experiment.environment, path, seed=seed, greedy=greedy)
+        recording()
     except Exception as error:  # drawing and encoding are other people's code; the numbers are worth more
         console.print(f"no video: {type(error).__name__}: {error}", markup=False, highlight=False, soft_wrap=True)
         return False

@@ -17,18 +17,20 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from algorithms.experiment import EnvironmentSettings, find_environment, is_ours
+from algorithms.history import History
 from algorithms.worlds import Worlds, make_env
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 if TYPE_CHECKING:
-    from algorithms.base import ActorCritic
+    from algorithms.base import Agent
+    from algorithms.evaluation import Policy
 
 MAX_FRAMES = 750  # where the video is cut off
 HOLD = 0.5  # s for which an episode's last frame stands
 
 
 def record(
-    agent: ActorCritic,
+    agent: Agent,
     environment: EnvironmentSettings,
     path: str | Path,
     *,
@@ -55,9 +57,6 @@ def record(
     """
     env = make_world(environment)
     try:
-        modes = list(env.unwrapped.metadata.get("render_modes", []))
-        if "rgb_array" not in modes:
-            raise ValueError(f"environment {environment.id} has no rgb_array rendering; it has {modes}")
         fps = int(env.unwrapped.metadata.get("render_fps") or 10)
         with writing(path, fps) as write:
             count = 0
@@ -87,45 +86,53 @@ def writing(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]]
 
 
 def make_world(environment: EnvironmentSettings) -> VectorEnv:
-    """One world that can be drawn and, where it is ours, stays at the end of its episode."""
+    """One world that can be drawn and, where it is ours, stays at the end of its episode.
+
+    Raises:
+        ValueError: if the environment gives no pictures.
+    """
     arguments = {**environment.arguments, "render_mode": "rgb_array"}
     if not is_ours(find_environment(environment.id)):
-        return make_env(environment.id, 1, arguments)
+        env = make_env(environment.id, 1, arguments)
+        modes = list(env.unwrapped.metadata.get("render_modes", []))
+        if "rgb_array" not in modes:
+            env.close()
+            raise ValueError(f"environment {environment.id} has no rgb_array rendering; it has {modes}")
+        return env
     return gymnasium.make_vec(environment.id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
 
 
 def _episodes(
-    agent: ActorCritic, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
+    agent: Agent, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
 ) -> Iterator[NDArray[np.uint8]]:
     """The frames of one episode per seed; the last of each stands for a moment."""
     for seed in seeds:
         frame: NDArray[np.uint8]
-        for frame in _frames(agent, env, seed, greedy):
+        for frame in episode_frames(agent, env, seed, greedy=greedy):
             yield frame
         yield from [frame] * round(HOLD * fps)
 
 
-def _frames(agent: ActorCritic, env: VectorEnv, seed: int, greedy: bool) -> Iterator[NDArray[np.uint8]]:
-    """The frames of one episode, from its start to its end."""
-    vehicles, d = agent.worlds.vehicles, len(agent.worlds.objectives)
-    generator = None if greedy else torch.Generator(agent.device).manual_seed(seed)
+def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[NDArray[np.uint8]]:
+    """The frames of one episode of ``policy`` in ``env``, from :func:`make_world`, from its start to its end."""
+    trained = policy.worlds
+    vehicles, d = trained.vehicles, len(trained.objectives)
+    generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
     worlds = None if isinstance(env.unwrapped, DrivingVectorEnv) else Worlds(env)
-    accrued = np.zeros((1, vehicles, d), dtype=np.float32)
-    discounts = np.ones((1, vehicles), dtype=np.float32)
+    history = History.begin(1, vehicles, d)
     running = np.ones((1, vehicles), dtype=np.bool_)
     observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if worlds is None else worlds.reset(seed)
     yield _picture(env)
     while running.any():
-        actions = agent.act(observations, accrued, discounts, generator)
+        actions = policy.act(observations, history, generator)
         if worlds is None:
-            raw, rewards, *flags, _ = env.step(agent.worlds.environment_actions(actions))
+            raw, rewards, *flags, _ = env.step(trained.environment_actions(actions))
             observations, rewards = raw.reshape(1, vehicles, -1), rewards.reshape(1, vehicles, d)
             over = (flags[0] | flags[1]).reshape(1, vehicles)
         else:
             step = worlds.step(actions)
             observations, rewards, over = step.observations, step.rewards, step.terminated | step.truncated
-        accrued += discounts[..., None] * rewards
-        discounts *= agent.config.gamma
+        history.add(rewards, policy.gamma)
         running &= ~over
         yield _picture(env)
 

@@ -125,8 +125,8 @@ class Worlds:
         self.observation_size = len(self.observation_scales)
         self._was_over = np.zeros((self.num_envs, 1), dtype=np.bool_)
 
-    def reset(self, seed: int | None = None) -> NDArray[np.float32]:
-        """Start every world anew; world i is seeded with ``seed + i``. Observations (N, V, o)."""
+    def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
+        """Start every world anew; world i is seeded with ``seed + i``, or ``seed[i]``. Observations (N, V, o)."""
         raw, _ = self.env.reset(seed=seed)
         self._was_over[:] = False
         return self.policy_observations(raw)

@@ -1,7 +1,8 @@
 """MO-DeepDrive: multi-objective driving environments for Gymnasium, MO-Gymnasium, PettingZoo and MOMAland.
 
 Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0`` and
-``mo-deepdrive-intersection-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments.
+``mo-deepdrive-intersection-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments,
+:func:`reference_point` and :func:`reference_front` tell what returns are compared with.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
     from mo_deepdrive.envs.parallel import DrivingParallelEnv
+    from mo_deepdrive.fronts import reference_front, reference_point
 
-__all__ = ["env", "parallel_env", "raw_env"]
+__all__ = ["env", "parallel_env", "raw_env", "reference_front", "reference_point"]
 
 __version__ = "0.1.0"
 
@@ -40,6 +42,15 @@ gymnasium.register(
     vector_entry_point=_VECTOR,
     kwargs={"scenario": "intersection"},
 )
+
+
+def __getattr__(name: str) -> Any:
+    """What is imported when it is first asked for: registering the ids alone takes no time."""
+    if name in ("reference_front", "reference_point"):
+        from mo_deepdrive import fronts
+
+        return getattr(fronts, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def parallel_env(**kwargs: Any) -> DrivingParallelEnv:

@@ -98,6 +98,7 @@ class EnvConfig(Settings):
         scenario: which scenario.
         action_type: "discrete" (the paper's 22), "discrete-16" or "continuous".
         fixed_destination: the same destination in every episode (OneWaypoint, StaticObstacle).
+        fixed_obstacle: the same bicycle in every episode: its place along the route, length and angle (StaticObstacle).
         time_limit: seconds after which an episode is truncated.
         objectives: names and order of the objectives emitted; None for all of the scenario's.
         cost_sign: "maximise" negates every cost; "paper" emits magnitudes.
@@ -116,6 +117,7 @@ class EnvConfig(Settings):
     scenario: ScenarioName
     action_type: ActionType = "discrete"
     fixed_destination: bool = False
+    fixed_obstacle: bool = False
     time_limit: float = Field(default=60.0, gt=0.0, le=3600.0)
     objectives: tuple[str, ...] | None = None
     cost_sign: CostSign = "maximise"

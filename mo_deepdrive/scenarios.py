@@ -25,6 +25,8 @@ from mo_deepdrive.simulation.state import (
 
 DRAWS = 5
 FIXED_DRAW = 0.2
+# Half way, 3.45 m long and across the straight way to the fixed destination, but for two degrees.
+FIXED_OBSTACLE_DRAWS = (0.4, 0.5, 0.2)
 
 # The original draws on a 1000 px square with a 50 px margin.
 PIXELS_PER_METRE = 405 / LENGTH / 4
@@ -157,15 +159,18 @@ def draw_spawn(draws, j, params, pins, spawn):
     route_x = spawn.waypoints[0, last, 0] - start_x
     route_y = spawn.waypoints[0, last, 1] - start_y
     route = math.sqrt(route_x * route_x + route_y * route_y)
-    ratio = (OBSTACLE_REACH * draws[j, 2] * route + OBSTACLE_NEAREST) / route if route > 0.0 else 0.0
-    half = (OBSTACLE_SHORTEST + OBSTACLE_STRETCH * draws[j, 3]) / 2
+    place_draw = FIXED_OBSTACLE_DRAWS[0] if params.fixed_obstacle else draws[j, 2]
+    length_draw = FIXED_OBSTACLE_DRAWS[1] if params.fixed_obstacle else draws[j, 3]
+    angle_draw = FIXED_OBSTACLE_DRAWS[2] if params.fixed_obstacle else draws[j, 4]
+    ratio = (OBSTACLE_REACH * place_draw * route + OBSTACLE_NEAREST) / route if route > 0.0 else 0.0
+    half = (OBSTACLE_SHORTEST + OBSTACLE_STRETCH * length_draw) / 2
     for end in range(2):
         side = half if end == 0 else -half
         spawn.obstacle[end, 0] = given(
-            pins.obstacle[end, 0], start_x + ratio * route_x + side * math.cos(math.pi * draws[j, 4])
+            pins.obstacle[end, 0], start_x + ratio * route_x + side * math.cos(math.pi * angle_draw)
         )
         spawn.obstacle[end, 1] = given(
-            pins.obstacle[end, 1], start_y + ratio * route_y + side * math.sin(math.pi * draws[j, 4])
+            pins.obstacle[end, 1], start_y + ratio * route_y + side * math.sin(math.pi * angle_draw)
         )
 
 

@@ -30,7 +30,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from algorithms.base import ActorCritic
+from algorithms.base import Agent
 from algorithms.driving import PICTURES, Cockpit, Outcome
 from algorithms.experiment import EnvironmentSettings, find_environment, is_ours
 from algorithms.progress import make_console
@@ -65,7 +65,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, ActorCritic | None]:
+def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None]:
     """The world that the options ask for and the agent in it, if there is one.
 
     Raises:

@@ -30,10 +30,11 @@ from algorithms.intervals import mean
 from algorithms.runs import Run
 from mo_deepdrive.config import EnvConfig
 
-POLICIES = ("greedy", "stochastic")
+POLICIES = ("greedy", "stochastic", "front")
 METRICS = (
     *("utility_esr", "utility_ser", "success", "end/collision", "return/lane_violation"),
     *("length", "mean_g_force", "mean_jerk"),
+    *("hypervolume", "cardinality", "expected_utility", "igd_plus", "additive_epsilon"),
 )
 RESAMPLES = 10_000
 
@@ -103,7 +104,7 @@ def collect(paths: list[Path]) -> list[Group]:
         group.seeds.append(seed)
         policies = json.loads(evaluation.read_text())["policies"]
         for policy in POLICIES:
-            for name, estimate in policies[policy].items():
+            for name, estimate in policies.get(policy, {}).items():
                 vehicle, metric = split_vehicle(name)
                 if metric in METRICS:
                     group.scores[policy, vehicle, metric].append(estimate["value"])
@@ -119,8 +120,10 @@ def environment_label(settings: EnvironmentSettings) -> str:
     return " ".join([settings.id, *changed])
 
 
-def utility_label(settings: UtilitySettings) -> str:
-    """The name, and those of the vehicles that have another utility."""
+def utility_label(settings: UtilitySettings | None) -> str:
+    """The name, and those of the vehicles that have another utility; nothing where none is known."""
+    if settings is None:
+        return ""
     return " ".join([settings.name, *(f"{vehicle}={own.name}" for vehicle, own in settings.vehicles.items())])
 
 

@@ -17,7 +17,7 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(os.getcwd())  # where a user's own utility lives
 
-from algorithms.base import ActorCritic
+from algorithms.base import Agent
 from algorithms.experiment import load_experiment
 from algorithms.progress import make_console
 from algorithms.runs import Run, default_directory
@@ -40,7 +40,7 @@ def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]
     return options, overrides
 
 
-def prepare(options: argparse.Namespace, overrides: list[str]) -> tuple[Run, ActorCritic]:
+def prepare(options: argparse.Namespace, overrides: list[str]) -> tuple[Run, Agent]:
     """The run that the options ask for, and its agent: a new one, or as the last checkpoint left it.
 
     Raises:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.learner import Learner
 from algorithms.rollout import VehicleRollout
 from algorithms.worlds import Worlds, make_env

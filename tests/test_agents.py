@@ -42,8 +42,9 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.evaluation import evaluate
+from algorithms.history import History
 from algorithms.learner import Learner
 from algorithms.rollout import Rollout, VehicleRollout
 from algorithms.worlds import Worlds, make_env
@@ -165,7 +166,8 @@ def test_eval_is_the_greedy_action_of_the_policy(cls: type[ActorCritic]) -> None
     rng = np.random.default_rng(0)
     observations = rng.normal(0.0, 5.0, (4, 2, agent.worlds.observation_size)).astype(np.float32)
     accrued = rng.normal(0.0, 5.0, (4, 2, 6)).astype(np.float32)
-    together = agent.act(observations, accrued, np.full((4, 2), 0.5, dtype=np.float32), None)
+    history = History(accrued, np.full((4, 2), 0.5, dtype=np.float32), np.zeros((4, 2), dtype=np.int64))
+    together = agent.act(observations, history, None)
     for i in range(4):
         np.testing.assert_array_equal(agent.eval(observations[i], accrued[i], 0.5), together[i])
 
@@ -235,8 +237,7 @@ def test_eval_of_a_continuous_policy_of_ours_stays_in_the_action_space(cls: type
 def test_eval_understands_the_observations_of_a_foreign_discrete_space(cls: type[ActorCritic]) -> None:
     agent = toy_agent(cls, spaces.Discrete(7), spaces.Discrete(9))
     exaggerate(agent)
-    zeros = np.zeros((9, 1, 2), dtype=np.float32)
-    expected = agent.act(np.eye(9, dtype=np.float32)[:, None], zeros, np.ones((9, 1), dtype=np.float32), None)[:, 0]
+    expected = agent.act(np.eye(9, dtype=np.float32)[:, None], History.begin(9, 1, 2), None)[:, 0]
     assert len(set(expected.tolist())) > 2
     assert [int(agent.eval(i)) for i in range(9)] == expected.tolist()
 

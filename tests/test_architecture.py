@@ -57,16 +57,20 @@ def allows(*modules: str) -> Callable[..., list[str]]:
     return check
 
 
-def eager_rendering(tree: Tree, module: str = "", is_package: bool = False) -> list[str]:
-    """Imports of rendering that are not inside a function."""
-    lazy = {
-        id(statement)
-        for function in ast.walk(tree)
-        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
-        for statement in ast.walk(function)
-    }
-    found = imported(tree, module, is_package)
-    return [name for name, node in found if within(name, "mo_deepdrive.rendering") and id(node) not in lazy]
+def eager(target: str) -> Callable[..., list[str]]:
+    """A checker that finds imports of ``target`` that are not inside a function."""
+
+    def check(tree: Tree, module: str = "", is_package: bool = False) -> list[str]:
+        late = for_types_only(tree) | {
+            id(statement)
+            for function in ast.walk(tree)
+            if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
+            for statement in ast.walk(function)
+        }
+        found = imported(tree, module, is_package)
+        return [name for name, node in found if within(name, target) and id(node) not in late]
+
+    return check
 
 
 def aliases(tree: Tree) -> dict[str, str]:
@@ -247,7 +251,14 @@ def test_only_the_faces_import_rendering_and_only_when_they_draw(sources: Source
     assert sources.offences(bans("mo_deepdrive.rendering"), others) == {}
     others = [name for name in sources.modules if name != "mo_deepdrive.rendering"]
     assert sources.offences(bans("mo_deepdrive.drawing"), others) == {}
-    assert sources.offences(eager_rendering, sources.below("mo_deepdrive.envs")) == {}
+    assert sources.offences(eager("mo_deepdrive.rendering"), sources.below("mo_deepdrive.envs")) == {}
+
+
+def test_fronts_are_imported_only_when_they_are_asked_for(sources: Sources) -> None:
+    assert sources.offences(eager("mo_deepdrive.fronts"), sources.below("mo_deepdrive")) == {}
+    check = bans("mo_deepdrive.fronts", "moocore")
+    parts = ["config", "objectives", "scenarios", "actions", "observation", "simulator", "simulation"]
+    assert sources.offences(check, sources.below(*(f"mo_deepdrive.{part}" for part in parts))) == {}
 
 
 def test_no_chain_of_imports_leads_back(sources: Sources) -> None:
@@ -273,8 +284,8 @@ BAD: list[tuple[Callable[..., list[str]], str, list[str]]] = [
     (bans("mo_deepdrive.simulation.kernel"), "from . import kernel", ["mo_deepdrive.simulation.kernel"]),
     (allows("mo_deepdrive.objectives"), "from mo_deepdrive.scenarios import x", ["mo_deepdrive.scenarios.x"]),
     (allows("mo_deepdrive.objectives"), "import scripts.train", ["scripts.train"]),
-    (eager_rendering, "from mo_deepdrive.rendering import Viewer", ["mo_deepdrive.rendering.Viewer"]),
-    (eager_rendering, "if True:\n    import mo_deepdrive.rendering", ["mo_deepdrive.rendering"]),
+    (eager("mo_deepdrive.rendering"), "from mo_deepdrive.rendering import Viewer", ["mo_deepdrive.rendering.Viewer"]),
+    (eager("mo_deepdrive.rendering"), "if True:\n    import mo_deepdrive.rendering", ["mo_deepdrive.rendering"]),
     (surroundings_read, "import sys\nprint(sys.argv[1])", ["sys.argv"]),
     (surroundings_read, "from sys import argv", ["sys.argv"]),
     (surroundings_read, "import os\nos.environ['A'] = '1'", ["os.environ"]),
@@ -300,7 +311,11 @@ def test_a_checker_finds_what_it_is_for(check: Callable[..., list[str]], source:
 GOOD: list[tuple[Callable[..., list[str]], str]] = [
     (bans("algorithms"), "import algorithmsandmore, mo_deepdrive.config"),
     (allows("mo_deepdrive.objectives"), "import numpy\nfrom mo_deepdrive.objectives import NAMES"),
-    (eager_rendering, "def render():\n    from mo_deepdrive.rendering import Viewer"),
+    (eager("mo_deepdrive.rendering"), "def render():\n    from mo_deepdrive.rendering import Viewer"),
+    (
+        eager("mo_deepdrive.fronts"),
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import mo_deepdrive.fronts",
+    ),
     (surroundings_read, "import sys, os\nsys.path, os.path.join('a')\nargv = environ = 1"),
     (global_random_state, "import numpy as np\nrng = np.random.default_rng(0)\nrng.random()\nrng.seed(1)"),
     (global_random_state, "import torch\ng = torch.Generator()\ng.manual_seed(0)\ntorch.randn(3, generator=g)"),

@@ -12,7 +12,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from algorithms import A2C, MOA2C
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.evaluation import Evaluation, evaluate
 from algorithms.worlds import Worlds, make_env
 from mo_deepdrive.utilities import Utility, make_utility

@@ -10,7 +10,7 @@ import torch
 from agents import CLASSES, CONTINUOUS, INTERSECTION, NONLINEAR, exaggerate, handmade, make_agent, same, state
 
 from algorithms import MOA2C, MOPPO
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.rollout import Rollout
 
 ADVANTAGES = pytest.mark.parametrize("advantage", ["utility_difference", "as_printed", "utility_gradient"])

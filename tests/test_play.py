@@ -15,9 +15,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.driving import HOLD, PICTURES, Cockpit, Keys, Outcome, choose_action
 from algorithms.experiment import EnvironmentSettings, make_experiment
+from algorithms.history import History
 from algorithms.runs import Run
 from algorithms.training import build
 from algorithms.videos import make_world
@@ -265,14 +266,13 @@ def test_the_agent_drives_the_other_vehicle_as_it_would_drive_it_anywhere(
 
     generator = torch.Generator().manual_seed(5)
     observations, _ = world.reset(seed=1)
-    accrued, discounts = np.zeros((1, 2, world.reward_dim), np.float32), np.ones((1, 2), np.float32)
+    history = History.begin(1, 2, world.reward_dim)
     rest = 0 if action_type == "discrete" else (0.0, 0.0, -1.0)
     for _ in range(20):
-        actions = agent.worlds.environment_actions(agent.act(observations, accrued, discounts, generator))
+        actions = agent.worlds.environment_actions(agent.act(observations, history, generator))
         actions[0, mine] = rest
         observations, rewards, *_ = world.step(actions)
-        accrued += discounts[..., None] * rewards
-        discounts *= agent.config.gamma
+        history.add(rewards, agent.gamma)
     assert driven.tobytes() == vehicles(cockpit).tobytes()
     assert driven[1 - mine].travelled > 0.0
 

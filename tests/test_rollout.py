@@ -16,6 +16,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
+from algorithms.history import History
 from algorithms.rollout import Act, Collector, Episodes, Rollout
 from algorithms.worlds import Worlds, make_env
 from mo_deepdrive.envs.vector import DrivingVectorEnv
@@ -33,7 +34,7 @@ def random_policy(worlds: Worlds) -> Act:
     rng = np.random.default_rng(0)
     shape = (worlds.num_envs, worlds.vehicles)
 
-    def act(observations: np.ndarray, accrued: np.ndarray, discounts: np.ndarray) -> np.ndarray:
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
         if worlds.continuous:
             return rng.normal(0.0, 1.5, (*shape, worlds.actions)).astype(np.float32)
         return rng.integers(0, worlds.actions, shape)
@@ -44,8 +45,8 @@ def random_policy(worlds: Worlds) -> Act:
 def reflex(worlds: Worlds) -> Act:
     """As good as random, but decided by what the policy is shown."""
 
-    def act(observations: np.ndarray, accrued: np.ndarray, discounts: np.ndarray) -> np.ndarray:
-        seen = np.concatenate([observations, accrued, discounts[..., None]], axis=-1, dtype=np.float64)
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
+        seen = np.concatenate([observations, history.accrued, history.discounts[..., None]], axis=-1, dtype=np.float64)
         noise = np.sin(1e4 * np.abs(seen).sum(-1))
         if worlds.continuous:
             return np.stack([noise * (k + 1) % 1.0 for k in range(worlds.actions)], axis=-1).astype(np.float32)
@@ -61,11 +62,11 @@ def half_drive(worlds: Worlds) -> Act:
     """
     at_random = random_policy(worlds)
 
-    def act(observations: np.ndarray, accrued: np.ndarray, discounts: np.ndarray) -> np.ndarray:
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
         angle, speed = observations[..., 0], observations[..., 11]
         group = np.where(angle > 0.05, 2, np.where(angle < -0.05, 1, 0))
         actions = 1 + 3 * group + np.where(speed < 4.0, 2, 0)
-        actions[1::2] = at_random(observations, accrued, discounts)[1::2]
+        actions[1::2] = at_random(observations, history)[1::2]
         return actions
 
     return act
@@ -74,7 +75,7 @@ def half_drive(worlds: Worlds) -> Act:
 def one_waits(worlds: Worlds) -> Act:
     """In Intersection: the vehicle that goes straight on drives off, the other stands still."""
 
-    def act(observations: np.ndarray, accrued: np.ndarray, discounts: np.ndarray) -> np.ndarray:
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
         return np.tile([0, 3], (worlds.num_envs, 1))
 
     return act

@@ -185,6 +185,60 @@ def test_a_fixed_destination_is_the_same_in_every_episode(make_single: Any, scen
         assert len(bicycles) == 20
 
 
+def test_a_fixed_bicycle_is_the_same_in_every_episode(make_single: Any) -> None:
+    env = make_single("static_obstacle", fixed_destination=True, fixed_obstacle=True)
+    cars = set()
+    for seed in range(20):
+        env.reset(seed=seed)
+        cars.add(env.simulator.state[0, 0].tobytes())
+    assert len(cars) == 1
+    car = env.simulator.state[0, 0]
+    route = np.array([0.2, -0.3])
+    middle = np.array([0.1, 0.5]) + (0.6 * 0.4 + 0.1 / np.hypot(*route)) * route
+    side = (0.025 + 0.1 * 0.5) / 2 * np.array([math.cos(math.pi * 0.2), math.sin(math.pi * 0.2)])
+    np.testing.assert_allclose(car.obstacle, map_point([middle + side, middle - side]), **EXACT)
+
+
+def test_a_fixed_bicycle_stands_across_the_straight_way_half_way_to_the_fixed_destination(make_single: Any) -> None:
+    env = make_single("static_obstacle", fixed_destination=True, fixed_obstacle=True)
+    env.reset(seed=0)
+    car = env.simulator.state[0, 0]
+    way = car.waypoints[0] - START[:2]
+    first, second = (car.obstacle - START[:2]) @ np.array([way, [-way[1], way[0]]]).T / np.hypot(*way)
+    assert (first + second)[0] / 2 / np.hypot(*way) == pytest.approx(0.5, abs=0.03)
+    assert (first + second)[1] == pytest.approx(0.0, abs=1e-9)
+    assert abs((first - second)[0]) < 0.05 * abs((first - second)[1])
+
+
+def test_a_fixed_bicycle_leaves_the_destination_to_be_drawn_as_ever(make_single: Any) -> None:
+    env, free = (make_single("static_obstacle", fixed_obstacle=fixed) for fixed in (True, False))
+    compared = 0
+    for seed in range(20):
+        env.reset(seed=seed)
+        free.reset(seed=seed)
+        bicycle, other = env.simulator.state[0, 0], free.simulator.state[0, 0]
+        u = generator(seed).random(5)
+        goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
+        if not np.allclose(other.waypoints[0], goal):
+            continue  # drawn again, see test_departures
+        np.testing.assert_array_equal(bicycle.waypoints, other.waypoints)
+        assert np.hypot(*(bicycle.obstacle[0] - bicycle.obstacle[1])) == pytest.approx(0.075 * 900 / SCALE)
+        compared += 1
+    assert compared > 15
+
+
+@pytest.mark.parametrize("scenario", ["one_waypoint", "intersection"])
+def test_a_fixed_bicycle_is_refused_where_there_is_none(make_vector: Any, scenario: str) -> None:
+    with pytest.raises(ValueError, match="fixed_obstacle = True has no meaning in"):
+        make_vector(scenario, fixed_obstacle=True)
+
+
+def test_driving_straight_to_the_fixed_destination_hits_the_fixed_bicycle(world: Any, chase: Any) -> None:
+    env = world("static_obstacle", fixed_destination=True, fixed_obstacle=True)
+    env.reset(seed=0)
+    assert run(env, lambda _, observation: chase(observation))[0] == ("collision",)
+
+
 def test_pins_win_over_draws_and_the_rest_is_drawn_as_ever(make_single: Any) -> None:
     env = make_single("static_obstacle")
     free = make_single("static_obstacle")

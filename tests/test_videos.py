@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from algorithms.base import ActorCritic
+from algorithms.actor_critic import ActorCritic
 from algorithms.experiment import Experiment, make_experiment
+from algorithms.history import History
 from algorithms.training import build
 from algorithms.videos import HOLD, record, writing
 from mo_deepdrive.actions import action_names
@@ -68,8 +69,8 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     agent, experiment = make(TWO, time_limit=LIMIT)
     seen: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
 
-    def act(observations: Any, accrued: Any, discounts: Any, generator: Any) -> NDArray[np.int64]:
-        seen.append((accrued[0].copy(), discounts[0].copy()))
+    def act(observations: Any, history: History, generator: Any) -> NDArray[np.int64]:
+        seen.append((history.accrued[0].copy(), history.discounts[0].copy()))
         return np.array([[IDLE, SPEED_UP]])
 
     path = tmp_path_factory.mktemp("video") / "drive.mp4"

@@ -75,9 +75,10 @@ class DrivingEnv(WorldEnv):
     ## Arguments
 
     ``scenario`` is set by the id. Every other field of :class:`mo_deepdrive.config.EnvConfig` is a keyword argument:
-    ``action_type``, ``fixed_destination``, ``time_limit``, ``objectives``, ``cost_sign``, ``simulation_frequency``,
-    ``decision_frequency``, ``constrain_controls``, ``ignore_brake``, ``harmful_g_force``, ``harmful_jerk``.
-    ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise ValueError.
+    ``action_type``, ``fixed_destination``, ``fixed_obstacle`` (StaticObstacle), ``time_limit``, ``objectives``,
+    ``cost_sign``, ``simulation_frequency``, ``decision_frequency``, ``constrain_controls``, ``ignore_brake``,
+    ``harmful_g_force``, ``harmful_jerk``. ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise
+    ValueError.
 
     ## Version History
 

@@ -247,6 +247,25 @@ class DrivingVectorEnv(VectorEnv):
         """Per world and vehicle a dict of named SI floats."""
         return tuple(self.simulator.telemetry(row) for row in range(self.num_envs))
 
+    def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
+        """The best-known front of one of the worlds, as in MO-Gymnasium; not proven to be the true one.
+
+        There is one where every episode is the same and all else is default: ``fixed_destination=True``, in
+        StaticObstacle also ``fixed_obstacle=True``. Pinned scenarios (reset options) are others.
+
+        Args:
+            gamma: discount factor in [0, 1].
+
+        Returns:
+            The K returns (d,) of policies none of which dominates another, in this environment's objectives and signs.
+
+        Raises:
+            ValueError: where none is known, saying what it requires.
+        """
+        from mo_deepdrive.fronts import pareto_front
+
+        return pareto_front(self.config, gamma)
+
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the future, as plain arrays: hand it to :meth:`set_state` to resume exactly."""
         return {

@@ -156,6 +156,25 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
         self.world.place(generator, options)
         self._np_random, self._np_random_seed = generator, used
 
+    def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
+        """The best-known front of this environment, as in MO-Gymnasium; not proven to be the true one.
+
+        There is one where every episode is the same and all else is default: ``fixed_destination=True``, in
+        StaticObstacle also ``fixed_obstacle=True``. Pinned scenarios (reset options) are others.
+
+        Args:
+            gamma: discount factor in [0, 1].
+
+        Returns:
+            The K returns (d,) of policies none of which dominates another, in this environment's objectives and signs.
+
+        Raises:
+            ValueError: where none is known, saying what it requires.
+        """
+        from mo_deepdrive.fronts import pareto_front
+
+        return pareto_front(self.config, gamma)
+
     def telemetry(self) -> tuple[dict[str, float], ...]:
         """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
         return self.world.telemetry()

@@ -18,6 +18,7 @@ from mo_deepdrive.simulation.state import (
 
 ORIGINAL_FREQUENCY = 60  # Hz, at which the frictions are stated
 OPEN_ROAD_ONLY = ("fixed_destination",)
+OBSTACLE_ONLY = ("fixed_obstacle",)
 LANES_ONLY = ("lane_margin", "end_on_lane_violation", "yield_to_oncoming", "end_together")
 
 
@@ -39,7 +40,7 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
 
 
 def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
-    absent = OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY
+    absent = (*(OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY), *(() if scenario.obstacle else OBSTACLE_ONLY))
     for name in absent:
         if getattr(config, name) != type(config).model_fields[name].default:
             raise ValueError(f"{name} = {getattr(config, name)!r} has no meaning in {scenario.title}; leave it out")
@@ -65,7 +66,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.max_decisions = config.max_decisions
     row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
-    for name in ("constrain_controls", "ignore_brake", "fixed_destination", *LANES_ONLY):
+    for name in ("constrain_controls", "ignore_brake", *OPEN_ROAD_ONLY, *OBSTACLE_ONLY, *LANES_ONLY):
         row[name] = getattr(config, name)
     row.has_obstacle = scenario.obstacle
     row.has_lanes = scenario.lanes

@@ -157,6 +157,7 @@ PARAMS = np.dtype(
             ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
             ("destination_span", _FLOAT, (2,)),
             ("fixed_destination", np.bool_),
+            ("fixed_obstacle", np.bool_),
             ("map_centre", _FLOAT),
         ],
     )

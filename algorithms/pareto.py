@@ -1,0 +1,200 @@
+"""Dominance and the indicators of a front, on moocore; every objective is maximised.
+
+Hypervolume (Zitzler and Thiele 1999), IGD+ (Ishibuchi et al. 2015), additive epsilon (Zitzler et al. 2003) and
+expected utility over weights (Zintgraf et al. 2015). Distances and weights apply to returns divided by nominal scales,
+for jerk is a hundred times as large as distance.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+
+import moocore
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+WEIGHTS = 50  # of the expected utility
+LATTICE = 5_000  # points at least, from which evenly spaced weights are chosen
+
+
+def _points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[np.float64]:
+    """``returns`` as a finite array (n, d), n and d at least 1."""
+    points = np.asarray(returns, dtype=np.float64)
+    if points.ndim != 2 or not points.size:
+        raise ValueError(f"{name} has shape {points.shape}; it must be (n, d) with at least one point")
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name} must be finite; it has {points[~np.isfinite(points)][0]}")
+    if width is not None and points.shape[1] != width:
+        raise ValueError(f"{name} has {points.shape[1]} objectives; the front has {width}")
+    return points
+
+
+def _vector(values: ArrayLike, name: str, d: int) -> NDArray[np.float64]:
+    vector = np.asarray(values, dtype=np.float64)
+    if vector.shape != (d,) or not np.isfinite(vector).all():
+        raise ValueError(f"{name} = {np.asarray(values).tolist()} must be {d} finite numbers, one per objective")
+    return vector
+
+
+def _scales(scales: ArrayLike | None, d: int) -> NDArray[np.float64]:
+    if scales is None:
+        return np.ones(d)
+    vector = _vector(scales, "scales", d)
+    if (vector <= 0.0).any():
+        raise ValueError(f"scales = {vector.tolist()} must be positive")
+    return vector
+
+
+def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
+    """(n,) which of ``returns`` (n, d) no other dominates; the first one of equal points counts.
+
+    Raises:
+        ValueError: for an empty or infinite set.
+    """
+    return np.asarray(moocore.is_nondominated(_points(returns, "returns"), maximise=True), dtype=np.bool_)
+
+
+def hypervolume(returns: ArrayLike, reference: ArrayLike) -> float:
+    """Volume that ``returns`` (n, d) dominate above ``reference`` (d,).
+
+    Points that do not dominate the reference add nothing.
+
+    Raises:
+        ValueError: if the widths differ, or no point dominates the reference.
+    """
+    points = _points(returns, "front")
+    corner = _vector(reference, "reference point", points.shape[1])
+    if not (points > corner).all(axis=1).any():
+        behind = np.flatnonzero(points.max(axis=0) <= corner)
+        best, where = points.max(axis=0), f"objectives {behind.tolist()}: " if len(behind) else ""
+        raise ValueError(
+            f"reference point {corner.tolist()} is dominated by no point of the front; "
+            f"{where}the best of each objective is {best.tolist()}"
+        )
+    return float(moocore.hypervolume(points, ref=corner, maximise=True))
+
+
+def igd_plus(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
+    """Mean distance by which ``returns`` (n, d) fall short of ``reference_front`` (k, d), in units of ``scales``."""
+    points = _points(returns, "front")
+    front = _points(reference_front, "reference front", points.shape[1])
+    unit = _scales(scales, points.shape[1])
+    return float(moocore.igd_plus(points / unit, ref=front / unit, maximise=True))
+
+
+def additive_epsilon(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
+    """Least number to add to every objective of ``returns`` so that they cover ``reference_front``; of ``scales``."""
+    points = _points(returns, "front")
+    front = _points(reference_front, "reference front", points.shape[1])
+    unit = _scales(scales, points.shape[1])
+    return float(moocore.epsilon_additive(points / unit, ref=front / unit, maximise=True))
+
+
+def expected_utility(returns: ArrayLike, weights: ArrayLike, scales: ArrayLike | None = None) -> float:
+    """Mean over ``weights`` (w, d) of the best w . (R / scales) among ``returns`` (n, d)."""
+    points = _points(returns, "front")
+    rows = _points(weights, "weights", points.shape[1])
+    return float((points / _scales(scales, points.shape[1]) @ rows.T).max(axis=0).mean())
+
+
+def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
+    """(n, d) weights that sum to 1, always the same: each as far as can be from those before, corners first.
+
+    Chosen from a simplex lattice (Das and Dennis 1998); with d = 2 exactly even.
+
+    Raises:
+        ValueError: if there are fewer weights than objectives, or no objective.
+    """
+    if d < 1 or n < d:
+        raise ValueError(f"n = {n} weights for d = {d} objectives: n must be at least d, and d at least 1")
+    if d == 1:
+        return np.ones((n, 1))
+    if d == 2:
+        first = np.linspace(1.0, 0.0, n)
+        return np.stack([first, 1.0 - first], axis=1)
+    steps = next(h for h in range(1, LATTICE) if comb(h + d - 1, d - 1) >= max(LATTICE, n))
+    bars = np.array(list(combinations(range(steps + d - 1), d - 1)))
+    edges = np.concatenate([np.full((len(bars), 1), -1), bars, np.full((len(bars), 1), steps + d - 1)], axis=1)
+    lattice = (np.diff(edges, axis=1) - 1) / steps
+    chosen = np.eye(d)
+    nearest = np.linalg.norm(lattice[:, None] - chosen, axis=-1).min(axis=1)
+    while len(chosen) < n:
+        new = lattice[int(nearest.argmax())]
+        chosen = np.concatenate([chosen, new[None]])
+        nearest = np.minimum(nearest, np.linalg.norm(lattice - new, axis=-1))
+    return chosen
+
+
+def indicators(
+    returns: ArrayLike,
+    *,
+    reference_point: ArrayLike | None = None,
+    reference_front: ArrayLike | None = None,
+    scales: ArrayLike | None = None,
+) -> dict[str, float]:
+    """Every indicator of the non-dominated part of ``returns`` (n, d) by name.
+
+    ``hypervolume`` needs the reference point (0 where no point dominates it: a front in the making), ``igd_plus`` and
+    ``additive_epsilon`` need the reference front; ``cardinality`` and ``expected_utility`` are always there.
+
+    Args:
+        returns: vector returns, maximised.
+        reference_point: (d,).
+        reference_front: (k, d), the best-known one.
+        scales: (d,) nominal size of each objective's return; 1 if None.
+
+    Raises:
+        ValueError: for anything of the wrong width, empty or not finite.
+    """
+    points = _points(returns, "front")
+    points = points[non_dominated(points)]
+    d = points.shape[1]
+    found: dict[str, float] = {"cardinality": float(len(points))}
+    if reference_point is not None:
+        corner = _vector(reference_point, "reference point", d)
+        inside = bool((points > corner).all(axis=1).any())
+        found["hypervolume"] = hypervolume(points, corner) if inside else 0.0
+    found["expected_utility"] = expected_utility(points, evenly_spaced_weights(d, max(WEIGHTS, d)), scales)
+    if reference_front is not None:
+        found["igd_plus"] = igd_plus(points, reference_front, scales)
+        found["additive_epsilon"] = additive_epsilon(points, reference_front, scales)
+    return found
+
+
+def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:
+    """(n,) crowding distance of ``returns`` (n, d): the mean gap between a point's neighbours (Deb et al. 2002).
+
+    Per objective the gap is divided by the objective's range; the first and the last have gap 1.
+    """
+    points = _points(returns, "returns")
+    n, d = points.shape
+    distances = np.zeros(n)
+    for i in range(d):
+        order = np.argsort(points[:, i], kind="stable")
+        values = points[order, i]
+        extent = values[-1] - values[0]
+        if extent <= 0.0:
+            continue
+        gaps = np.ones(n)
+        gaps[1:-1] = (values[2:] - values[:-2]) / extent
+        distances[order] += gaps
+    return distances / d
+
+
+def spread(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> NDArray[np.intp]:
+    """Indices of ``count`` of the points ``returns`` (n, d) that cover them: each as far as can be from those before.
+
+    The best point of every objective comes first. All indices, in their order, where there are no more than ``count``.
+    """
+    points = _points(returns, "returns")
+    if len(points) <= count:
+        return np.arange(len(points))
+    points = points / _scales(scales, points.shape[1])
+    chosen: list[int] = list(dict.fromkeys(points.argmax(axis=0).tolist()))[:count]
+    nearest = np.linalg.norm(points[:, None] - points[chosen], axis=-1).min(axis=1)
+    while len(chosen) < count:
+        new = int(nearest.argmax())
+        chosen.append(new)
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[new], axis=-1))
+    return np.array(chosen)

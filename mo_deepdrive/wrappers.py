@@ -1,0 +1,89 @@
+"""Wrappers: a vector-reward environment as a scalar one, for libraries that know no other."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.utilities import Utility, make_utility
+
+Measure = Literal["reward", "return"]
+
+
+class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Makes the reward the utility of the vector reward; the vector is ``info["vector_reward"]``.
+
+    Observations, actions, seeds, ends and everything else in ``info`` are those of the wrapped environment. Works on
+    any Gymnasium environment with vector rewards, ours or MO-Gymnasium's::
+
+        env = UtilityReward(mo_gymnasium.make("mo-deepdrive-one-waypoint-v0"), "one_waypoint_linear")
+
+    For a linear utility the sum of the utilities is the utility of the sum, and both measures learn the same. For any
+    other one they differ:
+
+    - ``of="reward"``: the reward of a decision is u(r_t), as in the paper's A2C;
+    - ``of="return"``: it is u(R_{t+1}) - u(R_t), by which the decision raises the utility of the return so far,
+      R_t = sum over i < t of r_i. The rewards of an episode sum to u(return) - u(0), so an agent that maximises their
+      undiscounted sum maximises the expected utility (ESR). The best action may then depend on R_t, which the
+      observation does not hold.
+
+    Args:
+        env: an environment with vector rewards (d,) and ``reward_space``.
+        utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, or a utility that is made already.
+        of: what it is the utility of.
+        **arguments: of the named utility, for example ``weights``.
+
+    Attributes:
+        utility: what makes the reward.
+
+    Raises:
+        ValueError: if the environment's rewards are no vectors, or the utility is unknown or does not fit them.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], utility: str | Utility, of: Measure = "reward", **arguments: Any):
+        gymnasium.utils.RecordConstructorArgs.__init__(self, utility=utility, of=of, **arguments)
+        gymnasium.Wrapper.__init__(self, env)
+        inner: Any = env.unwrapped
+        space = getattr(inner, "reward_space", None)
+        if space is None or len(space.shape) != 1:
+            raise ValueError(f"UtilityReward needs vector rewards; {inner} has no reward_space of shape (d,)")
+        if of not in get_args(Measure):
+            raise ValueError(f"of = {of!r} must be one of {list(get_args(Measure))}")
+        objectives = getattr(inner, "objectives", tuple(f"objective_{i}" for i in range(space.shape[0])))
+        if isinstance(utility, str):
+            config = getattr(inner, "config", None)
+            utility = make_utility(utility, objectives, getattr(config, "cost_sign", "maximise"), **arguments)
+        elif arguments:
+            raise ValueError(f"arguments {sorted(arguments)} are for a utility given by name")
+        if len(utility.objectives) != len(objectives):
+            raise ValueError(f"utility {utility.name!r} reads {utility.objectives}; the environment emits {objectives}")
+        self.utility = utility
+        self._of = of
+        self._accrued: dict[int, NDArray[np.float64]] = {}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode."""
+        self._accrued = {}
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Act for one decision.
+
+        Returns:
+            observation, utility, terminated, truncated, and info with the vector reward (d,).
+        """
+        observation, vector, terminated, truncated, info = self.env.step(action)
+        rewards = np.asarray(vector)
+        if self._of == "reward":
+            value = self.utility(rewards)
+        else:
+            # Where vehicles take turns, every one has a return of its own.
+            vehicle = info.get("vehicle", 0)
+            before = self._accrued.get(vehicle, np.zeros(rewards.shape))
+            after = before + rewards
+            self._accrued[vehicle] = after
+            value = self.utility(after) - self.utility(before)
+        return observation, float(value), terminated, truncated, {**info, "vector_reward": vector}

@@ -1,0 +1,215 @@
+"""Other libraries' algorithms, in an environment of their own: `make test-peers`."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import Any
+
+import mo_gymnasium
+import numpy as np
+import pytest
+import torch
+
+from algorithms.evaluation import evaluate, evaluate_each
+from algorithms.peers import PEERS, Task
+from algorithms.peers.environment import Recorder
+from algorithms.peers.task import Policies
+from algorithms.worlds import Worlds, make_env
+from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.wrappers import UtilityReward
+
+ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
+SEA = "deep-sea-treasure-v0"
+STEPS = 300
+GAMMA = 0.99
+
+# Networks and batches as small as they can be: these tests are about whether things fit, not about learning.
+SMALL: dict[str, dict[str, Any]] = {
+    "morl_baselines.pcn": {
+        "arguments": {"hidden_dim": 8, "batch_size": 8},
+        "train_arguments": {"num_er_episodes": 3, "num_step_episodes": 1, "num_model_updates": 2},
+    },
+    "morl_baselines.lcn": {
+        "arguments": {"hidden_dim": 8, "batch_size": 8},
+        "train_arguments": {"num_er_episodes": 3, "num_step_episodes": 1, "num_model_updates": 2},
+    },
+    "morl_baselines.envelope": {
+        "policies": 5,
+        "arguments": {"net_arch": [8], "batch_size": 4, "num_sample_w": 2},
+    },
+    "morl_baselines.gpi_ls": {
+        "policies": 5,
+        "arguments": {"net_arch": [8, 8], "batch_size": 4, "gradient_updates": 1},
+        "train_arguments": {"timesteps_per_iter": 150},
+    },
+    "morl_baselines.gpi_ls_continuous": {
+        "policies": 5,
+        "arguments": {"net_arch": [8, 8], "batch_size": 4, "gradient_updates": 1},
+        "train_arguments": {"timesteps_per_iter": 150},
+    },
+    "morl_baselines.capql": {
+        "policies": 5,
+        "arguments": {"net_arch": [8, 8], "batch_size": 4, "learning_starts": 50},
+    },
+    "morl_baselines.morld": {
+        "arguments": {
+            "pop_size": 4,
+            "exchange_every": 100,
+            "update_passes": 1,
+            "policy_args": {"net_arch": [8, 8], "batch_size": 4, "buffer_size": STEPS, "learning_starts": 50},
+        }
+    },
+    "morl_baselines.pgmorl": {
+        "arguments": {
+            "pop_size": 4,  # fewer and its predictor finds no neighbours
+            "delta_weight": 0.5,
+            "warmup_iterations": 1,
+            "num_performance_buffer": 3,
+            "num_minibatches": 4,
+            "update_epochs": 1,
+            "net_arch": [8],
+        }
+    },
+    "morl_baselines.ipro": {"arguments": {"num_minibatches": 1, "update_epochs": 1, "max_iterations": 1}},
+    "morl_baselines.eupg": {"arguments": {"net_arch": [8]}},
+    "morl_baselines.nl_mo_ppo": {"arguments": {"num_minibatches": 1, "update_epochs": 1}},
+    "stable_baselines3.a2c": {},
+    "stable_baselines3.ppo": {"arguments": {"n_steps": 32, "batch_size": 32, "n_epochs": 1}},
+}
+
+
+def installed(name: str) -> None:
+    """Skip where the peer is not installed, and say why."""
+    pytest.importorskip(name.partition(".")[0], reason=f"{PEERS[name].package} is not installed: make test-peers")
+    assert PEERS[name].obstacle() is None
+
+
+def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None, **settings: Any) -> Task:
+    """A short task that fits the peer."""
+    peer = PEERS[name]
+    arguments: dict[str, Any] = {}
+    if env_id == ONE_WAYPOINT:
+        # Fast episodes: the same everywhere, and 6 s at most.
+        arguments = {"fixed_destination": True, "time_limit": 6.0, "action_type": kind or peer.actions[0]}
+        if peer.objectives is not None:
+            arguments["objectives"] = ("distance", "g_force", "jerk")[: peer.objectives[1]]
+    worlds = Worlds(make_env(env_id, 1, arguments))
+    d = len(worlds.objectives)
+    utility = None
+    if peer.known_utility:
+        linear = "one_waypoint_linear" if d == 4 else "linear"
+        utility = make_utility(linear, worlds.objectives, **({} if d == 4 else {"weights": [1.0] * d}))
+    return Task(
+        new=lambda **more: mo_gymnasium.make(env_id, **arguments, **more),
+        worlds=worlds,
+        config=peer.Config(**{**SMALL[name], **settings}),
+        utility=utility,
+        steps=STEPS,
+        num_envs=2,
+        seed=0,
+        device="cpu",
+        reference_point=-100.0 * worlds.objective_scales,
+        recorder=Recorder(worlds.objectives, utility, 100, lambda step, metrics: None),
+    )
+
+
+def train(name: str, task: Task) -> Policies:
+    """What the peer learns; what it prints is dropped."""
+    torch.manual_seed(0)
+    np.random.seed(0)
+    PEERS[name].check(name, task)
+    with contextlib.redirect_stdout(io.StringIO()):
+        return PEERS[name].adapter(task)
+
+
+def evaluation_env(task: Task, worlds: int) -> Any:
+    spec = task.worlds.env.spec
+    assert spec is not None
+    config = getattr(task.worlds.env.unwrapped, "config", None)
+    arguments = {} if config is None else config.model_dump(exclude={"scenario"})
+    return make_env(spec.id, worlds, arguments)
+
+
+CASES = [(name, kind) for name, peer in PEERS.items() for kind in peer.actions]
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_a_peer_trains_and_its_policies_can_be_evaluated(name: str, kind: str) -> None:
+    installed(name)
+    task = make_task(name, kind=kind)
+    policies = train(name, task)
+    assert task.recorder.steps >= STEPS // 2
+    assert len(policies) >= 1
+    assert policies.conditions.shape == (len(policies), len(policies.condition_names))
+    env = evaluation_env(task, 4)
+    if PEERS[name].known_utility:
+        policy = policies.at(np.zeros(1, dtype=np.intp))
+        first, second, sampled = (evaluate(policy, env, episodes=3, greedy=greedy) for greedy in (True, True, False))
+        np.testing.assert_array_equal(first.returns, second.returns)
+        assert np.isfinite(sampled.metrics()["utility_esr"])
+    else:
+        found = evaluate_each(policies.at, len(policies), env, episodes=2, seed=1_000_000, gamma=GAMMA)
+        assert len(found) == len(policies)
+        for evaluation in found:
+            # The same in every episode: so is what a greedy policy does.
+            np.testing.assert_allclose(evaluation.returns[0], evaluation.returns[1], rtol=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["morl_baselines.pcn", "morl_baselines.envelope", "morl_baselines.nl_mo_ppo"])
+def test_a_peer_trains_on_another_environment(name: str) -> None:
+    installed(name)
+    task = make_task(name, SEA)
+    policies = train(name, task)
+    found = evaluate_each(policies.at, len(policies), evaluation_env(task, 4), episodes=1, seed=0, gamma=GAMMA)
+    assert all(np.isfinite(each.returns).all() for each in found)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("scales", [True, False])
+def test_the_commands_of_pcn_are_obeyed_as_in_its_own_evaluation(scales: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "morl_baselines.pcn"
+    installed(name)
+    from morl_baselines.multi_policy.pcn.pcn import PCN
+
+    agents: list[Any] = []
+    own_init = PCN.__init__
+
+    def remember(self: Any, *args: Any, **kwargs: Any) -> None:
+        own_init(self, *args, **kwargs)
+        agents.append(self)
+
+    monkeypatch.setattr(PCN, "__init__", remember)
+    task = make_task(name, nominal_scales=scales)
+    policies = train(name, task)
+    env, most = task.make(recorded=False), np.array([100.0, 100.0, 0.0, 0.0], dtype=np.float32)
+    expected = []
+    for *desired, horizon in policies.conditions:
+        wanted = (np.array(desired) / task.reward_scales).astype(np.float32)
+        with torch.no_grad():
+            episode = agents[0]._run_episode(env, wanted, np.float32(horizon), most, eval_mode=True)
+        expected.append(np.sum([step.reward for step in episode], axis=0) * task.reward_scales)
+    found = evaluate_each(policies.at, len(policies), evaluation_env(task, 3), episodes=1, seed=1_000_000, gamma=GAMMA)
+    np.testing.assert_allclose([each.returns[0, 0] for each in found], expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_stable_baselines3_accepts_the_wrapped_environment() -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="not installed: make test-peers")
+    task = make_task("stable_baselines3.ppo")
+    checker.check_env(UtilityReward(task.make(scaled_rewards=False), "one_waypoint_linear"))
+    checker.check_env(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT, action_type="continuous"), "one_waypoint_linear"))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_same_seeds_give_the_same_policies() -> None:
+    name = "stable_baselines3.a2c"
+    installed(name)
+    returns = []
+    for _ in range(2):
+        task = make_task(name)
+        policy = train(name, task).at(np.zeros(1, dtype=np.intp))
+        returns.append(evaluate(policy, evaluation_env(task, 2), episodes=2).returns)
+    np.testing.assert_array_equal(*returns)

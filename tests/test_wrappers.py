@@ -1,0 +1,133 @@
+"""Vector rewards as scalars: utilities of rewards and of returns, on our environments and on MO-Gymnasium's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import mo_deepdrive  # noqa: F401  (registers the ids)
+from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.wrappers import UtilityReward
+
+ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
+INTERSECTION = "mo-deepdrive-intersection-v0"
+SCENARIOS = {
+    ONE_WAYPOINT: "one_waypoint_nonlinear",
+    "mo-deepdrive-static-obstacle-v0": "static_obstacle_nonlinear",
+    INTERSECTION: "intersection_nonlinear",
+}
+
+
+def play(env: Any, seed: int, decisions: int = 400) -> list[Any]:
+    """What the steps of one episode of random actions return, the reset first."""
+    played: list[Any] = [env.reset(seed=seed)]
+    rng = np.random.default_rng(seed)
+    for _ in range(decisions):
+        played.append(env.step(int(rng.integers(env.action_space.n))))
+        if played[-1][2] or played[-1][3]:
+            break
+    return played
+
+
+@pytest.mark.parametrize("env_id", SCENARIOS)
+@pytest.mark.parametrize("of", ["reward", "return"])
+def test_all_but_the_reward_is_that_of_the_wrapped_environment(env_id: str, of: Any) -> None:
+    plain = play(mo_gymnasium.make(env_id), seed=3)
+    wrapped = play(UtilityReward(mo_gymnasium.make(env_id), SCENARIOS[env_id], of), seed=3)
+    assert len(plain) == len(wrapped)
+    np.testing.assert_array_equal(plain[0][0], wrapped[0][0])
+    assert plain[0][1] == wrapped[0][1]
+    for before, after in zip(plain[1:], wrapped[1:], strict=True):
+        np.testing.assert_array_equal(before[0], after[0])
+        assert (before[2], before[3]) == (after[2], after[3])
+        vector = after[4].pop("vector_reward")
+        np.testing.assert_array_equal(before[1], vector)
+        assert vector.dtype == np.float32
+        assert before[4] == after[4]
+
+
+@pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
+def test_the_reward_is_the_utility_of_the_vector_reward(cost_sign: str) -> None:
+    env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT, cost_sign=cost_sign), "one_waypoint_nonlinear")
+    objectives = env.unwrapped.objectives
+    utility = make_utility("one_waypoint_nonlinear", objectives, cost_sign)
+    for _, reward, _, _, info in play(env, seed=1)[1:]:
+        assert type(reward) is float
+        assert reward == pytest.approx(float(utility(info["vector_reward"])))
+
+
+def test_the_utilities_of_the_return_so_far_sum_to_that_of_the_return() -> None:
+    env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_nonlinear", of="return")
+    for seed in (1, 2):  # the second episode starts from nothing again
+        played = play(env, seed)[1:]
+        total = np.sum([step[4]["vector_reward"] for step in played], axis=0, dtype=np.float64)
+        expected = float(env.utility(total) - env.utility(np.zeros(4)))
+        assert sum(step[1] for step in played) == pytest.approx(expected)
+
+
+def test_a_linear_utility_is_the_same_of_rewards_and_of_returns() -> None:
+    rewards = [
+        [step[1] for step in play(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear", of), 4)[1:]]
+        for of in ("reward", "return")
+    ]
+    np.testing.assert_allclose(rewards[0], rewards[1], atol=1e-9)
+
+
+def test_vehicles_that_take_turns_have_a_return_each() -> None:
+    env = UtilityReward(mo_gymnasium.make(INTERSECTION), "intersection_nonlinear", of="return")
+    played = play(env, seed=0)[1:]
+    for vehicle in (0, 1):
+        own = [step for step in played if step[4]["vehicle"] == vehicle]
+        total = np.sum([step[4]["vector_reward"] for step in own], axis=0, dtype=np.float64)
+        expected = float(env.utility(total) - env.utility(np.zeros(6)))
+        assert sum(step[1] for step in own) == pytest.approx(expected)
+
+
+def test_other_environments_with_vector_rewards_can_be_wrapped() -> None:
+    env = UtilityReward(mo_gymnasium.make("deep-sea-treasure-v0"), "linear", weights=[1.0, 0.5])
+    env.reset(seed=0)
+    _, reward, _, _, info = env.step(1)
+    assert reward == pytest.approx(float(info["vector_reward"] @ np.array([1.0, 0.5])))
+
+
+def test_a_utility_that_is_made_already_is_taken_as_it_is() -> None:
+    utility = make_utility("linear", ["treasure", "time"], weights=[1.0, 0.0])
+    assert UtilityReward(mo_gymnasium.make("deep-sea-treasure-v0"), utility).utility is utility
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasiums_own_check_passes() -> None:
+    check_env(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT).unwrapped, "one_waypoint_linear"), skip_render_check=True)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_wrapped_environment_can_be_made_again_from_its_spec() -> None:
+    env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT, fixed_destination=True), "one_waypoint_linear", of="return")
+    again = gymnasium.make(env.spec)
+    assert isinstance(again, UtilityReward)
+    assert [step[1] for step in play(env, 5)[1:]] == [step[1] for step in play(again, 5)[1:]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"utility": "one_waypoint_linaer"}, "did you mean 'one_waypoint_linear'"),
+        ({"utility": "static_obstacle_linear"}, "is defined on"),
+        ({"utility": "one_waypoint_linear", "of": "episode"}, "of = 'episode' must be one of"),
+        ({"utility": make_utility("linear", ["a", "b"], weights=[1.0, 1.0])}, "reads"),
+        ({"utility": make_utility("linear", list("abcd"), weights=[1.0] * 4), "weights": [1.0] * 4}, "by name"),
+    ],
+)
+def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), **arguments)
+
+
+def test_an_environment_without_vector_rewards_is_refused() -> None:
+    with pytest.raises(ValueError, match="no reward_space"):
+        UtilityReward(gymnasium.make("CartPole-v1"), "linear", weights=[1.0])
