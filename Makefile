@@ -4,11 +4,13 @@ VENV ?= .venv
 CONFIG ?= configs/one_waypoint/mo_a2c_linear.yaml
 SEED ?= 0
 RAY_VENV ?= .venv-ray
+PEERS_VENV ?= .venv-peers
 PIP = $(VENV)/bin/python -m pip --disable-pip-version-check
 READY = $(VENV)/.ready
 RAY_READY = $(RAY_VENV)/.ready
+PEERS_READY = $(PEERS_VENV)/.ready
 
-.PHONY: install train test test-ray lint benchmark clean
+.PHONY: install train test test-ray test-peers lint benchmark clean
 
 install: $(READY)
 
@@ -25,6 +27,13 @@ $(RAY_READY): pyproject.toml constraints.txt constraints-ray.txt
 		--constraint $(RAY_VENV)/constraints.txt --constraint constraints-ray.txt --editable ".[rllib]" pytest hypothesis
 	touch $@
 
+# morl-baselines brings a solver that is compiled (against Debian's libgmp-dev and libcdd-dev) and 24 packages more.
+$(PEERS_READY): pyproject.toml constraints.txt constraints-peers.txt
+	$(PYTHON) -m venv $(PEERS_VENV)
+	$(PEERS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
+		--constraint constraints.txt --constraint constraints-peers.txt --editable ".[peers]" pytest hypothesis
+	touch $@
+
 train: $(READY)
 	$(VENV)/bin/python scripts/train.py --config $(CONFIG) --seed $(SEED)
 
@@ -39,8 +48,11 @@ test: lint
 test-ray: $(RAY_READY)
 	$(RAY_VENV)/bin/python -m pytest tests/ray
 
+test-peers: $(PEERS_READY)
+	$(PEERS_VENV)/bin/python -m pytest tests/peers tests/test_wrappers.py
+
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) .mypy_cache .ruff_cache .pytest_cache

@@ -1,5 +1,7 @@
 """Trainers for multi-objective environments, for a known utility or for all."""
 
+from typing import Any
+
 from algorithms.a2c import A2C
 from algorithms.actor_critic import ActorCritic
 from algorithms.base import Agent
@@ -7,6 +9,6 @@ from algorithms.mo_a2c import MOA2C
 from algorithms.mo_ppo import MOPPO
 from algorithms.pcn import PCN
 
-ALGORITHMS: dict[str, type[Agent]] = {algorithm.name: algorithm for algorithm in (A2C, MOA2C, MOPPO, PCN)}
+ALGORITHMS: dict[str, type[Any]] = {algorithm.name: algorithm for algorithm in (A2C, MOA2C, MOPPO, PCN)}
 
 __all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "ActorCritic", "Agent"]

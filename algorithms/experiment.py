@@ -13,7 +13,7 @@ import torch
 from gymnasium.envs.registration import EnvSpec
 from pydantic import BeforeValidator, Field
 
-import mo_deepdrive  # noqa: F401  (registers our ids)
+import mo_deepdrive
 from algorithms import ALGORITHMS
 from algorithms.peers import PEERS
 from algorithms.yaml_files import read_mapping, read_value
@@ -210,9 +210,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment") -> Expe
         update={
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "algorithm": algorithm,
-            "evaluation": evaluation.model_copy(
-                update={"interval": evaluation.interval or twentieth, **reference}
-            ),
+            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or twentieth, **reference}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or twentieth}),
         }
     )

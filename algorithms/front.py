@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from algorithms.files import atomic_write, csv_bytes, write_json
 from algorithms.intervals import bootstrap
 from algorithms.pareto import non_dominated
+
+if TYPE_CHECKING:
+    from algorithms.evaluation import Evaluation
 
 FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"
 
@@ -109,6 +112,34 @@ class Front:
             condition_names=tuple(condition_names),
             gamma=gamma,
             episodes=e,
+            seed=seed,
+        )
+
+    @classmethod
+    def of_evaluations(
+        cls,
+        evaluations: Sequence[Evaluation],
+        conditions: ArrayLike | None = None,
+        condition_names: Sequence[str] = (),
+        *,
+        gamma: float,
+        seed: int,
+    ) -> Front:
+        """The front of K policies of one vehicle, evaluated on the same seeds; arguments as of :meth:`of_episodes`."""
+        returns, discounted, lengths, succeeded, ends = (
+            np.stack([getattr(each, name)[:, 0] for each in evaluations])
+            for name in ("returns", "discounted", "lengths", "succeeded", "ends")
+        )
+        says = any(end is not None for end in ends.flat) or bool(succeeded.any())
+        return cls.of_episodes(
+            evaluations[0].objectives,
+            returns,
+            discounted,
+            lengths,
+            succeeded if says else None,
+            conditions,
+            condition_names,
+            gamma=gamma,
             seed=seed,
         )
 

@@ -20,7 +20,6 @@ from algorithms.front_plots import draw_front
 from algorithms.intervals import Estimate
 from algorithms.mosaic import write_mosaic
 from algorithms.pareto import indicators, spread
-from algorithms.runs import Run
 from algorithms.videos import episode_frames, make_world
 from algorithms.worlds import Worlds, make_env
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
@@ -59,14 +58,21 @@ def check_reference_point(experiment: Experiment, objectives: tuple[str, ...]) -
 
 
 def report_front(
-    run: Run, front: Front, console: Console, *, step: int, about: dict[str, Any] | None = None
+    experiment: Experiment,
+    front: Front,
+    console: Console,
+    *,
+    directory: Path | None,
+    step: int,
+    about: dict[str, Any] | None = None,
 ) -> dict[str, float]:
-    """Write front.csv, evaluation.json and the pictures of a finished run, and print a table.
+    """Print a table of a front, and write front.csv, evaluation.json and its pictures.
 
     Args:
-        run: whose results these are.
-        front: re-evaluated policies; only those that no other dominates are written.
+        experiment: what found it.
+        front: re-evaluated policies; only those that no other dominates are shown and written.
         console: where to print.
+        directory: where to write; None for nowhere.
         step: environment steps that the policies took to learn.
         about: anything else for evaluation.json.
 
@@ -77,7 +83,6 @@ def report_front(
         OSError: if a file cannot be written; each is whole or untouched.
     """
     front = front.non_dominated()
-    experiment = run.experiment
     env = make_env(experiment.environment.id, 1, experiment.environment.arguments)
     try:
         known = best_known_front(env, front.gamma)
@@ -85,13 +90,14 @@ def report_front(
     finally:
         env.close()
     found = measure(front, experiment, known, scales)
-    policies = {"front": {name: asdict(Estimate(value)) for name, value in found.items()}}
-    point = experiment.evaluation.reference_point
-    front.write(run.path, {"step": step, **(about or {}), "reference_point": point, "policies": policies})
     title = f"{experiment.algorithm['name']} on {experiment.environment.id}"
     console.print(front_table(front, found, f"{title}: {len(front)} policies"))
-    if len(front.objectives) > 1:
-        draw_front(front, run.path, reference_front=known, title=title)
+    if directory is not None:
+        policies = {"front": {name: asdict(Estimate(value)) for name, value in found.items()}}
+        point = experiment.evaluation.reference_point
+        front.write(directory, {"step": step, **(about or {}), "reference_point": point, "policies": policies})
+        if len(front.objectives) > 1:
+            draw_front(front, directory, reference_front=known, title=title)
     return found
 
 
@@ -178,10 +184,10 @@ def film_front(
     envs = [make_world(experiment.environment) for _ in chosen]
     fps = int(envs[0].unwrapped.metadata.get("render_fps") or 10)
     try:
-        tracks = [
-            (caption(front, int(k)), islice(episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True), MAX_FRAMES))
-            for k, env in zip(chosen, envs, strict=True)
-        ]
+        tracks = []
+        for k, env in zip(chosen, envs, strict=True):
+            frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
+            tracks.append((caption(front, int(k)), islice(frames, MAX_FRAMES)))
         return write_mosaic(tracks, path, fps)
     finally:
         for env in envs:

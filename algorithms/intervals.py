@@ -23,12 +23,12 @@ class Estimate:
     high: float | None = None
 
     def text(self) -> str:
-        """``1.23 [1.20, 1.26]``, to two significant digits of the width of the interval."""
+        """``1.23 [1.20, 1.26]``, to two significant digits of the interval's width; the value where it has none."""
         if self.low is None or self.high is None:
             return f"{self.value:.4g}"
         width = self.high - self.low
         if width <= 0.0:
-            return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+            return f"{self.value:.4g}"
         decimals = int(np.clip(1 - np.floor(np.log10(width)), 0, 4))
         return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
 

@@ -193,8 +193,10 @@ def spread(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> N
     points = points / _scales(scales, points.shape[1])
     chosen: list[int] = list(dict.fromkeys(points.argmax(axis=0).tolist()))[:count]
     nearest = np.linalg.norm(points[:, None] - points[chosen], axis=-1).min(axis=1)
+    nearest[chosen] = -1.0  # or equal points would be the same one again
     while len(chosen) < count:
         new = int(nearest.argmax())
         chosen.append(new)
         nearest = np.minimum(nearest, np.linalg.norm(points - points[new], axis=-1))
+        nearest[new] = -1.0
     return np.array(chosen)

@@ -22,7 +22,7 @@ from torch import nn
 
 from algorithms.base import Agent, EvaluationPlan
 from algorithms.checkpoints import below
-from algorithms.evaluation import evaluate_each
+from algorithms.evaluation import Evaluation, evaluate_each
 from algorithms.front import Front
 from algorithms.history import History
 from algorithms.networks import CommandedNetwork
@@ -53,8 +53,6 @@ class PCNConfig(Settings):
             episodes: uniform between 0 and this.
         haste: how many decisions fewer a command leaves than its episode took.
         action_noise: deviation of exploring actions, continuous ones only; discrete ones are sampled.
-        coolest: the temperature at which the last world explores; the first explores at 1, those between evenly
-            spread. 0 is greedy: what it does, the published policies can do.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         horizon_scale: nominal number of decisions of an episode.
         max_policies: the policies of a front at most; where the store knows more, those that cover them.
@@ -72,7 +70,6 @@ class PCNConfig(Settings):
     ambition: float = Field(default=1.0, ge=0.0)
     haste: int = Field(default=2, ge=0)
     action_noise: float = Field(default=0.1, ge=0.0)
-    coolest: float = Field(default=1.0, ge=0.0, le=1.0)
     objective_scales: list[float] | None = None
     horizon_scale: float = Field(default=100.0, gt=0.0)
     max_policies: int = Field(default=100, ge=1)
@@ -94,13 +91,11 @@ class Commanded:
         agent: who obeys.
         desired: (N, d) discounted return that is wanted from the whole episode.
         horizon: (N,) decisions for it.
-        temperature: () or (N, 1) how much sampled actions differ from greedy ones.
     """
 
     agent: PCN
     desired: NDArray[np.float32]
     horizon: NDArray[np.float32]
-    temperature: torch.Tensor | float = 1.0
 
     @property
     def worlds(self) -> Worlds:
@@ -127,7 +122,7 @@ class Commanded:
         # What no decision was ever worth means nothing to the network, except that the command itself may ask for it.
         wanted = np.clip(wanted, np.minimum(low, self.desired), np.maximum(high, self.desired))
         left = np.maximum(self.horizon - history.decisions[:, 0], 1.0)
-        return self.agent.choose(observations[:, 0], wanted, left, generator, self.temperature)[:, None]
+        return self.agent.choose(observations[:, 0], wanted, left, generator)[:, None]
 
 
 class PCN(Agent):
@@ -171,8 +166,6 @@ class PCN(Agent):
         self._seen = 0
         self._unlogged: list[NDArray[np.float64]] = []
         self._observation_scales = torch.tensor(self.worlds.observation_scales, device=self.device)
-        ladder = torch.linspace(1.0, self.config.coolest, self.worlds.num_envs, device=self.device)
-        self._temperatures = ladder.unsqueeze(-1)
         self._command_scales = torch.tensor([*self.scales, self.config.horizon_scale], device=self.device)
 
     @property
@@ -189,22 +182,18 @@ class PCN(Agent):
         wanted: NDArray[np.float32],
         left: NDArray[np.float32],
         generator: torch.Generator | None,
-        temperature: torch.Tensor | float = 1.0,
     ) -> NDArray[Any]:
-        """Actions (N,) or (N, k) for observations (N, o) when ``wanted`` (N, d) is asked for in ``left`` (N,).
-
-        ``generator`` None acts greedily; ``temperature`` () or (N, 1) scales what it draws.
-        """
+        """Actions (N,) or (N, k) for observations (N, o) when ``wanted`` (N, d) is asked for in ``left`` (N,)."""
         outputs = self._outputs(observations, wanted, left)
         if self.worlds.continuous:
             if generator is not None:
                 noise = torch.randn(outputs.shape, generator=generator, device=self.device)
-                outputs = (outputs + self.config.action_noise * temperature * noise).clamp(-1.0, 1.0)
+                outputs = (outputs + self.config.action_noise * noise).clamp(-1.0, 1.0)
             return outputs.cpu().numpy()
         if generator is not None:
             # The largest of logits plus Gumbel noise is a draw from their softmax.
             noise = torch.empty_like(outputs).exponential_(generator=generator).log()
-            outputs = outputs - temperature * noise
+            outputs = outputs - noise
         return outputs.argmax(-1).cpu().numpy()
 
     def _outputs(self, observations: NDArray, wanted: NDArray, left: NDArray) -> torch.Tensor:
@@ -310,7 +299,7 @@ class PCN(Agent):
         desired = returns[chosen].astype(np.float32)
         desired[np.arange(n), objective] += more * returns.std(axis=0)[objective]
         horizon = np.maximum(self.store.lengths[best][chosen] - self.config.haste, 1)
-        return Commanded(self, desired, horizon.astype(np.float32), self._temperatures)
+        return Commanded(self, desired, horizon.astype(np.float32))
 
     def _collect(self, policy: Commanded | None) -> NDArray[np.float32]:
         """One episode per world under ``policy`` (None: random actions) into the store; the returns (N, d) they got."""
@@ -387,6 +376,25 @@ class PCN(Agent):
     def _forget(self) -> None:
         self._unlogged.clear()
 
+    def evaluate_policies(
+        self, conditions: ArrayLike, env: VectorEnv, *, episodes: int, seed: int, gamma: float
+    ) -> list[Evaluation]:
+        """Episodes of the greedy policy under each of ``conditions`` (K, d + 1), all on the same seeds.
+
+        Args:
+            conditions: desired discounted returns and horizons.
+            env, episodes, seed, gamma: as for :meth:`front`.
+        """
+        rows = np.asarray(conditions, dtype=np.float32)
+        return evaluate_each(
+            lambda chosen: Commanded(self, rows[chosen, :-1], rows[chosen, -1]),
+            len(rows),
+            env,
+            episodes=episodes,
+            seed=seed,
+            gamma=gamma,
+        )
+
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
         """The front, as greedy policies under :meth:`commands` show it when they are evaluated anew.
 
@@ -396,30 +404,10 @@ class PCN(Agent):
             seed: of the first.
             gamma: discount of the returns that dominance goes by.
         """
-        desired, horizon = self.commands()
-        evaluations = evaluate_each(
-            lambda chosen: Commanded(self, desired[chosen], horizon[chosen]),
-            len(desired),
-            env,
-            episodes=episodes,
-            seed=seed,
-            gamma=gamma,
-        )
-        returns, discounted, lengths, succeeded = (
-            np.stack([getattr(each, name)[:, 0] for each in evaluations])
-            for name in ("returns", "discounted", "lengths", "succeeded")
-        )
-        return Front.of_episodes(
-            self.worlds.objectives,
-            returns,
-            discounted,
-            lengths,
-            succeeded,
-            np.column_stack([desired, horizon]),
-            (*self.worlds.objectives, HORIZON),
-            gamma=gamma,
-            seed=seed,
-        ).non_dominated()
+        conditions = np.column_stack(self.commands())
+        evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
+        names = (*self.worlds.objectives, HORIZON)
+        return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
     def _evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
@@ -427,16 +415,14 @@ class PCN(Agent):
             front.discounted,
             reference_point=plan.reference_point,
             reference_front=plan.reference_front,
-            scales=self.scales,
+            scales=self.worlds.objective_scales,
         )
-        found |= {
-            f"return/{name}": float(front.returns[:, i].max()) for i, name in enumerate(front.objectives)
-        }
-        if self.worlds.native:
+        found |= {f"return/{name}": float(front.returns[:, i].max()) for i, name in enumerate(front.objectives)}
+        if np.isfinite(front.success).all():
             found["success"] = float(front.success.mean())
         return {f"eval/front/{name}": value for name, value in found.items()}, front
 
-    # ------------------------------------------------------------------------------------------------------- checkpoints
+    # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def _get_state(self) -> dict[str, torch.Tensor]:
         state = {

@@ -31,7 +31,7 @@ class Reporter:
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
         what = (
-            [("hypervolume", "hypervolume {:.4g}"), ("cardinality", "{:.0f} policies")]
+            [("hypervolume", "hypervolume {:,.1f}"), ("cardinality", "{:.0f} policies")]
             if front
             else [("utility", "utility {:.2f}")]
         )

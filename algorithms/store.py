@@ -43,8 +43,8 @@ class Store:
 
     An episode's score is minus its distance to the nearest non-dominated return, in units of ``scales``. The distance
     of all but the first of equal returns is a little larger, and it counts twice where the crowding distance is at
-    most ``crowding``. The worst scores leave when there are more than ``capacity`` episodes. Where more than that are not
-    dominated at all, those stay that cover them.
+    most ``crowding``. The worst scores leave when there are more than ``capacity`` episodes. Where more than that are
+    not dominated at all, those stay that cover them.
 
     Args:
         capacity: episodes kept.

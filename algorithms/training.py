@@ -16,11 +16,11 @@ from rich.console import Console
 from algorithms import ALGORITHMS
 from algorithms.base import Agent
 from algorithms.evaluation import Evaluation, evaluate
-from algorithms.front import Front
-from algorithms.pcn import PCN
 from algorithms.experiment import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
+from algorithms.front import Front
 from algorithms.front_reports import best_known_front, check_reference_point, film_front, report_front
 from algorithms.logging import FrontsFile, Logger
+from algorithms.pcn import PCN
 from algorithms.plots import load_groups, plot
 from algorithms.progress import Reporter
 from algorithms.reports import table, write
@@ -305,17 +305,27 @@ def evaluate_front(agent: PCN, experiment: Experiment, *, episodes: int, seed: i
         env.close()
 
 
-def _finish_front(run: Run, agent: PCN, console: Console) -> None:
+def evaluate_policies_of(
+    agent: PCN, front: Front, experiment: Experiment, *, episodes: int, seed: int
+) -> list[Evaluation]:
+    """Episodes of every policy of a front that ``agent`` learnt, on an environment of their own."""
+    env = evaluation_env(experiment, FRONT_EPISODES)
+    try:
+        gamma = experiment.evaluation.gamma
+        return agent.evaluate_policies(front.conditions, env, episodes=episodes, seed=seed, gamma=gamma)
+    finally:
+        env.close()
+
+
+def _finish_front(run: Run, agent: Any, console: Console) -> None:
     settings = run.experiment.evaluation
     front = evaluate_front(agent, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
-    report_front(run, front, console, step=agent.step)
+    report_front(run.experiment, front, console, directory=run.path, step=agent.step)
     plot(load_groups([run.path]), run.path / "curves.png")
     attempt_film(lambda: film_front(agent, front, run.experiment, run.path / "video.mp4", seed=settings.seed), console)
 
 
-def film(
-    agent: Agent, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True
-) -> bool:
+def film(agent: Agent, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True) -> bool:
     """Record a video, or say why there is none; whether there is one."""
     return attempt_film(lambda: record(agent, experiment.environment, path, seed=seed, greedy=greedy), console)
 

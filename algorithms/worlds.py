@@ -127,7 +127,7 @@ class Worlds:
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
         """Start every world anew; world i is seeded with ``seed + i``, or ``seed[i]``. Observations (N, V, o)."""
-        raw, _ = self.env.reset(seed=seed)
+        raw, _ = self.env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
         self._was_over[:] = False
         return self.policy_observations(raw)
 

@@ -32,10 +32,11 @@ from mo_deepdrive.simulator import Simulator
 GAMMA = 0.99  # beside 1.0, the discount factor for which fronts are made
 CONTINUOUS_UNIT = 1.0 / 1024.0  # of a shipped continuous action; exact in float32
 DATA = resources.files("mo_deepdrive") / "data"
+_NO_BRAKE = -1024  # units
 # What the shipped fronts do not depend on: they are made for all objectives, maximised.
 _FREE = ("objectives", "cost_sign")
 _RUN = {
-    True: re.compile(r"(-?\d+),(-?\d+),(-?\d+)(?:\*(\d+))?(?: |$)"),
+    True: re.compile(r"(-?\d+),(-?\d+)(?:,(-?\d+))?(?:\*(\d+))?(?: |$)"),
     False: re.compile(r"([a-z])(\d+)?"),
 }
 
@@ -273,7 +274,7 @@ def encode(actions: NDArray[Any]) -> str:
 
     Returns:
         Runs of equal actions. Discrete: a letter (a for 0) and how often, if more than once: "d12a". Continuous:
-        steer, acceleration and brake in units of CONTINUOUS_UNIT and how often: "0,512,-1024*12 0,0,-1024".
+        steer, acceleration and, where it is used, brake, in units of CONTINUOUS_UNIT, and how often: "0,512*12 0,0,3".
     """
     rows = np.rint(actions / CONTINUOUS_UNIT).astype(np.int64) if actions.ndim == 2 else actions[:, None]
     starts = np.flatnonzero(np.r_[len(rows) > 0, (rows[1:] != rows[:-1]).any(axis=1)])
@@ -281,7 +282,10 @@ def encode(actions: NDArray[Any]) -> str:
     runs = list(zip(rows[starts].tolist(), counts.tolist(), strict=True))
     if actions.ndim == 1:
         return "".join(string.ascii_lowercase[action] + (str(n) if n > 1 else "") for (action,), n in runs)
-    return " ".join(",".join(map(str, action)) + (f"*{n}" if n > 1 else "") for action, n in runs)
+    written = (action if action[2] != _NO_BRAKE else action[:2] for action, _ in runs)
+    return " ".join(
+        ",".join(map(str, action)) + (f"*{n}" if n > 1 else "") for action, (_, n) in zip(written, runs, strict=True)
+    )
 
 
 def decode(text: str, action_type: str) -> NDArray[Any]:
@@ -296,7 +300,8 @@ def decode(text: str, action_type: str) -> NDArray[Any]:
         raise ValueError(f"{text!r} is no sequence of {action_type} actions")
     counts = [int(match.groups()[-1] or 1) for match in matches]
     if continuous:
-        numbers = np.array([match.groups()[:3] for match in matches], dtype=np.float64).reshape(-1, 3)
+        runs = [[match[1], match[2], match[3] or _NO_BRAKE] for match in matches]
+        numbers = np.array(runs, dtype=np.float64).reshape(-1, 3)
         return np.repeat(numbers * CONTINUOUS_UNIT, counts, axis=0)
     letters = np.array([string.ascii_lowercase.index(match[1]) for match in matches], dtype=np.int64)
     if len(letters) and letters.max() >= len(action_table(action_type)):

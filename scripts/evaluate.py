@@ -1,4 +1,4 @@
-"""Evaluate the policy of a run: utilities, vector returns, rates and comfort, with 95% intervals.
+"""Evaluate the policy of a run: utilities, vector returns, rates and comfort, with 95% intervals; or its front.
 
 python scripts/evaluate.py runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000 --episodes 1000 --video drive.mp4
 """
@@ -9,16 +9,20 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(os.getcwd())  # where a user's own utility lives
 
+from rich.console import Console
+
 from algorithms.checkpoints import read_checkpoint
+from algorithms.front_reports import film_front, report_front
 from algorithms.progress import make_console
 from algorithms.reports import table, write
 from algorithms.runs import Run
-from algorithms.training import build, evaluate_policies, film
+from algorithms.training import attempt_film, build, evaluate_front, evaluate_policies, film
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
@@ -29,11 +33,26 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("run", metavar="RUN", help="directory of a run")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes per policy (default: as in the config)")
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: as in the config)")
-    parser.add_argument("--video", metavar="FILE", help="also write an MP4 of the first episodes")
+    parser.add_argument("--video", metavar="FILE", help="also write an MP4 of the first episodes (four of a front)")
     parser.add_argument("--stochastic", action="store_true", help="film the stochastic policy, not the greedy one")
-    parser.add_argument("--output", metavar="DIR", help="also write evaluation.json, evaluation.csv and episodes.csv")
+    parser.add_argument("--output", metavar="DIR", help="also write what train.py writes of it")
     parser.add_argument("--device", default="cpu", metavar="D", help="where the networks live (default: cpu)")
     return parser.parse_args(arguments)
+
+
+def show_front(
+    run: Run, agent: Any, options: argparse.Namespace, console: Console, episodes: int, seed: int, step: int
+) -> bool:
+    """Evaluate a front anew, write and film what the options ask for; whether there is the video asked for."""
+    front = evaluate_front(agent, run.experiment, episodes=episodes, seed=seed)
+    directory = None
+    if options.output:
+        directory = Path(options.output)
+        directory.mkdir(exist_ok=True)
+    report_front(run.experiment, front, console, directory=directory, step=step)
+    return not options.video or attempt_film(
+        lambda: film_front(agent, front, run.experiment, options.video, seed=seed), console
+    )
 
 
 def main(arguments: list[str]) -> int:
@@ -55,6 +74,8 @@ def main(arguments: list[str]) -> int:
         agent = build(run.experiment, num_envs=1)
         agent.load(run.checkpoint, policy_only=True)
         step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
+        if not run.experiment.known_utility:
+            return 0 if show_front(run, agent, options, console, episodes, seed, step) else 1
         evaluations = evaluate_policies(agent, run.experiment, episodes=episodes, seed=seed)
         console.print(table(evaluations, f"{run.path} at step {step:,}: {episodes} episodes from seed {seed}"))
         if options.output:

@@ -104,7 +104,7 @@ class Drives:
         )
 
 
-# --------------------------------------------------------------------------------------------------- driving by rule
+# -------------------------------------------------------------------------------------------------- driving by rule
 
 
 # Rules for driving: by a point on the way to the destination, up to a speed, and then coasting or holding it.
@@ -126,13 +126,13 @@ PILOT = np.dtype(
 )
 
 
-def random_pilots(n: int, rng: np.random.Generator, car: Any) -> NDArray[Any]:
-    """n random rules for the scenario of ``car``, a record VEHICLE at its start."""
+def random_pilots(n: int, rng: np.random.Generator, simulator: Simulator) -> NDArray[Any]:
+    """n random rules for the scenario that is placed in the first world of ``simulator``."""
 
     def spread(low: float, high: float) -> NDArray[np.float64]:
         return np.exp(rng.uniform(np.log(low), np.log(high), n))
 
-    blocked = bool(car["obstacle"].any())
+    car, blocked = simulator.state[0, 0], simulator.scenario.obstacle
     middle = car["obstacle"].mean(axis=0) if blocked else (car["waypoints"][0] + (car["x"], car["y"])) / 2
     via = middle + rng.normal(0.0, 4.0, (n, 2))
     direct = rng.random(n) < (0.1 if blocked else 0.7)
@@ -247,11 +247,6 @@ class Driver:
         self._path = np.zeros((1, config.physics_steps + 1, PATH_WIDTH))
         self._weights = np.array([gamma ** np.arange(self.decisions) for gamma in GAMMAS])
 
-    @property
-    def start(self) -> Any:
-        """The car at its start, a record VEHICLE."""
-        return self.simulator.state[0, 0]
-
     def blank(self, n: int) -> Plans:
         """n plans that idle."""
         return np.tile(self.idle, (n, self.decisions, 1))
@@ -297,7 +292,7 @@ class Driver:
         return Drives(plans, lengths, returns, np.full(n, source))
 
 
-# ------------------------------------------------------------------------------------------------ new plans of old
+# ------------------------------------------------------------------------------------------------ new plans from old
 
 
 @numba.njit(cache=True)
@@ -433,9 +428,10 @@ def breed(parents, lengths, mates, mate_lengths, plans, n_actions, idle, rng):
             rest = min(mate_lengths[i] - join, len(plan) - cut)
             plan[cut : cut + rest] = mates[i, join : join + rest]
             size = cut + rest
-        while not crossed or rng.random() < 0.5:
-            crossed = True
+        goes_on = not crossed or rng.random() < 0.5
+        while goes_on:
             size = mutate(plan, size, n_actions, idle, rng)
+            goes_on = rng.random() < 0.5
         for t in range(size, len(plan)):
             plan[t] = idle
 
@@ -481,10 +477,14 @@ def largest_subset(returns: NDArray[Any], reference: NDArray[Any], size: int) ->
 
 
 def chosen_few(drives: Drives, references: Sequence[NDArray[Any]]) -> Drives:
-    """At most KEPT drives that make up most of the hypervolume, by falling discounted distance."""
+    """At most KEPT drives: the best of each objective, and those that make up most of the hypervolume.
+
+    They are ordered by falling discounted distance.
+    """
     rows: set[int] = set()
     for returns, reference, size in zip(drives.returns[::-1], references[::-1], KEPT[::-1], strict=True):
         front = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))
+        rows |= set(front[returns[front].argmax(axis=0)].tolist())
         for row in front[largest_subset(returns[front], reference, size)].tolist():
             if len(rows) < size:
                 rows.add(row)
@@ -518,7 +518,7 @@ class Search:
 
     def generation(self, source: int) -> None:
         """Drive new plans; ``source`` is the index of what found them."""
-        pilots = random_pilots(CHILDREN, self.rng, self.driver.start)
+        pilots = random_pilots(CHILDREN, self.rng, self.driver.simulator)
         if self.generations < RULED:
             plans = self.driver.blank(CHILDREN)
         else:
@@ -586,7 +586,7 @@ def drives_of_run(path: str, scenario: str, action_type: str, episodes: int) -> 
             count = times * len(horizon)
         if count:
             worlds = Worlds(make_env(settings.id, count, {**config, **emitted}))
-            sequences += record(policy, worlds, torch.Generator().manual_seed(0) if sampled else None)
+            sequences += record(policy, worlds, torch.Generator(agent.device).manual_seed(0) if sampled else None)
     return f"{run.path.parent.name}/{run.path.name}", sequences
 
 

@@ -26,7 +26,7 @@ from rich.table import Table
 
 from algorithms.experiment import Experiment, load_experiment
 from algorithms.peers import PEERS
-from algorithms.peers.running import finish, prepare, train
+from algorithms.peers.running import prepare, run_peer
 from algorithms.progress import make_console
 from algorithms.runs import Run, default_directory
 from mo_deepdrive.config import nearest
@@ -50,7 +50,10 @@ def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]
 
 def overview() -> Table:
     """One row per peer."""
-    table = Table("name", "learns", "actions", "objectives", "runs here", box=SIMPLE_HEAD)
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column("name", no_wrap=True)
+    for column in ("learns", "actions", "objectives", "runs here"):
+        table.add_column(column)
     for name, peer in PEERS.items():
         objectives = "any" if peer.objectives is None else "{} to {}".format(*peer.objectives)
         obstacle = peer.obstacle()
@@ -102,9 +105,7 @@ def main(arguments: list[str]) -> int:
     torch.set_num_threads(experiment.training.threads)
     seed_everything(experiment.training.seed)
     try:
-        trained = train(run)
-        print(f"{trained.steps:,} steps in {trained.seconds:,.1f} s", flush=True)
-        finish(run, trained, console)
+        run_peer(run, console)
     except KeyboardInterrupt:
         run.set_status("interrupted", 0)
         print("interrupted; other libraries' algorithms cannot go on from here", file=sys.stderr)

@@ -45,20 +45,26 @@ def shipped(front: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture
 def make_run(tmp_path: Path) -> Callable[..., Path]:
-    """Save an untrained run."""
+    """Save a run that has hardly been trained."""
 
-    def make(env_id: str = "mo-deepdrive-one-waypoint-v0", **arguments: Any) -> Path:
+    def make(env_id: str = "mo-deepdrive-one-waypoint-v0", algorithm: str = "a2c", **arguments: Any) -> Path:
         config = tmp_path / "experiment.yaml"
-        settings = {
+        settings: dict[str, Any] = {
             "environment": {"id": env_id, "arguments": arguments},
-            "utility": {"name": "linear", "arguments": {"weights": [1.0] * (5 if "obstacle" in env_id else 4)}},
-            "algorithm": {"name": "a2c", "hidden": [4]},
-            "training": {"total_timesteps": 1, "num_envs": 1},
+            "algorithm": {"name": algorithm, "hidden": [4]},
+            "training": {"total_timesteps": 1, "num_envs": 8},
         }
+        if algorithm == "pcn":
+            settings["algorithm"] |= {"warmup_episodes": 8, "updates": 1, "max_policies": 5}
+        else:
+            weights = [1.0] * (5 if "obstacle" in env_id else 4)
+            settings["utility"] = {"name": "linear", "arguments": {"weights": weights}}
         config.write_text(json.dumps(settings), encoding="utf-8")
         experiment = load_experiment(config)
-        run = Run.create(experiment, tmp_path / "untrained" / "a2c-seed0")
-        build(experiment).save(run.checkpoint)
+        run = Run.create(experiment, tmp_path / "untrained" / f"{algorithm}-seed0")
+        agent = build(experiment)
+        agent.train(1)
+        agent.save(run.checkpoint)
         return run.path
 
     return make
@@ -149,6 +155,21 @@ def test_drives_of_a_run_join_the_search(
     assert front.main(["--decisions", "0", "--anew", "--episodes", "3", "--from", str(path)]) == 0
     policies = fronts.read(shipped.read_text(encoding="utf-8"))
     assert {policy.source.split()[0] for policy in policies} == {"run", "python"}
+
+
+def test_every_policy_of_a_front_drives_once_greedily_and_then_sampled(
+    front: ModuleType, make_run: Callable[..., Path]
+) -> None:
+    path = make_run("mo-deepdrive-static-obstacle-v0", algorithm="pcn", fixed_destination=True)
+    agent = build(load_experiment(path / "config.yaml"), num_envs=1)
+    agent.load(path / "checkpoint.safetensors", policy_only=True)
+    policies = len(agent.commands()[1])
+    greedy = front.drives_of_run(str(path), "static_obstacle", "discrete", 0)[1]
+    sampled = front.drives_of_run(str(path), "static_obstacle", "discrete", 3)[1]
+    assert len(greedy) == policies
+    assert len(sampled) == 4 * policies
+    for first, again in zip(greedy, sampled, strict=False):
+        np.testing.assert_array_equal(first, again)
 
 
 def test_continuous_drives_of_a_run_are_rounded_to_what_can_be_written(

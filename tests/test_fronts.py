@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mo_gymnasium
+import moocore
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 import mo_deepdrive
 from mo_deepdrive import fronts
 from mo_deepdrive.actions import action_table
-from mo_deepdrive.objectives import scales, signs
+from mo_deepdrive.objectives import NAMES, scales, signs
 from mo_deepdrive.scenarios import SCENARIOS
 
 SHIPPED = sorted(
@@ -174,6 +176,32 @@ def test_a_shipped_drive_can_be_driven_in_the_public_environment(make_single: An
             np.testing.assert_allclose(returns, policy.undiscounted, rtol=1e-5, atol=2e-5)
 
 
+def test_the_documentation_tells_the_size_of_every_front(repository: Path) -> None:
+    text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    told = {tuple(row[:3]): row[3:6] for row in rows if row[0] in SCENARIOS}
+    for scenario, action_type in SHIPPED:
+        for gamma in GAMMAS:
+            front = fronts.reference_front(scenario, action_type, gamma)
+            point = fronts.reference_point(scenario, action_type, gamma)
+            volume = moocore.hypervolume(front, ref=point.values, maximise=True)
+            policies, arriving, told_volume = map(float, told.pop((scenario, action_type, str(gamma))))
+            assert (policies, arriving) == (len(front), (front[:, 1] > 0.0).sum())
+            assert told_volume == pytest.approx(volume, rel=1e-4)
+    assert not told
+
+
+def test_the_documentation_tells_every_reference_point(repository: Path) -> None:
+    text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    told = {(title, row[1]): row[2:] for row in rows if row[1] in ("0.99", "1.0") for title in row[0].split(", ")}
+    for scenario in SCENARIOS.values():
+        for gamma in GAMMAS:
+            numbers = dict(zip(NAMES, told[scenario.title, str(gamma)], strict=True))
+            point = mo_deepdrive.reference_point(scenario.name, gamma=gamma)
+            assert [float(numbers[name]) for name in point.objectives] == point.values.tolist()
+
+
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
 def test_a_front_for_another_gamma_is_discounted_with_it(gamma: float) -> None:
     policies = fronts.shipped("one_waypoint", "discrete")
@@ -283,7 +311,7 @@ def test_what_is_written_of_continuous_actions_is_read_again(actions: list[tuple
 
 def test_runs_of_equal_actions_are_written_short() -> None:
     assert fronts.encode(np.array([3, 3, 3, 0, 21])) == "d3av"
-    assert fronts.encode(np.array([[0.0, 0.5, -1.0]] * 12 + [[0.25, 0.0, -1.0]])) == "0,512,-1024*12 256,0,-1024"
+    assert fronts.encode(np.array([[0.0, 0.5, -1.0]] * 12 + [[0.25, 0.0, 0.0]])) == "0,512*12 256,0,0"
 
 
 @pytest.mark.parametrize(
@@ -294,7 +322,8 @@ def test_runs_of_equal_actions_are_written_short() -> None:
         ("a b", "discrete"),
         ("3a", "discrete"),
         ("A", "discrete"),
-        ("1,2", "continuous"),
+        ("1", "continuous"),
+        ("1,2,3,4", "continuous"),
         ("1,2,3x4", "continuous"),
         ("a3", "continuous"),
         ("1.5,0,0", "continuous"),

@@ -111,14 +111,20 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Act for one decision; the vector reward (d,) is in units of ``reward_scales``."""
         chosen = self._worlds.environment_actions(np.asarray(action)[None, None])[0]
         raw, reward, terminated, truncated, info = self.env.step(chosen)
+        vector = np.asarray(reward)
         if self._recorder is not None:
-            self._returns += reward
+            self._returns += vector
             self._length += 1
             if terminated or truncated:
                 self._recorder.episode(self._returns, self._length, bool(info.get("success", False)))
             self._recorder.step()
-        scaled = (np.asarray(reward) / self._reward_scales).astype(np.float32)
-        return self._observation(raw), scaled, bool(terminated), bool(truncated), info
+        return (
+            self._observation(raw),
+            (vector / self._reward_scales).astype(np.float32),
+            bool(terminated),
+            bool(truncated),
+            info,
+        )
 
     def _observation(self, raw: Any) -> NDArray[np.float32]:
         seen = self._worlds.policy_observations(np.asarray(raw)[None])[0, 0]

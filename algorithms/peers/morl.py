@@ -16,9 +16,11 @@ import torch
 from numpy.typing import NDArray
 
 from algorithms.pareto import evenly_spaced_weights, non_dominated
-from algorithms.peers.task import Choose, Policies, Seen, Task, WeightedConfig
+from algorithms.peers.task import Policies, Seen, Task, WeightedConfig
 
 EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training
+# Weights that the algorithms make at the beginning, by a slow optimisation, for evaluations that they only log.
+LOGGED_WEIGHTS = 10
 # Arguments that YAML gives as lists and the library wants as arrays.
 ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
 HORIZON_SCALE = 0.1  # of PCN's and LCN's horizons, as in the library's examples
@@ -33,7 +35,9 @@ def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def _reference(task: Task) -> NDArray[np.float32]:
-    """The reference point in the peer's units."""
+    """The reference point in the peer's units; zeros where there is none, for peers that only log a hypervolume."""
+    if task.reference_point is None:
+        return np.zeros(len(task.objectives), dtype=np.float32)
     return (task.reference_point / task.reward_scales).astype(np.float32)
 
 
@@ -48,19 +52,24 @@ def _sample(probabilities: torch.Tensor, generator: torch.Generator | None) -> N
     return torch.multinomial(probabilities, 1, generator=generator)[:, 0].cpu().numpy()
 
 
-def _each(acts: Sequence[Callable[[Seen], Any]], task: Task) -> Choose:
-    """Policies that are a network each."""
+def _networks(
+    task: Task, acts: Sequence[Callable[[Seen], Any]], prefix: str, vectors: Sequence[Any], gamma: float = 1.0
+) -> Policies:
+    """Policies that are a network each: ``acts`` gives their actions, ``vectors`` (d,) what each was trained for."""
+    shape = (task.worlds.actions,) if task.worlds.continuous else ()
+    kind = np.float32 if task.worlds.continuous else np.int64
 
     def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        kind = np.float32 if task.worlds.continuous else np.int64
-        shape = (len(rows), task.worlds.actions) if task.worlds.continuous else (len(rows),)
-        actions = np.zeros(shape, dtype=kind)
+        actions = np.zeros((len(rows), *shape), dtype=kind)
         for policy in np.unique(rows):
             mine = rows == policy
             actions[mine] = np.asarray(acts[policy](seen.take(mine)))
         return actions
 
-    return choose
+    # Several networks may have been trained for the same vector: a number tells them apart.
+    conditions = np.column_stack([np.arange(len(acts)), np.array(vectors, dtype=np.float64)])
+    names = ("network", *(f"{prefix}/{name}" for name in task.objectives))
+    return Policies(task, choose, conditions, names, gamma)
 
 
 def _weighted(task: Task, act: Callable[[torch.Tensor, torch.Tensor], Any]) -> Policies:
@@ -155,7 +164,8 @@ def envelope(task: Task) -> Policies:
         gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
     )
     agent = Envelope(task.make(), **options)
-    agent.train(task.steps, **_with_arrays(task.train_arguments()))
+    trained = task.train_arguments(num_eval_weights_for_front=LOGGED_WEIGHTS)
+    agent.train(task.steps, **_with_arrays(trained))
 
     def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
         values = agent.q_net(observations, weights)
@@ -189,6 +199,7 @@ def _gpi(task: Task, algorithm: Any) -> Policies:
         timesteps_per_iter=max(1, min(10_000, task.steps // 5)),
         # Every choice of a weight evaluates every corner of the weights once per corner.
         num_eval_episodes_for_front=EVALUATION_EPISODES,
+        num_eval_weights_for_front=LOGGED_WEIGHTS,
         checkpoints=False,
     )
     agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
@@ -203,7 +214,7 @@ def capql(task: Task) -> Policies:
         gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
     )
     agent = CAPQL(task.make(), **options)
-    trained = task.train_arguments(ref_point=_reference(task))
+    trained = task.train_arguments(ref_point=_reference(task), num_eval_weights_for_front=LOGGED_WEIGHTS)
     agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
 
     def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
@@ -244,9 +255,7 @@ def morld(task: Task) -> Policies:
         return lambda seen: _sample(actor(_tensor(seen.observations)).softmax(-1), seen.generator)
 
     found = agent.archive.individuals
-    weights = np.array([policy.weights for policy in found], dtype=np.float64)
-    names = tuple(f"weight/{name}" for name in task.objectives)
-    return Policies(task, _each([act(policy) for policy in found], task), weights, names)
+    return _networks(task, [act(policy) for policy in found], "weight", [policy.weights for policy in found])
 
 
 class _Normalised(gymnasium.ObservationWrapper[Any, Any, Any]):
@@ -277,8 +286,11 @@ def pgmorl(task: Task) -> Policies:
     from gymnasium.wrappers import NormalizeObservation
     from morl_baselines.multi_policy.pgmorl.pgmorl import PGMORL
 
+    if task.reference_point is None:
+        raise ValueError("algorithm 'morl_baselines.pgmorl' needs evaluation.reference_point: it steers by it")
     population, worlds = 6, task.num_envs
-    # Ten iterations of all policies, half of them warm-up; an iteration fills the 32 minibatches at least.
+    # Ten iterations of all policies, half of them warm-up, and one choice of weights between: a choice fits a model
+    # to every policy under every weight. An iteration fills the 32 minibatches at least.
     per_iteration = max(-(-32 // worlds), min(2048, task.steps // (10 * population * worlds)))
     options = task.arguments(
         # It takes an id and makes its worlds itself; a specification that Gymnasium makes does as well.
@@ -288,7 +300,7 @@ def pgmorl(task: Task) -> Policies:
         pop_size=population,
         steps_per_iteration=per_iteration,
         warmup_iterations=5,
-        evolutionary_iterations=1,
+        evolutionary_iterations=5,
         gamma=task.config.gamma,
         seed=task.seed,
         device=task.device,
@@ -304,9 +316,8 @@ def pgmorl(task: Task) -> Policies:
         return lambda seen: policy.networks.actor_mean(_tensor(_normalise(seen.observations, source))).cpu().numpy()
 
     found = agent.archive.individuals
-    weights = np.array([policy.weights.cpu().numpy() for policy in found], dtype=np.float64)
-    names = tuple(f"weight/{name}" for name in task.objectives)
-    return Policies(task, _each([act(policy) for policy in found], task), weights, names)
+    weights = [policy.weights.cpu().numpy() for policy in found]
+    return _networks(task, [act(policy) for policy in found], "weight", weights)
 
 
 def _vector_env(task: Task) -> Any:
@@ -360,9 +371,7 @@ def ipro(task: Task) -> Policies:
         ).numpy()
 
     acts = [act(network, preference) for network, preference in found]
-    preferences = np.array([preference for _, preference in found], dtype=np.float64)
-    names = tuple(f"preference/{name}" for name in task.objectives)
-    return Policies(task, _each(acts, task), preferences.reshape(-1, d), names, gamma=agent.agent.gamma)
+    return _networks(task, acts, "preference", [preference for _, preference in found], gamma=agent.agent.gamma)
 
 
 # ------------------------------------------------------------------------------------------------------ known utility

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from algorithms.history import History
@@ -69,7 +69,8 @@ class Task:
         steps: environment steps to train for; peers that count in rounds may take a few more.
         num_envs: parallel worlds, for peers that take several.
         seed, device: of the run.
-        reference_point: (d,) of the environment's own discounted returns, for peers that steer by a hypervolume.
+        reference_point: (d,) of the environment's own discounted returns, for peers that steer by a hypervolume; None
+            where there is none.
         recorder: counts steps and logs.
     """
 
@@ -81,7 +82,7 @@ class Task:
     num_envs: int
     seed: int
     device: str
-    reference_point: NDArray[np.float64]
+    reference_point: NDArray[np.float64] | None
     recorder: Recorder
 
     @property
@@ -121,7 +122,7 @@ class Task:
         made = iter(range(1_000_000))
         return EnvSpec(
             id="Peer-v0" if inner is None else inner.id,
-            entry_point=lambda render_mode=None: self.make(next(made), render_mode=render_mode),
+            entry_point=lambda **rest: self.make(next(made), **rest),
         )
 
     def arguments(self, **defaults: Any) -> dict[str, Any]:
@@ -190,6 +191,11 @@ class Policies:
         """The policy that acts in N worlds as the policies at N indices do."""
         return PeerPolicy(self, rows)
 
+    def policy(self, condition: ArrayLike) -> PeerPolicy:
+        """The policy with the condition (m,) nearest to this one."""
+        gaps = np.linalg.norm(self.conditions - np.asarray(condition), axis=1)
+        return self.at(np.array([gaps.argmin()]))
+
 
 @dataclass(frozen=True)
 class PeerPolicy:
@@ -233,7 +239,7 @@ class PeerPolicy:
         seen = Seen(
             observations=(observations[:, 0] / task.observation_scales).astype(np.float32),
             accrued=(history.accrued[:, 0] / task.reward_scales).astype(np.float32),
-            decisions=history.decisions[:, 0],
+            decisions=history.decisions[:, 0].copy(),
             generator=generator,
         )
         rows = np.broadcast_to(self.rows, len(observations))
