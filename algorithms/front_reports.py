@@ -17,12 +17,12 @@ from rich.table import Table
 from algorithms.experiment import Experiment
 from algorithms.front import Front
 from algorithms.front_plots import draw_front
+from algorithms.front_views import name_and_unit
 from algorithms.intervals import Estimate
 from algorithms.mosaic import write_mosaic
 from algorithms.pareto import indicators, spread
 from algorithms.videos import episode_frames, make_world
 from algorithms.worlds import Worlds, make_env
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
     from algorithms.pcn import PCN
@@ -152,11 +152,9 @@ def front_table(front: Front, found: dict[str, float], title: str) -> Table:
 
 
 def caption(front: Front, k: int) -> str:
-    """What policy ``k`` returns, in words: ``policy 3: distance 14.5 m, g_force -5.8 g``."""
-    parts = []
-    for i, name in enumerate(front.objectives):
-        unit = OBJECTIVES[INDEX[name]].unit if name in INDEX else "1"
-        parts.append(f"{name} {front.returns[k, i]:.3g}{'' if unit == '1' else ' ' + unit}")
+    """What policy ``k`` returns, in words: ``policy 3: distance 14.5 m, g-force -5.8 g``."""
+    named = [name_and_unit(objective) for objective in front.objectives]
+    parts = [f"{name} {value:.3g} {unit}".rstrip() for (name, unit), value in zip(named, front.returns[k], strict=True)]
     return f"policy {k}: {', '.join(parts)}"
 
 

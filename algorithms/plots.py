@@ -66,7 +66,7 @@ KINDS = (
     Kind("training", "train/", "utility", "-", 1.1),
     Kind("evaluation, greedy", "eval/greedy/", "utility_esr", "-", 2.0),
     Kind("evaluation, stochastic", "eval/stochastic/", "utility_esr", "--", 1.7),
-    Kind("front, best of its policies", "eval/front/", "utility_esr", "-", 2.0),
+    Kind("front (returns: the best of its policies)", "eval/front/", "utility_esr", "-", 2.0),
 )
 # Panels of fronts: titles and metrics.
 INDICATORS = (

@@ -1,13 +1,16 @@
 """Measure speed and memory: ``python scripts/benchmark.py [--quick] [--output FILE.csv]``.
 
 Everything is measured in one run, the best of several repetitions, so that ratios hold on a noisy machine. Peers are
-measured where they are installed (``pip install highway-env`` for mo-highway-fast-v0).
+measured where they are installed (``pip install highway-env`` for mo-highway-fast-v0; the extra ``[peers]`` for
+morl-baselines' PCN).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
+import io
 import os
 import subprocess
 import sys
@@ -27,6 +30,12 @@ from rich.table import Table
 
 import mo_deepdrive
 from algorithms import ALGORITHMS
+from algorithms.experiment import load_experiment
+from algorithms.pareto import hypervolume
+from algorithms.peers import PEERS
+from algorithms.peers.running import evaluate_front as evaluate_peer_front
+from algorithms.peers.running import prepare
+from algorithms.training import build, evaluate_front
 from algorithms.worlds import make_env
 from mo_deepdrive.utilities import make_utility
 
@@ -36,8 +45,10 @@ IDS = {
     "Intersection": "mo-deepdrive-intersection-v0",
 }
 LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
-PEERS = ("minecart-v0", "mo-highway-fast-v0")
+OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
+DEEP_SEA = Path(__file__).resolve().parent.parent / "configs" / "deep_sea_treasure"
+DEEP_SEA_POINT = (0.0, -25.0)  # the reference point that morl-baselines uses there
 
 FIRST_STEP = """
 import mo_deepdrive, mo_gymnasium
@@ -172,6 +183,50 @@ def training_rate(algorithm: str, title: str, hidden: list[int], total: int) -> 
     return rates[-1]
 
 
+def our_pcn() -> tuple[float, float]:
+    """Seconds of training PCN on Deep Sea Treasure as its YAML says, and the hypervolume of its front."""
+    experiment = load_experiment(DEEP_SEA / "pcn.yaml")
+    agent = build(experiment)
+    started = time.perf_counter()
+    agent.train(experiment.training.total_timesteps)
+    seconds = time.perf_counter() - started
+    settings = experiment.evaluation
+    front = evaluate_front(agent, experiment, episodes=settings.final_episodes, seed=settings.seed)
+    return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
+
+
+def peer_pcn() -> tuple[float, float] | None:
+    """The same of morl-baselines' PCN, with the arguments of its own example; None where it is not installed."""
+    experiment = load_experiment(DEEP_SEA / "morl_baselines_pcn.yaml")
+    peer = PEERS[experiment.algorithm["name"]]
+    if peer.obstacle() is not None:
+        return None
+    task = prepare(experiment, lambda step, metrics: None)
+    with contextlib.redirect_stdout(io.StringIO()):
+        started = time.perf_counter()
+        policies = peer.adapter(task)
+        seconds = time.perf_counter() - started
+    front = evaluate_peer_front(policies, experiment)
+    return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
+
+
+def deep_sea_rows() -> list[Row]:
+    """PCN on Deep Sea Treasure, ours beside morl-baselines'."""
+    known = mo_gymnasium.make("deep-sea-treasure-v0").unwrapped.pareto_front(0.99)  # type: ignore[attr-defined]
+    whole = hypervolume(known, DEEP_SEA_POINT)
+    seconds, found = our_pcn()
+    rows = [
+        Row("deep-sea-treasure-v0, pcn, as its YAML", seconds, "s"),
+        Row("deep-sea-treasure-v0, pcn, hypervolume", found, "", f"{whole:.2f}"),
+    ]
+    theirs = peer_pcn()
+    if theirs is not None:
+        rows.append(Row("deep-sea-treasure-v0, morl-baselines' PCN, 100,000 steps", theirs[0], "s"))
+        rows.append(Row("deep-sea-treasure-v0, morl-baselines' PCN, hypervolume", theirs[1], "", f"{whole:.2f}"))
+        rows.append(Row("deep-sea-treasure-v0, time of pcn / morl-baselines' PCN", seconds / theirs[0], "x", "< 0.2"))
+    return rows
+
+
 def first_step_seconds() -> tuple[float, float]:
     """Seconds of a fresh interpreter from start to the first step: with a cold compilation cache, then a warm one."""
     seconds = []
@@ -208,7 +263,7 @@ def measure(repetitions: int, training_steps: int, with_threads: bool) -> list[R
     ours = single_rate(IDS["OneWaypoint"], repetitions, 5000)
     assert ours is not None
     rows.append(Row("OneWaypoint, mo_gymnasium.make", ours, "steps/s", "60 k"))
-    for peer in PEERS:
+    for peer in OTHERS:
         rate_of_peer = single_rate(peer, max(1, repetitions // 3), 300)
         if rate_of_peer is not None:
             rows.append(Row(f"{peer}, mo_gymnasium.make", rate_of_peer, "steps/s"))
@@ -222,6 +277,7 @@ def measure(repetitions: int, training_steps: int, with_threads: bool) -> list[R
             rate = training_rate(algorithm, "Intersection", hidden, training_steps // 2)
             what = f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread"
             rows.append(Row(what, rate, "joint steps/s", target))
+    rows += deep_sea_rows()
     cold, warm = first_step_seconds()
     rows.append(Row("import and first step, cold cache", cold, "s", "< 20"))
     rows.append(Row("import and first step, warm cache", warm, "s", "< 1.5"))

@@ -2,8 +2,9 @@
 
 Runs (or folders that hold runs) are grouped by everything but their seed. Each row gives the mean over seeds of the
 run's final evaluation with a 95% bootstrap interval, and the interquartile mean of the utility; with several vehicles
-there is a row for each, and one for all together (success: all arrived). Groups that differ in the algorithm alone are
-compared: difference of the mean utilities with its interval, and the p-value of a two-sided Mann-Whitney test.
+there is a row for each, and one for all together (success: all arrived). Fronts have their indicators instead. Groups
+that differ in the algorithm alone are compared: difference of the mean utilities (hypervolumes) with its interval, and
+the p-value of a two-sided Mann-Whitney test.
 """
 
 from __future__ import annotations
@@ -55,6 +56,12 @@ class Group:
     @property
     def setting(self) -> tuple[str, str]:
         return self.scenario, self.utility
+
+    @property
+    def policies(self) -> list[str]:
+        """The kinds of policy that have numbers."""
+        found = {policy for policy, _, _ in self.scores}
+        return [policy for policy in POLICIES if policy in found]
 
     @property
     def vehicles(self) -> list[str]:
@@ -148,7 +155,7 @@ def scores_table(groups: list[Group]) -> list[list[str]]:
     """One row per group and policy, header first."""
     rows = [["environment", "utility", "algorithm", "policy", "vehicle", "seeds", *METRICS, "utility_esr_iqm"]]
     for group in groups:
-        for policy, vehicle in product(POLICIES, group.vehicles):
+        for policy, vehicle in product(group.policies, group.vehicles):
             cells = []
             for metric in METRICS:
                 values = group.scores.get((policy, vehicle, metric))
@@ -168,16 +175,18 @@ def without_empty_columns(rows: list[list[str]]) -> list[list[str]]:
 
 def comparisons(groups: list[Group]) -> list[list[str]]:
     """One row per pair of groups that differ in the algorithm, header first."""
-    rows = [["environment", "utility", "policy", "vehicle", "difference of utility_esr", "value", "low", "high", "p"]]
+    rows = [["environment", "utility", "policy", "vehicle", "difference", "of", "value", "low", "high", "p"]]
     for first, second in combinations(groups, 2):
         if first.setting != second.setting or first.algorithm == second.algorithm:
             continue
-        for policy, vehicle in product(POLICIES, first.vehicles):
-            pair = [np.array(group.scores.get((policy, vehicle, "utility_esr"), [])) for group in (second, first)]
+        for policy, vehicle in product(first.policies, first.vehicles):
+            metric = "hypervolume" if policy == "front" else "utility_esr"
+            pair = [np.array(group.scores.get((policy, vehicle, metric), [])) for group in (second, first)]
             if min(map(len, pair)) < 2:
                 continue
             numbers = [f"{number:.3f}" for number in difference(*pair)]
-            rows.append([*first.setting, policy, vehicle, f"{second.algorithm} - {first.algorithm}", *numbers])
+            pairing = f"{second.algorithm} - {first.algorithm}"
+            rows.append([*first.setting, policy, vehicle, pairing, metric, *numbers])
     return without_empty_columns(rows)
 
 
