@@ -11,8 +11,9 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, Group
 from rich.table import Table
+from rich.text import Text
 
 from algorithms.experiment import Experiment
 from algorithms.front import Front
@@ -123,17 +124,13 @@ def representatives(front: Front, count: int) -> NDArray[np.intp]:
     return chosen[np.argsort(front.returns[chosen, 0], kind="stable")]
 
 
-def front_table(front: Front, found: dict[str, float], title: str) -> Table:
+def front_table(front: Front, found: dict[str, float], title: str) -> Group:
     """Some policies of a front, with the intervals of their returns, and its indicators below."""
-    numbers = "  ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in found.items())
-    table = Table(
-        title=f"{title}; undiscounted returns, 95% intervals",
-        caption=numbers,
-        title_justify="left",
-        caption_justify="left",
-        title_style="bold",
-        box=SIMPLE_HEAD,
-    )
+    numbers = [
+        f"{name.replace('_', ' ')} {f'{value:,.0f}' if value >= 1e4 else f'{value:.4g}'}"
+        for name, value in found.items()
+    ]
+    table = Table(box=SIMPLE_HEAD)
     arrivals = bool(np.isfinite(front.success).all())
     table.add_column("policy", justify="right")
     for name in (*front.objectives, *(["arrivals"] if arrivals else []), "decisions"):
@@ -148,7 +145,9 @@ def front_table(front: Front, found: dict[str, float], title: str) -> Table:
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         row = [str(k), *cells, *share, f"{front.length[k]:.0f}"]
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    return table
+    how = "1 episode each" if front.episodes == 1 else f"{front.episodes} episodes each, 95% intervals"
+    heading = Text(f"{title}; undiscounted returns, {how}", style="bold")
+    return Group(heading, table, Text(", ".join(numbers)))
 
 
 def caption(front: Front, k: int) -> str:

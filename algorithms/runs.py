@@ -24,6 +24,7 @@ PACKAGES = (
     "matplotlib",
     "mo-deepdrive",
     "mo-gymnasium",
+    "moocore",
     "numba",
     "numpy",
     "pettingzoo",
