@@ -479,8 +479,9 @@ def largest_subset(returns: NDArray[Any], reference: NDArray[Any], size: int) ->
 def chosen_few(drives: Drives, references: Sequence[NDArray[Any]]) -> Drives:
     """At most KEPT drives: the best of each objective, and those that make up most of the hypervolume.
 
-    They are ordered by falling discounted distance.
+    Only drives that dominate the reference points of all GAMMAS count. They are ordered by falling discounted distance.
     """
+    drives = drives.take(np.flatnonzero((drives.returns >= np.array(references)[:, None]).all(axis=(0, 2))))
     rows: set[int] = set()
     for returns, reference, size in zip(drives.returns[::-1], references[::-1], KEPT[::-1], strict=True):
         front = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))

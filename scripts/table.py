@@ -21,13 +21,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
 from algorithms.experiment import EnvironmentSettings, UtilitySettings, find_environment, is_ours
 from algorithms.files import atomic_write
 from algorithms.intervals import mean
+from algorithms.progress import make_console
 from algorithms.runs import Run
 from mo_deepdrive.config import EnvConfig
 
@@ -44,12 +44,13 @@ RESAMPLES = 10_000
 class Group:
     """Runs that differ in their seed alone; ``scores`` maps (policy, vehicle, metric) to one value per seed.
 
-    The vehicle is "" for the numbers of one vehicle, or of all together.
+    The vehicle is "" for the numbers of one vehicle, or of all together; ``steps`` are those of the training.
     """
 
     scenario: str
     utility: str
     algorithm: str
+    steps: int
     seeds: list[int]
     scores: dict[tuple[str, str, str], list[float]]
 
@@ -102,6 +103,7 @@ def collect(paths: list[Path]) -> list[Group]:
                 scenario=environment_label(experiment.environment),
                 utility=utility_label(experiment.utility),
                 algorithm=experiment.algorithm["name"],
+                steps=experiment.training.total_timesteps,
                 seeds=[],
                 scores=defaultdict(list),
             ),
@@ -153,7 +155,8 @@ def difference(first: NDArray[np.float64], second: NDArray[np.float64]) -> tuple
 
 def scores_table(groups: list[Group]) -> list[list[str]]:
     """One row per group and policy, header first."""
-    rows = [["environment", "utility", "algorithm", "policy", "vehicle", "seeds", *METRICS, "utility_esr_iqm"]]
+    about = ["environment", "utility", "algorithm", "steps", "policy", "vehicle", "seeds"]
+    rows = [[*about, *METRICS, "utility_esr_iqm"]]
     for group in groups:
         for policy, vehicle in product(group.policies, group.vehicles):
             cells = []
@@ -163,7 +166,8 @@ def scores_table(groups: list[Group]) -> list[list[str]]:
             utilities = group.scores.get((policy, vehicle, "utility_esr"))
             iqm = f"{stats.trim_mean(np.array(utilities), 0.25):.3f}" if utilities else ""
             seeds = " ".join(str(seed) for seed in sorted(group.seeds))
-            rows.append([group.scenario, group.utility, group.algorithm, policy, vehicle, seeds, *cells, iqm])
+            whose = [group.scenario, group.utility, group.algorithm, str(group.steps), policy, vehicle, seeds]
+            rows.append([*whose, *cells, iqm])
     return without_empty_columns(rows)
 
 
@@ -195,7 +199,7 @@ def show(rows: list[list[str]]) -> None:
     table = Table(*(name.replace("[", r"\[") for name in rows[0]))
     for row in rows[1:]:
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    Console().print(table)
+    make_console().print(table)
 
 
 def main() -> int:

@@ -212,6 +212,16 @@ def test_the_subset_of_most_hypervolume_is_found_one_after_the_other(front: Modu
     assert set(full) == set(np.flatnonzero(moocore.is_nondominated(returns, maximise=True)))
 
 
+def test_drives_that_do_not_dominate_the_reference_points_are_not_kept(front: ModuleType) -> None:
+    driver = front.Driver("one_waypoint", "continuous")
+    gentle, hard = np.array([[0.0, 0.1, -1.0]] * 30), np.array([[0.0, 1.0, -1.0], [0.0, -0.9, -1.0]] * 30)
+    drives = driver.drive(driver.plans([gentle, hard, np.zeros((0, 3))]), 0)
+    references = [fronts.reference_point("one_waypoint", "continuous", gamma).values for gamma in front.GAMMAS]
+    assert (drives.returns[0][1] < references[0]).any()
+    few = front.chosen_few(drives, references)
+    np.testing.assert_array_equal(few.plans, drives.plans[[0, 2]])
+
+
 def test_splicing_moves_what_follows(front: ModuleType) -> None:
     def spliced(first: int, last: int, room: int) -> list[int]:
         plan = np.arange(10, dtype=np.int16)[:, None]

@@ -48,7 +48,7 @@ def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(
     assert run_table(monkeypatch, tmp_path, "--output", output) == 0
     rows = list(csv.reader(output.read_text().splitlines()))
     header, *groups = rows[: rows.index([])]
-    assert [(row[2], row[3], row[4]) for row in groups] == [
+    assert [(row[2], row[4], row[5]) for row in groups] == [
         (algorithm, policy, "0 1 2") for algorithm in scores for policy in ("greedy", "stochastic")
     ]
     utility = groups[0][header.index("utility_esr")]
@@ -112,7 +112,7 @@ def test_a_run_without_a_final_evaluation_is_named_and_left_out(
     output = tmp_path / "scores.csv"
     assert run_table(monkeypatch, tmp_path, "--output", output) == 0
     assert f"left out: {unfinished}" in capsys.readouterr().err
-    assert list(csv.reader(output.read_text().splitlines()))[1][4] == "0"
+    assert list(csv.reader(output.read_text().splitlines()))[1][5] == "0"
 
 
 def test_folders_without_runs_and_repeated_seeds_are_refused(
@@ -126,3 +126,60 @@ def test_folders_without_runs_and_repeated_seeds_are_refused(
     make_run(tmp_path / "second", "a2c", 0, 1.0)
     assert run_table(monkeypatch, tmp_path / "first", tmp_path / "second") == 2
     assert "repeats seed 0" in capsys.readouterr().err
+
+
+def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, float], *overrides: str) -> None:
+    """A run directory with the final evaluation of a front."""
+    experiment = load_experiment(ROOT / f"configs/{config}.yaml", [f"--seed={seed}", *overrides])
+    path = folder / f"{config.replace('/', '-')}-{seed}"
+    Run.create(experiment, path).unlock()
+    estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
+    (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
+
+
+def test_fronts_have_their_indicators_and_are_compared_by_their_hypervolume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
+        for seed, more in enumerate((1.0, 2.0, 6.0)):
+            numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}
+            make_front_run(tmp_path, config, seed, numbers)
+    make_run(tmp_path, "a2c", 0, 5.0)
+    make_run(tmp_path, "a2c", 1, 6.0)
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    end = rows.index([])
+    found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
+    fronts = [row for row in found if row["policy"] == "front"]
+    assert [(row["algorithm"], row["utility"], row["seeds"]) for row in fronts] == [
+        ("morl_baselines.pcn", "", "0 1 2"),
+        ("pcn", "", "0 1 2"),
+    ]
+    for row, base in zip(fronts, (40.0, 100.0), strict=True):
+        assert float(row["hypervolume"].split()[0]) == pytest.approx(base + 3.0, abs=0.5)
+        assert "[" in row["hypervolume"]
+        assert float(row["cardinality"]) == base
+        assert float(row["igd_plus"]) == 0.5
+        assert row["utility_esr"] == row["utility_esr_iqm"] == ""
+    assert [row["policy"] for row in found if row["algorithm"] == "a2c"] == ["greedy", "stochastic"]
+    (compared,) = [dict(zip(rows[end + 1], row, strict=True)) for row in rows[end + 2 :]]
+    assert (compared["difference"], compared["of"], compared["policy"]) == (
+        "pcn - morl_baselines.pcn",
+        "hypervolume",
+        "front",
+    )
+    assert float(compared["value"]) == pytest.approx(60.0)
+    assert float(compared["low"]) < 60.0 < float(compared["high"])
+
+
+def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for config in ("one_waypoint/pcn", "peers/pcn"):
+        make_front_run(tmp_path, config, 0, {"hypervolume": 7.5, "cardinality": 3.0})
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    end = rows.index([])
+    assert rows[0] == ["environment", "algorithm", "steps", "policy", "seeds", "hypervolume", "cardinality"]
+    assert [row[5:] for row in rows[1:end]] == [["7.5", "3"]] * 2
+    assert len(rows) == end + 2  # the header of the comparisons
