@@ -215,10 +215,9 @@ class Agent(ABC):
 
     def _identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
-        env = self.worlds.env
         return {
             "algorithm": self.name,
-            "environment": env.spec.id if env.spec is not None else str(env),
+            "environment": self.worlds.name,
             "observation_size": self.worlds.observation_size,
             "objectives": list(self.worlds.objectives),
             "cost_sign": self.worlds.cost_sign,

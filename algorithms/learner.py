@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from algorithms.checkpoints import below
 from algorithms.networks import CategoricalActor, GaussianActor, mlp
-from algorithms.optimisers import optimiser_state, set_optimiser_state
+from algorithms.optimisers import linear, optimiser_state, set_optimiser_state
 from algorithms.rollout import Rollout, VehicleRollout
 from algorithms.worlds import Worlds
 from mo_deepdrive.config import Settings
@@ -74,8 +74,7 @@ class ActorCriticConfig(Settings):
 
     def learning_rate_at(self, progress: float) -> float:
         """Adam's step size at ``progress`` in [0, 1]."""
-        end = self.learning_rate if self.learning_rate_end is None else self.learning_rate_end
-        return self.learning_rate + (end - self.learning_rate) * min(1.0, progress)
+        return linear(self.learning_rate, self.learning_rate_end, progress)
 
 
 def normalised(advantages: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

@@ -7,6 +7,7 @@ for jerk is a hundred times as large as distance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from math import comb
 
@@ -55,10 +56,10 @@ def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray(moocore.is_nondominated(_points(returns, "returns"), maximise=True), dtype=np.bool_)
 
 
-def hypervolume(returns: ArrayLike, reference: ArrayLike) -> float:
+def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[str] | None = None) -> float:
     """Volume that ``returns`` (n, d) dominate above ``reference`` (d,).
 
-    Points that do not dominate the reference add nothing.
+    Points that do not dominate the reference add nothing. ``objectives`` are the d names, for messages.
 
     Raises:
         ValueError: if the widths differ, or no point dominates the reference.
@@ -67,7 +68,9 @@ def hypervolume(returns: ArrayLike, reference: ArrayLike) -> float:
     corner = _vector(reference, "reference point", points.shape[1])
     if not (points > corner).all(axis=1).any():
         behind = np.flatnonzero(points.max(axis=0) <= corner)
-        best, where = points.max(axis=0), f"objectives {behind.tolist()}: " if len(behind) else ""
+        best = points.max(axis=0)
+        names = [str(i) if objectives is None else objectives[i] for i in behind.tolist()]
+        where = f"not in objective {', '.join(names)}: " if names else ""
         raise ValueError(
             f"reference point {corner.tolist()} is dominated by no point of the front; "
             f"{where}the best of each objective is {best.tolist()}"

@@ -26,7 +26,7 @@ from algorithms.evaluation import Evaluation, evaluate_each
 from algorithms.front import Front
 from algorithms.history import History
 from algorithms.networks import CommandedNetwork
-from algorithms.optimisers import optimiser_state, set_optimiser_state
+from algorithms.optimisers import linear, optimiser_state, set_optimiser_state
 from algorithms.pareto import indicators, spread
 from algorithms.store import Episode, Store, returns_to_go
 from algorithms.worlds import Worlds
@@ -40,7 +40,7 @@ class PCNConfig(Settings):
     """Hyperparameters of PCN.
 
     Attributes:
-        learning_rate: Adam's step size.
+        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
         gamma: discount of the returns that commands ask for.
         hidden: width of the two embeddings, then of the layers after them.
         batch_size: decisions of a gradient step.
@@ -59,6 +59,7 @@ class PCNConfig(Settings):
     """
 
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    learning_rate_end: float | None = Field(default=None, ge=0.0, le=1.0)
     gamma: float = Field(default=0.99, gt=0.0, le=1.0)
     hidden: list[int] = Field(default=[64, 64], min_length=1)
     batch_size: int = Field(default=256, ge=1)
@@ -279,12 +280,16 @@ class PCN(Agent):
             self._collect(None)
 
     def _update(self, progress: float) -> dict[str, float]:
+        learning_rate = linear(self.config.learning_rate, self.config.learning_rate_end, progress)
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate
         policy = self._ambitious()
         attained = self._collect(policy)
         error = np.abs(attained - policy.desired) / self.scales
         losses = [self._learn() for _ in range(self.config.updates)]
         return {
             "loss/policy": float(torch.stack(losses).mean()),
+            "policy/learning_rate": learning_rate,
             "policy/command_error": float(error.mean()),
             "policy/non_dominated": float(len(self.store.best())),
         }
@@ -424,11 +429,15 @@ class PCN(Agent):
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
+    def _identity(self) -> dict[str, Any]:
+        # Under other scales or another discount the same numbers are other commands.
+        return {**super()._identity(), "command_scales": self._command_scales.tolist(), "gamma": self.gamma}
+
     def _get_state(self) -> dict[str, torch.Tensor]:
         state = {
             "generator": self.generator.get_state(),
             "draws": self._draws.get_state(),
-            "counts": torch.tensor([self._rounds, self._seen]),
+            "counts": torch.tensor([self._rounds, self._seen, self._worlds_seed]),
             "bounds": torch.from_numpy(np.stack(self.bounds)),
         }
         if self._unlogged:
@@ -448,8 +457,8 @@ class PCN(Agent):
         self.store.set_state(below(tensors, "store."))
         if policy_only:
             return
+        self._rounds, self._seen, self._worlds_seed = tensors["counts"].tolist()
         set_optimiser_state(self.optimiser, below(tensors, "optimiser."))
         self.generator.set_state(tensors["generator"])
         self._draws.set_state(tensors["draws"])
-        self._rounds, self._seen = tensors["counts"].tolist()
         self._unlogged = list(tensors["unlogged"].numpy()) if "unlogged" in tensors else []

@@ -144,9 +144,17 @@ class Store:
         return {name: torch.from_numpy(np.ascontiguousarray(self._flat()[name])) for name in names}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: if a part of the state is missing.
+        """
         self.episodes, self._arrays = [], {}
         if state:
+            names = ("observations", "actions", "returns")
+            missing = [name for name in (*names, "lengths") if name not in state]
+            if missing:
+                raise ValueError(f"the state of the store lacks {', '.join(missing)}")
             ends = np.cumsum(state["lengths"].numpy())[:-1]
-            columns = [np.split(state[name].numpy(), ends) for name in ("observations", "actions", "returns")]
+            columns = [np.split(state[name].numpy(), ends) for name in names]
             self.episodes = [Episode(*parts) for parts in zip(*columns, strict=True)]

@@ -76,6 +76,7 @@ class Worlds:
         env: a vector environment with vector rewards: DrivingVectorEnv under SAME_STEP, or MOSyncVectorEnv.
 
     Attributes:
+        name: the id of the environment; its class where it has none.
         num_envs, vehicles: N and V.
         objectives: names of the d components of the reward.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
@@ -93,6 +94,9 @@ class Worlds:
         self.num_envs = env.num_envs
         inner = env.unwrapped
         self.native = isinstance(inner, DrivingVectorEnv)
+        single = inner if self.native else inner.envs[0]  # type: ignore[attr-defined]
+        spec = env.spec if self.native else single.spec
+        self.name = type(single.unwrapped).__name__ if spec is None else spec.id
         space = env.single_action_space
         if isinstance(inner, DrivingVectorEnv):
             if inner.autoreset_mode is not AutoresetMode.SAME_STEP:

@@ -121,7 +121,10 @@ def preference(options: argparse.Namespace, objectives: tuple[str, ...], scales:
 
 def best(values: NDArray[np.float64], returns: NDArray[np.float64], scales: NDArray[Any]) -> NDArray[np.intp]:
     """Policies, best first; of equal ones those with the greater sum of mean returns (K, d) in ``scales``."""
-    return np.lexsort((-(returns / scales).sum(axis=1), -np.round(values, 9)))
+    # Equal up to rounding errors, of whatever size the values are.
+    largest = float(np.abs(values).max())
+    worth = np.round(values / largest, 9) if largest > 0.0 else values
+    return np.lexsort((-(returns / scales).sum(axis=1), -worth))
 
 
 def show(

@@ -556,8 +556,8 @@ class Search:
 # ------------------------------------------------------------------------------------------------ drives of runs
 
 
-def drives_of_run(path: str, scenario: str, action_type: str, episodes: int) -> tuple[str, list[NDArray[Any]]]:
-    """The name of a run, and what its policies do in the scenario of a front: greedy ones, and sampled ones as well.
+def drives_of_run(path: str, scenario: str, action_type: str, episodes: int) -> tuple[str, str, list[NDArray[Any]]]:
+    """The name of a run, what it is, and what its policies do in the scenario of a front, greedily and sampled.
 
     Raises:
         ValueError: if there is no such run, or it is of another scenario or action set.
@@ -588,7 +588,9 @@ def drives_of_run(path: str, scenario: str, action_type: str, episodes: int) -> 
         if count:
             worlds = Worlds(make_env(settings.id, count, {**config, **emitted}))
             sequences += record(policy, worlds, torch.Generator(agent.device).manual_seed(0) if sampled else None)
-    return f"{run.path.parent.name}/{run.path.name}", sequences
+    training = run.experiment.training
+    about = f"{run.experiment.algorithm['name']}, seed {training.seed}, {training.total_timesteps} steps"
+    return "/".join(run.path.absolute().parts[-3:]), about, sequences
 
 
 def record(policy: Policy, worlds: Worlds, generator: torch.Generator | None) -> list[NDArray[Any]]:
@@ -683,9 +685,9 @@ def main(arguments: list[str]) -> int:
     names = []
     try:
         for path in options.runs:
-            name, sequences = drives_of_run(path, scenario, action_type, options.episodes)
+            name, about, sequences = drives_of_run(path, scenario, action_type, options.episodes)
             start += driver.drive(driver.plans(sequences), len(sources))
-            sources.append(f"run {name}")
+            sources.append(f"run {name}: {about}")
             names.append(name)
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

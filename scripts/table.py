@@ -44,13 +44,15 @@ RESAMPLES = 10_000
 class Group:
     """Runs that differ in their seed alone; ``scores`` maps (policy, vehicle, metric) to one value per seed.
 
-    The vehicle is "" for the numbers of one vehicle, or of all together; ``steps`` are those of the training.
+    The vehicle is "" for the numbers of one vehicle, or of all together; ``steps`` are those of the training,
+    ``measured`` what numbers of different groups must share to be compared.
     """
 
     scenario: str
     utility: str
     algorithm: str
     steps: int
+    measured: str
     seeds: list[int]
     scores: dict[tuple[str, str, str], list[float]]
 
@@ -104,6 +106,7 @@ def collect(paths: list[Path]) -> list[Group]:
                 utility=utility_label(experiment.utility),
                 algorithm=experiment.algorithm["name"],
                 steps=experiment.training.total_timesteps,
+                measured=f"{experiment.evaluation.gamma} {experiment.evaluation.reference_point}",
                 seeds=[],
                 scores=defaultdict(list),
             ),
@@ -181,7 +184,8 @@ def comparisons(groups: list[Group]) -> list[list[str]]:
     """One row per pair of groups that differ in the algorithm, header first."""
     rows = [["environment", "utility", "policy", "vehicle", "difference", "of", "value", "low", "high", "p"]]
     for first, second in combinations(groups, 2):
-        if first.setting != second.setting or first.algorithm == second.algorithm:
+        alike = (first.setting, first.measured) == (second.setting, second.measured)
+        if not alike or first.algorithm == second.algorithm:
             continue
         for policy, vehicle in product(first.policies, first.vehicles):
             metric = "hypervolume" if policy == "front" else "utility_esr"

@@ -41,7 +41,7 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO
+from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO, PCN
 from algorithms.actor_critic import ActorCritic
 from algorithms.evaluation import evaluate
 from algorithms.history import History
@@ -136,7 +136,7 @@ def test_training_does_not_touch_the_global_generators(cls: type[ActorCritic]) -
 
 
 def test_the_algorithms_are_known_by_their_names() -> None:
-    assert ALGORITHMS == {"a2c": A2C, "mo_a2c": MOA2C, "mo_ppo": MOPPO}
+    assert ALGORITHMS == {"a2c": A2C, "mo_a2c": MOA2C, "mo_ppo": MOPPO, "pcn": PCN}
 
 
 @CLASSES

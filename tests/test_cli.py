@@ -20,7 +20,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
-from algorithms.logging import read_metrics
+from algorithms.front import Front
+from algorithms.logging import FrontsFile, read_metrics
+from algorithms.pareto import hypervolume, non_dominated
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 TIMEOUT = 240
@@ -41,8 +43,37 @@ algorithm: {name: mo_a2c, steps: 8, hidden: [8]}
 training: {total_timesteps: 320, num_envs: 2}
 evaluation: {episodes: 2, final_episodes: 2, interval: 160}
 """
+FRONT = """
+environment:
+  id: mo-deepdrive-one-waypoint-v0
+  arguments: {time_limit: 3, fixed_destination: true}
+algorithm:
+  name: pcn
+  learning_rate: 1e-2
+  hidden: [32, 32]
+  batch_size: 128
+  updates: 50
+  warmup_episodes: 32
+  persistence: 0.95
+  store_episodes: 100
+  haste: 0
+  horizon_scale: 20.0
+training: {total_timesteps: 6000, num_envs: 16, seed: 5}
+evaluation: {episodes: 1, final_episodes: 1, interval: 1500}
+logging: {interval: 2, checkpoint_interval: 1000}
+"""
+SEA_FRONT = """
+environment: {id: deep-sea-treasure-v0}
+algorithm: {name: pcn, hidden: [16, 16], updates: 5, warmup_episodes: 16, objective_scales: [20.0, 20.0]}
+training: {total_timesteps: 2000, num_envs: 4}
+evaluation: {episodes: 1, final_episodes: 1, interval: 400, reference_point: [0.0, -25.0]}
+logging: {interval: 2, checkpoint_interval: 400}
+"""
 RESULTS = {"config.yaml", "versions.json", "status.json", "checkpoint.safetensors", "metrics.csv", "tensorboard"}
-RESULTS |= {"evaluation.json", "evaluation.csv", "episodes.csv", "curves.png", "video.mp4"}
+RESULTS |= {"evaluation.json", "curves.png", "video.mp4"}
+FRONT_RESULTS = RESULTS | {"fronts.csv", "front.csv"}
+PICTURES = {"importance.png", "reduction.png", "parallel.png", "scatter.png", "bars.png"}
+RESULTS |= {"evaluation.csv", "episodes.csv"}
 
 Done = tuple[int, str, str]  # exit code, standard output, standard error
 Call = Callable[..., Done]
@@ -371,7 +402,7 @@ def test_both_vehicles_of_the_intersection_are_reported(driving: Path, call: Cal
         assert f"eval/stochastic/{name}" in header
 
 
-@pytest.mark.parametrize("algorithm", sorted(ALGORITHMS))
+@pytest.mark.parametrize("algorithm", sorted(name for name, cls in ALGORITHMS.items() if cls.known_utility))
 def test_the_vehicles_may_have_utilities_of_their_own(driving: Path, call: Call, algorithm: str) -> None:
     overrides = [
         "--environment.id=mo-deepdrive-intersection-v0",
@@ -397,3 +428,172 @@ def test_the_vehicles_may_have_utilities_of_their_own(driving: Path, call: Call,
     refused(call("train", "--config", driving, *overrides[:-1], third), "utility.vehicles has 'vehicle_2'")
     foreign = "--utility.vehicles.vehicle_1={name: one_waypoint_linear}"
     refused(call("train", "--config", driving, *overrides[:-1], foreign), "one_waypoint_linear")
+
+
+# Algorithms that learn a front.
+
+
+@pytest.fixture(scope="module")
+def finished_front(scripts: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run that learnt a front."""
+    folder = tmp_path_factory.mktemp("front")
+    (folder / "front.yaml").write_text(FRONT)
+    assert scripts["train"].main(["--config", str(folder / "front.yaml"), "--output", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def test_a_run_of_a_front_leaves_everything_in_its_directory(finished_front: Path) -> None:
+    run = finished_front
+    assert {path.name for path in run.iterdir()} - {".lock"} == FRONT_RESULTS | PICTURES
+    assert (status(run)["state"], status(run)["step"]) == ("finished", 6240)
+    columns = read_metrics(run / "metrics.csv")
+    for name in ("train/return/jerk", "train/length", "loss/policy", "policy/command_error", "eval/front/hypervolume"):
+        assert np.isfinite(columns[name]).any(), name
+    for name in [*PICTURES, "curves.png"]:
+        assert (run / name).read_bytes().startswith(b"\x89PNG")
+    assert (run / "video.mp4").read_bytes()[4:8] == b"ftyp"
+
+    front, about = Front.read(run), json.loads((run / "evaluation.json").read_text())
+    assert len(front) > 2
+    assert non_dominated(front.discounted).all()
+    assert (front.gamma, front.episodes, front.seed) == (0.99, 1, 1_000_000)
+    assert about["step"] == 6240
+    assert about["reference_point"] == [-1.0, -0.1, -10.0, -500.0]
+    numbers = {name: estimate["value"] for name, estimate in about["policies"]["front"].items()}
+    assert numbers["cardinality"] == len(front)
+    assert numbers["hypervolume"] == pytest.approx(hypervolume(front.discounted, about["reference_point"]))
+    assert numbers["success"] == 0.0
+
+
+def test_the_last_of_the_logged_fronts_is_the_front_of_the_run(finished_front: Path) -> None:
+    with (finished_front / "fronts.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    front = Front.read(finished_front)
+    columns = [f"discounted_return/{name}" for name in front.objectives]
+    last = [[float(row[name]) for name in columns] for row in rows if row["step"] == "6240"]
+    np.testing.assert_array_equal(last, front.discounted)
+    metrics = read_metrics(finished_front / "metrics.csv")
+    evaluated = np.isfinite(metrics["eval/front/cardinality"])
+    assert evaluated.sum() >= 5
+    for step, count in zip(metrics["step"][evaluated], metrics["eval/front/cardinality"][evaluated], strict=True):
+        assert [row["policy"] for row in rows if float(row["step"]) == step] == [str(k) for k in range(int(count))]
+
+
+def stop_at(monkeypatch: pytest.MonkeyPatch, step: int, happens: Callable[[], None]) -> None:
+    """Let something happen when the first front past ``step`` has been written."""
+    write = FrontsFile.write
+
+    def spy(self: FrontsFile, at: int, front: Front) -> None:
+        write(self, at, front)
+        if at >= step:
+            happens()
+
+    monkeypatch.setattr(FrontsFile, "write", spy)
+
+
+def crash() -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+@pytest.mark.parametrize("text", [FRONT, SEA_FRONT], ids=["driving", "deep-sea-treasure"])
+def test_an_interrupted_and_resumed_run_of_a_front_is_the_same_run(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    monkeypatch.setattr("algorithms.training.film_front", lambda *arguments, **options: None)
+    monkeypatch.setattr("algorithms.front_reports.draw_front", lambda *arguments, **options: None)
+    (tmp_path / "front.yaml").write_text(text)
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    first = ["--config", "front.yaml", "--output", run]
+    total = 6000 if text is FRONT else 2000
+    steps = [0]
+    for arguments, part, happens, expected in (
+        (first, 0.2, lambda: signal.raise_signal(signal.SIGINT), 130),
+        (["--resume", run], 0.4, crash, 1),
+        (["--resume", run], 0.7, lambda: signal.raise_signal(signal.SIGTERM), 143),
+    ):
+        with monkeypatch.context() as context:
+            stop_at(context, int(part * total), happens)
+            code, out, error = call("train", *arguments)
+        assert code == expected, out + error
+        steps.append(status(run)["step"])
+        assert steps[-2] <= steps[-1] < total
+    assert steps[1] > 0
+    assert steps[3] > steps[1]
+    code, out, error = call("train", "--resume", run)
+    assert code == 0, out + error
+    assert call("train", "--config", "front.yaml", "--output", whole)[0] == 0
+
+    def rows(path: Path) -> list[dict[str, str]]:
+        with (path / "metrics.csv").open(newline="") as file:
+            return [{**row, "time/steps_per_second": ""} for row in csv.DictReader(file)]
+
+    assert rows(run) == rows(whole)
+    for name in ("fronts.csv", "front.csv", "evaluation.json"):
+        assert (run / name).read_bytes() == (whole / name).read_bytes(), name
+    tensors, again = (load_file(each / "checkpoint.safetensors") for each in (whole, run))
+    assert tensors.keys() == again.keys()
+    for name, array in tensors.items():
+        np.testing.assert_array_equal(array, again[name], err_msg=name)
+
+
+def test_evaluate_repeats_the_front_at_the_end_of_training(finished_front: Path, tmp_path: Path, call: Call) -> None:
+    code, out, error = call("evaluate", finished_front, "--output", "numbers")
+    assert code == 0, out + error
+    for name in ("front.csv", "evaluation.json"):
+        assert (tmp_path / "numbers" / name).read_bytes() == (finished_front / name).read_bytes(), name
+    assert {path.name for path in (tmp_path / "numbers").iterdir()} == PICTURES | {"front.csv", "evaluation.json"}
+    assert "hypervolume" in out
+    for name in ("distance", "destination", "g_force", "jerk", "arrivals", "decisions"):
+        assert name in out
+
+
+def test_evaluate_shows_a_front_on_other_episodes_and_films_it(
+    finished_front: Path, tmp_path: Path, call: Call
+) -> None:
+    before = sorted((path.name, path.stat().st_mtime_ns) for path in finished_front.iterdir())
+    options = ["--episodes", 3, "--seed", 9, "--video", "drive.mp4", "--output", "numbers"]
+    code, out, error = call("evaluate", finished_front, *options)
+    assert code == 0, out + error
+    front = Front.read(tmp_path / "numbers")
+    assert (front.episodes, front.seed) == (3, 9)
+    np.testing.assert_array_equal(front.low, front.returns)  # every episode is the same
+    assert (tmp_path / "drive.mp4").stat().st_size > 1000
+    assert sorted((path.name, path.stat().st_mtime_ns) for path in finished_front.iterdir()) == before
+    refused(call("evaluate", finished_front, "--episodes", 0), "--episodes 0")
+
+
+@pytest.mark.parametrize("algorithm", ["mo_a2c", "pcn"])
+def test_runs_on_other_environments_are_evaluated(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, algorithm: str
+) -> None:
+    monkeypatch.setattr("algorithms.training.film_front", lambda *arguments, **options: None)
+    monkeypatch.setattr("algorithms.training.record", lambda *arguments, **options: None)
+    (tmp_path / "other.yaml").write_text(SEA_FRONT if algorithm == "pcn" else TREASURE)
+    run = tmp_path / "run"
+    assert call("train", "--config", "other.yaml", "--output", run, "--training.total_timesteps=600")[0] == 0
+    code, out, error = call("evaluate", run, "--output", "numbers")
+    assert code == 0, out + error
+    assert (tmp_path / "numbers" / "evaluation.json").read_text() == (run / "evaluation.json").read_text()
+
+
+def test_plot_draws_runs_of_fronts(finished_front: Path, tmp_path: Path, call: Call) -> None:
+    code, out, error = call("plot", finished_front, "--output", "curves.pdf")
+    assert code == 0, out + error
+    assert "pcn: 1 seed" in out
+    assert (tmp_path / "curves.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_fronts_that_cannot_be_learnt_are_refused_before_anything_starts(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "front.yaml").write_text(FRONT)
+    config = ["--config", "front.yaml"]
+    refused(call("train", *config, "--utility.name=one_waypoint_linear"), "learns a front for every utility")
+    crossing = "--environment={id: mo-deepdrive-intersection-v0, arguments: {fixed_destination: false}}"
+    refused(call("train", *config, crossing), "algorithm 'pcn' drives one vehicle; the environment has 2")
+    refused(call("train", *config, "--evaluation.reference_point=[1.0]"), "needs 4 numbers")
+    refused(call("train", *config, "--evaluation.gamma=0.9"), "evaluation.reference_point must be given")
+    refused(call("train", *config, "--environment.arguments.cost_sign=paper"), "a front needs 'maximise'")
+    refused(call("train", *config, "--algorithm.objective_scales=[1.0]"), "objective_scales = [1.0] needs 4 numbers")
+    peer = REPOSITORY / "configs" / "peers" / "pcn.yaml"
+    refused(call("train", "--config", peer), "'morl_baselines.pcn' is another library's; scripts/peers.py runs it")
+    assert [path.name for path in tmp_path.iterdir()] == ["front.yaml"]

@@ -6,9 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import mo_deepdrive
 from algorithms.experiment import load_experiment, make_experiment, parse_overrides
+from algorithms.peers import PEERS
+from algorithms.training import build
 from algorithms.yaml_files import dump, read_mapping, read_value
 
 TEXT = """
@@ -23,6 +27,16 @@ algorithm:
 training:
   total_timesteps: 1e5
   num_envs: 8
+"""
+
+FRONT = """
+environment:
+  id: mo-deepdrive-one-waypoint-v0
+algorithm:
+  name: pcn
+training:
+  total_timesteps: 1e5
+  num_envs: 2
 """
 
 Write = Callable[[str], Path]
@@ -217,3 +231,117 @@ def test_a_written_mapping_reads_back_equal(tmp_path: Path) -> None:
     path = tmp_path / "values.yaml"
     path.write_text(dump(values))
     assert read_mapping(path) == values
+
+
+# Algorithms that learn a front.
+
+
+def test_an_algorithm_has_a_utility_where_it_needs_one_and_none_where_it_does_not(write: Write) -> None:
+    assert load_experiment(write(TEXT)).known_utility is True
+    found = load_experiment(write(FRONT))
+    assert found.known_utility is False
+    assert found.utility is None
+    for name in ("a2c", "mo_a2c", "mo_ppo"):
+        with pytest.raises(ValueError, match=f"'utility' is missing: algorithm '{name}' learns for a known utility"):
+            load_experiment(write(FRONT), [f"--algorithm.name={name}"])
+    with pytest.raises(ValueError, match=r"utility = 'one_waypoint_linear': algorithm 'pcn' learns a front"):
+        load_experiment(write(FRONT), ["--utility.name=one_waypoint_linear"])
+
+
+@pytest.mark.parametrize("gamma", [0.99, 1.0])
+@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "intersection"])
+def test_our_environments_have_an_agreed_reference_point(
+    write: Write, scenario: str, action_type: str, gamma: float
+) -> None:
+    overrides = [
+        f"--environment.id=mo-deepdrive-{scenario.replace('_', '-')}-v0",
+        f"--environment.arguments.action_type={action_type}",
+        f"--evaluation.gamma={gamma}",
+    ]
+    found = load_experiment(write(FRONT), overrides).evaluation.reference_point
+    agreed = mo_deepdrive.reference_point(scenario, action_type, gamma)
+    assert found == agreed.values.tolist()
+    assert len(agreed.objectives) == len(found)
+
+
+def test_the_reference_point_has_the_chosen_objectives_in_their_order(write: Write) -> None:
+    override = "--environment.arguments.objectives=[jerk, distance]"
+    found = load_experiment(write(FRONT), [override]).evaluation.reference_point
+    whole = mo_deepdrive.reference_point("one_waypoint")
+    by_name = dict(zip(whole.objectives, whole.values.tolist(), strict=True))
+    assert found == [by_name["jerk"], by_name["distance"]]
+
+
+def test_a_reference_point_that_is_given_is_kept(write: Write) -> None:
+    point = [-3.0, -0.5, -20.0, -900.0]
+    for gamma in (0.99, 0.5):  # for the second none is agreed
+        overrides = [f"--evaluation.reference_point={point}", f"--evaluation.gamma={gamma}"]
+        experiment = load_experiment(write(FRONT), overrides)
+        assert experiment.evaluation.reference_point == point
+        assert make_experiment(experiment.to_dict()) == experiment
+
+
+def test_only_fronts_of_our_environments_get_a_reference_point(write: Write) -> None:
+    assert load_experiment(write(TEXT)).evaluation.reference_point is None
+    sea = "--environment={id: deep-sea-treasure-v0, arguments: {}}"
+    assert load_experiment(write(FRONT), [sea]).evaluation.reference_point is None
+    given = load_experiment(write(FRONT), [sea, "--evaluation.reference_point=[0.0, -25.0]"])
+    assert given.evaluation.reference_point == [0.0, -25.0]
+    assert build(given).worlds.objectives == ("objective_0", "objective_1")
+
+
+@pytest.mark.parametrize("point", [[0.0], [-1.0, -1.0, -1.0], [-1.0] * 5])
+@pytest.mark.parametrize("env_id", ["mo-deepdrive-one-waypoint-v0", "deep-sea-treasure-v0"])
+def test_a_reference_point_of_another_length_is_refused_before_training(
+    write: Write, point: list[float], env_id: str
+) -> None:
+    overrides = [f"--environment.id={env_id}", f"--evaluation.reference_point={point}"]
+    experiment = load_experiment(write(FRONT), overrides)
+    numbers = 4 if "deepdrive" in env_id else 2
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        build(experiment)
+    assert f"evaluation.reference_point = {point} needs {numbers} numbers" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "messages"),
+    [
+        ("--evaluation.gamma=0.5", ["evaluation.reference_point must be given", "gamma = 0.5", "known: 0.99, 1.0"]),
+        ("--environment.arguments.cost_sign=paper", ["environment.arguments.cost_sign = 'paper'", "'maximise'"]),
+        ("--evaluation.reference_point=[1.0, .nan]", ["reference_point", "finite"]),
+        ("--evaluation.reference_point=low", ["reference_point", "'low'", "list"]),
+        ("--algorithm.name=pnc", ["algorithm.name = 'pnc'", "did you mean 'pcn'?"]),
+        ("--algorithm.hidden=[]", ["'hidden' = []"]),
+        ("--algorithm.crowdin=1", ["did you mean 'crowding'?"]),
+    ],
+)
+def test_what_is_wrong_with_the_experiment_of_a_front_is_named(
+    write: Write, override: str, messages: list[str]
+) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        load_experiment(write(FRONT), [override])
+    for message in messages:
+        assert message in str(caught.value)
+
+
+def test_a_front_of_costs_as_magnitudes_is_refused_whatever_the_reference_point(write: Write) -> None:
+    overrides = ["--environment.arguments.cost_sign=paper", "--evaluation.reference_point=[1.0, 1.0, 1.0, 1.0]"]
+    with pytest.raises(ValueError, match="a front needs 'maximise'"):
+        load_experiment(write(FRONT), overrides)
+
+
+@pytest.mark.parametrize("name", sorted(PEERS))
+def test_the_peers_are_known_by_name_but_none_of_our_agents(write: Write, name: str) -> None:
+    known = PEERS[name].known_utility
+    overrides = [f"--algorithm.name={name}", *(["--utility.name=one_waypoint_linear"] if known else [])]
+    experiment = load_experiment(write(FRONT), overrides)
+    assert experiment.algorithm["name"] == name
+    assert experiment.known_utility is known
+    reference = mo_deepdrive.reference_point("one_waypoint").values
+    if known:
+        assert experiment.evaluation.reference_point is None
+    else:
+        np.testing.assert_array_equal(experiment.evaluation.reference_point, reference)
+    with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's; scripts/peers.py runs it"):
+        build(experiment)

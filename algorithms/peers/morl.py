@@ -41,10 +41,6 @@ def _reference(task: Task) -> NDArray[np.float32]:
     return (task.reference_point / task.reward_scales).astype(np.float32)
 
 
-def _tensor(array: Any) -> torch.Tensor:
-    return torch.as_tensor(array, dtype=torch.float32)
-
-
 def _sample(probabilities: torch.Tensor, generator: torch.Generator | None) -> NDArray[Any]:
     """Indices (N,) drawn from ``probabilities`` (N, actions), or the most probable ones."""
     if generator is None:
@@ -80,7 +76,7 @@ def _weighted(task: Task, act: Callable[[torch.Tensor, torch.Tensor], Any]) -> P
     weights = evenly_spaced_weights(d, max(config.policies, d))
 
     def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        return act(_tensor(seen.observations), _tensor(weights[rows]))
+        return act(task.tensor(seen.observations), task.tensor(weights[rows]))
 
     return Policies(task, choose, weights, tuple(f"weight/{name}" for name in task.objectives))
 
@@ -89,7 +85,7 @@ def _one_by_one(agent: Any) -> Callable[[torch.Tensor, torch.Tensor], Any]:
     """``agent.eval`` of observations and weights, for algorithms that act for one world at a time."""
 
     def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
-        pairs = zip(observations.numpy(), weights.numpy(), strict=True)
+        pairs = zip(observations.cpu().numpy(), weights.cpu().numpy(), strict=True)
         return np.array([agent.eval(observation, weight) for observation, weight in pairs])
 
     return act
@@ -144,7 +140,7 @@ def _commanded(task: Task, algorithm: Any) -> Policies:
         desired = returns[rows] - seen.accrued
         desired = np.where(seen.decisions[:, None] > 0, np.minimum(desired, most), desired)
         left = np.maximum(horizons[rows] - seen.decisions, 1.0)
-        outputs = agent.model(_tensor(seen.observations), _tensor(desired), _tensor(left)[:, None])
+        outputs = agent.model(task.tensor(seen.observations), task.tensor(desired), task.tensor(left)[:, None])
         if agent.continuous_action:
             return outputs.cpu().numpy()
         return _sample(outputs.exp(), seen.generator)
@@ -251,8 +247,8 @@ def morld(task: Task) -> Policies:
     def act(policy: Any) -> Callable[[Seen], Any]:
         actor = policy.wrapped.actor
         if continuous:
-            return lambda seen: actor.get_action(_tensor(seen.observations))[2].cpu().numpy()
-        return lambda seen: _sample(actor(_tensor(seen.observations)).softmax(-1), seen.generator)
+            return lambda seen: actor.get_action(task.tensor(seen.observations))[2].cpu().numpy()
+        return lambda seen: _sample(actor(task.tensor(seen.observations)).softmax(-1), seen.generator)
 
     found = agent.archive.individuals
     return _networks(task, [act(policy) for policy in found], "weight", [policy.weights for policy in found])
@@ -313,7 +309,7 @@ def pgmorl(task: Task) -> Policies:
     agent.train(task.steps, eval_env=_Normalised(task.make(recorded=False), source), **_with_arrays(trained))
 
     def act(policy: Any) -> Callable[[Seen], Any]:
-        return lambda seen: policy.networks.actor_mean(_tensor(_normalise(seen.observations, source))).cpu().numpy()
+        return lambda seen: policy.networks.actor_mean(task.tensor(_normalise(seen.observations, source))).cpu().numpy()
 
     found = agent.archive.individuals
     weights = [policy.weights.cpu().numpy() for policy in found]
@@ -366,9 +362,13 @@ def ipro(task: Task) -> Policies:
     found = [solution for _, solution in solutions if isinstance(solution, tuple)]
 
     def act(network: Any, preference: NDArray[np.float32]) -> Callable[[Seen], Any]:
-        return lambda seen: network.get_greedy_action(
-            _tensor(seen.observations), _tensor(seen.accrued), _tensor(preference)
-        ).numpy()
+        return lambda seen: (
+            network.get_greedy_action(
+                task.tensor(seen.observations), task.tensor(seen.accrued), task.tensor(preference)
+            )
+            .cpu()
+            .numpy()
+        )
 
     acts = [act(network, preference) for network, preference in found]
     return _networks(task, acts, "preference", [preference for _, preference in found], gamma=agent.agent.gamma)
@@ -398,7 +398,7 @@ def eupg(task: Task) -> Policies:
 
     def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
         # The network divides by the sum over all observations that it is given; a distribution divides again.
-        shares = agent.net(_tensor(seen.observations), _tensor(seen.accrued))
+        shares = agent.net(task.tensor(seen.observations), task.tensor(seen.accrued))
         return _sample(shares / shares.sum(-1, keepdim=True), seen.generator)
 
     return Policies(task, choose)
@@ -423,7 +423,7 @@ def nl_mo_ppo(task: Task) -> Policies:
     agent.train(task.make(recorded=False), u_func=task.utility_of_scaled, **task.train_arguments())
 
     def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        network, inputs = agent.agent, (_tensor(seen.observations), _tensor(seen.accrued))
+        network, inputs = agent.agent, (task.tensor(seen.observations), task.tensor(seen.accrued))
         logits = network.actor(network._build_aug_obs(*inputs, None))
         return _sample(logits.softmax(-1), seen.generator)
 

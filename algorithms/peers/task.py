@@ -133,6 +133,10 @@ class Task:
         """The training method's arguments, likewise."""
         return {**defaults, **self.config.train_arguments}
 
+    def tensor(self, array: Any) -> torch.Tensor:
+        """``array`` as the networks take it."""
+        return torch.as_tensor(array, dtype=torch.float32, device=self.device)
+
     def utility_of_scaled(self, returns: Any, weights: Any = None) -> Any:
         """The utility of returns (..., d) in the peer's units; NumPy or torch. ``weights`` are not looked at."""
         assert self.utility is not None, "checked before the adapter is called"
