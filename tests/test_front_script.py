@@ -148,8 +148,9 @@ def test_drives_of_a_run_join_the_search(
     front: ModuleType, shipped: Path, make_run: Callable[..., Path], arguments: dict[str, Any]
 ) -> None:
     path = make_run(**arguments)
-    name, sequences = front.drives_of_run(str(path), "one_waypoint", "discrete", 3)
-    assert name == "untrained/a2c-seed0"
+    name, about, sequences = front.drives_of_run(str(path), "one_waypoint", "discrete", 3)
+    assert name.endswith("/untrained/a2c-seed0")
+    assert about.startswith("a2c, seed 0, ")
     assert len(sequences) == 4
     assert all(1 <= len(sequence) <= 600 and sequence.max() < 22 for sequence in sequences)
     assert front.main(["--decisions", "0", "--anew", "--episodes", "3", "--from", str(path)]) == 0
@@ -164,8 +165,8 @@ def test_every_policy_of_a_front_drives_once_greedily_and_then_sampled(
     agent = build(load_experiment(path / "config.yaml"), num_envs=1)
     agent.load(path / "checkpoint.safetensors", policy_only=True)
     policies = len(agent.commands()[1])
-    greedy = front.drives_of_run(str(path), "static_obstacle", "discrete", 0)[1]
-    sampled = front.drives_of_run(str(path), "static_obstacle", "discrete", 3)[1]
+    greedy = front.drives_of_run(str(path), "static_obstacle", "discrete", 0)[2]
+    sampled = front.drives_of_run(str(path), "static_obstacle", "discrete", 3)[2]
     assert len(greedy) == policies
     assert len(sampled) == 4 * policies
     for first, again in zip(greedy, sampled, strict=False):
@@ -176,7 +177,7 @@ def test_continuous_drives_of_a_run_are_rounded_to_what_can_be_written(
     front: ModuleType, make_run: Callable[..., Path]
 ) -> None:
     path = make_run("mo-deepdrive-static-obstacle-v0", action_type="continuous")
-    _, sequences = front.drives_of_run(str(path), "static_obstacle", "continuous", 2)
+    _, _, sequences = front.drives_of_run(str(path), "static_obstacle", "continuous", 2)
     driver = front.Driver("static_obstacle", "continuous")
     plans = driver.plans(sequences)
     for plan, sequence in zip(plans, sequences, strict=True):
