@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 import urllib.error
 import urllib.request
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from algorithms.experiment import WandbSettings
-from algorithms.files import atomic_write
+from algorithms.files import atomic_write, csv_bytes
 from algorithms.front import Front
 
 CONNECTION_TIMEOUT = 20.0  # s, after which W&B's online mode gives way to offline
@@ -28,9 +27,7 @@ def _cell(value: float) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(cells)
-    return buffer.getvalue()
+    return csv_bytes([cells]).decode()
 
 
 def _whole_rows(path: Path) -> tuple[list[str], list[list[str]]]:

@@ -15,10 +15,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
+from algorithms.front_views import label
 from algorithms.intervals import bootstrap
 from algorithms.logging import read_metrics
 from algorithms.yaml_files import read_mapping
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.objectives import INDEX
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -227,11 +228,7 @@ def _panels(groups: Sequence[Group]) -> list[tuple[str, tuple[str, ...]]]:
 
 
 def _title(objective: str) -> str:
-    name = objective.replace("_", " ").replace("g force", "g-force")
-    if objective not in INDEX:
-        return name
-    unit = OBJECTIVES[INDEX[objective]].unit.replace("^3", "³")
-    return f"{name} (sum, {unit})" if unit != "1" else name
+    return label(objective) if objective in INDEX else objective.replace("_", " ")
 
 
 def _panel(axis: Axes, groups: Sequence[Group], title: str, names: tuple[str, ...]) -> None:

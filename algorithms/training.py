@@ -15,7 +15,7 @@ from rich.console import Console
 
 from algorithms import ALGORITHMS
 from algorithms.base import Agent
-from algorithms.evaluation import Evaluation, evaluate
+from algorithms.evaluation import Evaluation, Policy, evaluate
 from algorithms.experiment import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.front import Front
 from algorithms.front_reports import best_known_front, check_reference_point, film_front, report_front
@@ -237,7 +237,7 @@ def _failed(run: Run, step: int) -> None:
         run.set_status("failed", step)
 
 
-def evaluate_policies(agent: Agent, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
+def evaluate_policies(agent: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
     """The greedy and the stochastic policy's evaluations, on an environment of their own."""
     env = evaluation_env(experiment, episodes)
     try:

@@ -10,8 +10,6 @@ the p-value of a two-sided Mann-Whitney test.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 import sys
 from collections import defaultdict
@@ -25,7 +23,7 @@ from rich.table import Table
 from scipy import stats
 
 from algorithms.experiment import EnvironmentSettings, UtilitySettings, find_environment, is_ours
-from algorithms.files import atomic_write
+from algorithms.files import atomic_write, csv_bytes
 from algorithms.intervals import mean
 from algorithms.progress import make_console
 from algorithms.runs import Run
@@ -221,9 +219,7 @@ def main() -> int:
             if len(rows) > 1:
                 show(rows)
         if arguments.output is not None:
-            buffer = io.StringIO()
-            csv.writer(buffer, lineterminator="\n").writerows([*tables[0], [], *tables[1]])
-            atomic_write(arguments.output, buffer.getvalue().encode())
+            atomic_write(arguments.output, csv_bytes([*tables[0], [], *tables[1]]))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
@@ -11,10 +10,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from algorithms.base import Log
 from algorithms.worlds import Worlds
 from mo_deepdrive.utilities import Utility
-
-Log = Callable[[int, dict[str, float]], None]
 
 
 class Recorder:

@@ -11,18 +11,27 @@ import mo_gymnasium
 import numpy as np
 from rich.console import Console
 
-from algorithms.evaluation import evaluate, evaluate_each
+from algorithms.base import Log
+from algorithms.evaluation import evaluate_each
 from algorithms.experiment import Experiment
 from algorithms.front import Front
 from algorithms.front_reports import check_reference_point, film_front, report_front
 from algorithms.logging import FrontsFile, Logger
 from algorithms.peers import PEERS
-from algorithms.peers.environment import Log, Recorder
+from algorithms.peers.environment import Recorder
 from algorithms.peers.task import Policies, Task
 from algorithms.plots import load_groups, plot
 from algorithms.reports import table, write
 from algorithms.runs import Run
-from algorithms.training import FRONT_EPISODES, POLICIES, attempt_film, evaluation_env, film, make
+from algorithms.training import (
+    FRONT_EPISODES,
+    POLICIES,
+    attempt_film,
+    evaluate_policies,
+    evaluation_env,
+    film,
+    make,
+)
 from algorithms.worlds import Worlds
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import make_utility
@@ -112,21 +121,7 @@ def _finish_policy(
     """Evaluate, report and film the one policy; its metrics by name."""
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
-    env = evaluation_env(run.experiment, settings.final_episodes)
-    try:
-        found = {
-            each: evaluate(
-                policy,
-                env,
-                episodes=settings.final_episodes,
-                seed=settings.seed,
-                greedy=each == "greedy",
-                gamma=settings.gamma,
-            )
-            for each in POLICIES
-        }
-    finally:
-        env.close()
+    found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
     console.print(table(found, f"{settings.final_episodes} episodes from seed {settings.seed}"))
     measured = {"episodes": settings.final_episodes, "seed": settings.seed, "gamma": settings.gamma}
     write(run.path, found, {"step": steps, **about, **measured})
