@@ -8,7 +8,8 @@ from algorithms.base import Agent
 from algorithms.mo_a2c import MOA2C
 from algorithms.mo_ppo import MOPPO
 from algorithms.pcn import PCN
+from algorithms.ppo import PPO
 
-ALGORITHMS: dict[str, type[Any]] = {algorithm.name: algorithm for algorithm in (A2C, MOA2C, MOPPO, PCN)}
+ALGORITHMS: dict[str, type[Any]] = {algorithm.name: algorithm for algorithm in (A2C, PPO, MOA2C, MOPPO, PCN)}
 
-__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "ActorCritic", "Agent"]
+__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import A2C, MOA2C, MOPPO
+from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.learner import Learner
 from algorithms.rollout import VehicleRollout
@@ -22,7 +22,7 @@ SEA = "deep-sea-treasure-v0"
 MINECART = "minecart-v0"
 CONTINUOUS = {"action_type": "continuous"}
 
-CLASSES = pytest.mark.parametrize("cls", [A2C, MOA2C, MOPPO])
+CLASSES = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO])
 # Every algorithm in every form of its advantage.
 FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
     "a2c": (A2C, {}),

@@ -41,7 +41,7 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO, PCN
+from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO, PCN, PPO
 from algorithms.actor_critic import ActorCritic
 from algorithms.evaluation import evaluate
 from algorithms.history import History
@@ -136,21 +136,22 @@ def test_training_does_not_touch_the_global_generators(cls: type[ActorCritic]) -
 
 
 def test_the_algorithms_are_known_by_their_names() -> None:
-    assert ALGORITHMS == {"a2c": A2C, "mo_a2c": MOA2C, "mo_ppo": MOPPO, "pcn": PCN}
+    assert ALGORITHMS == {"a2c": A2C, "ppo": PPO, "mo_a2c": MOA2C, "mo_ppo": MOPPO, "pcn": PCN}
 
 
 @CLASSES
 def test_the_networks_have_the_sizes_of_the_paper(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls)
     shapes = {name: tuple(tensor.shape) for name, tensor in agent.learners[0].get_state().items()}
-    inputs = 15 if cls is A2C else 15 + 4 + 1
+    scalar = cls in (A2C, PPO)
+    inputs = 15 if scalar else 15 + 4 + 1
     assert [shapes[f"actor.body.{i}.weight"] for i in (0, 2, 4)] == [(64, inputs), (32, 64), (22, 32)]
-    outputs = 1 if cls is A2C else 4
+    outputs = 1 if scalar else 4
     assert [shapes[f"critic.{i}.weight"] for i in (0, 2, 4)] == [(64, inputs), (32, 64), (outputs, 32)]
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
-    for cls, depends in ((A2C, False), (MOA2C, True), (MOPPO, True)):
+    for cls, depends in ((A2C, False), (PPO, False), (MOA2C, True), (MOPPO, True)):
         agent = make_agent(cls)
         exaggerate(agent)
         observation = np.ones(15, dtype=np.float32)
@@ -331,7 +332,7 @@ def test_the_learners_of_two_vehicles_do_not_share_anything(cls: type[ActorCriti
     assert all(torch.equal(first[name], second[name]) for name in first if name.startswith("0."))
     assert not torch.equal(first["1.actor.body.0.weight"], second["1.actor.body.0.weight"])
     # A vector critic does not know the utility, a scalar one predicts it.
-    assert torch.equal(first["1.critic.0.weight"], second["1.critic.0.weight"]) is (cls is not A2C)
+    assert torch.equal(first["1.critic.0.weight"], second["1.critic.0.weight"]) is (cls not in (A2C, PPO))
     assert not torch.equal(first["0.critic.0.weight"], first["1.critic.0.weight"])
 
 
