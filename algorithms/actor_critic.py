@@ -191,18 +191,24 @@ class ActorCritic(Agent):
             "inputs": self.learners[0].input_size(self.worlds),
         }
 
-    def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
+    def _get_policy(self) -> dict[str, torch.Tensor]:
         return {
-            name: tuple(tensor.shape)
-            for name, tensor in self._tensors().items()
-            if name.startswith("vehicle_") or not policy_only
+            f"vehicle_{v}.{name}": tensor
+            for v, learner in enumerate(self.learners)
+            for name, tensor in learner.get_policy().items()
         }
 
-    def _set_state(self, tensors: dict[str, torch.Tensor], policy_only: bool) -> None:
+    def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
+        needed = self._get_policy() if policy_only else self._tensors()
+        return {name: tuple(tensor.shape) for name, tensor in needed.items()}
+
+    def _set_policy(self, tensors: dict[str, torch.Tensor]) -> None:
+        for v, learner in enumerate(self.learners):
+            learner.set_policy(below(tensors, f"vehicle_{v}."))
+
+    def _set_state(self, tensors: dict[str, torch.Tensor]) -> None:
         for v, learner in enumerate(self.learners):
             learner.set_state(below(tensors, f"vehicle_{v}."))
-        if policy_only:
-            return
         self.generator.set_state(tensors["generator"])
         self.collector.set_state({name: t.numpy() for name, t in below(tensors, "collector.").items()})
         unlogged = {name: t.numpy() for name, t in below(tensors, "unlogged.").items()}

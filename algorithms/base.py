@@ -14,7 +14,7 @@ import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from algorithms.checkpoints import read_checkpoint, write_checkpoint
+from algorithms.checkpoints import POLICY_ONLY, read_checkpoint, write_checkpoint
 from algorithms.front import Front
 from algorithms.history import History
 from algorithms.worlds import Worlds
@@ -193,25 +193,37 @@ class Agent(ABC):
         """Write everything that determines the future to one safetensors file, atomically."""
         write_checkpoint(path, self._get_state(), {**self._identity(), "step": self.step})
 
+    def save_policy(self, path: str | Path) -> None:
+        """Write only what driving needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
+
+        Raises:
+            ValueError: if there is no policy yet.
+        """
+        write_checkpoint(path, self._get_policy(), {**self._identity(), "step": self.step, POLICY_ONLY: True})
+
     def load(self, path: str | Path, *, policy_only: bool = False) -> None:
         """Resume from :meth:`save`; no code runs from the file.
 
         Args:
             path: the checkpoint.
-            policy_only: take the policy alone, for evaluation with any number of worlds.
+            policy_only: take the policy alone, for evaluation with any number of worlds; :meth:`save_policy` is enough.
 
         Raises:
-            ValueError: if the file is missing or broken, or belongs to another algorithm, environment or network.
+            ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, or
+                holds the policy alone where more is needed.
         """
-        tensors, found = read_checkpoint(path, self._identity(), ("num_envs",) if policy_only else ())
+        may_differ = ("num_envs",) if policy_only else ()
+        tensors, found = read_checkpoint(path, self._identity(), may_differ, whole=not policy_only)
         for name, shape in self._shapes(policy_only).items():
             stored = tuple(tensors[name].shape) if name in tensors else None
             if stored != shape:
                 raise ValueError(f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {shape}")
-        self._set_state(tensors, policy_only)
-        if not policy_only:
-            self.step = found["step"]
-            self._resumed()
+        if policy_only:
+            self._set_policy(tensors)
+            return
+        self._set_state(tensors)
+        self.step = found["step"]
+        self._resumed()
 
     def _identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
@@ -231,12 +243,20 @@ class Agent(ABC):
         """Everything that determines the future."""
 
     @abstractmethod
+    def _get_policy(self) -> dict[str, torch.Tensor]:
+        """What driving needs: a part of :meth:`_get_state`, or a summary of it."""
+
+    @abstractmethod
     def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
         """Tensors that a checkpoint must hold, in shapes that the agent knows before it reads one."""
 
     @abstractmethod
-    def _set_state(self, tensors: dict[str, torch.Tensor], policy_only: bool) -> None:
+    def _set_state(self, tensors: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`_get_state`."""
+
+    @abstractmethod
+    def _set_policy(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Drive as the agent of :meth:`_get_policy` or :meth:`_get_state` does."""
 
     def _resumed(self) -> None:
         """Called when a checkpoint has been read whole and ``step`` is known."""

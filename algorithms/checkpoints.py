@@ -14,6 +14,7 @@ from safetensors.torch import save as to_safetensors
 from algorithms.files import atomic_write
 
 FORMAT = 1
+POLICY_ONLY = "policy_only"  # stated by files that hold the policy alone
 
 
 def below(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -29,7 +30,7 @@ def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], iden
 
 
 def read_checkpoint(
-    path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = ()
+    path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
 ) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """The tensors of a checkpoint and the identity that it states.
 
@@ -37,9 +38,10 @@ def read_checkpoint(
         path: the file.
         identity: what the reader is; every entry must be the same in the file.
         may_differ: entries that need not be.
+        whole: refuse a file that holds the policy alone.
 
     Raises:
-        ValueError: if the file is missing or broken, or its identity differs.
+        ValueError: if the file is missing or broken, its identity differs, or it lacks what must be whole.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -47,6 +49,11 @@ def read_checkpoint(
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (OSError, SafetensorError, json.JSONDecodeError) as error:
         raise ValueError(f"checkpoint {path} cannot be read: {error}") from None
+    if whole and found.get(POLICY_ONLY):
+        raise ValueError(
+            f"checkpoint {path} holds the policy alone, as those of the zoo do: it can drive, "
+            "but training cannot be resumed from it"
+        )
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")

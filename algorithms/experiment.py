@@ -117,11 +117,13 @@ class LoggingSettings(Settings):
     Attributes:
         interval: updates between two rows of training metrics.
         checkpoint_interval: environment steps between checkpoints; None for a twentieth of the training.
+        pictures: draw the curves and film the policy at the end.
         wandb: Weights & Biases too; None for not.
     """
 
     interval: Count = 10
     checkpoint_interval: Count | None = None
+    pictures: bool = True
     wandb: WandbSettings | None = None
 
 

@@ -1,4 +1,9 @@
-"""Confidence intervals of 95%: bootstrap for means and utilities, exact for rates."""
+"""Confidence intervals of 95%: bootstrap for means and utilities, exact for rates.
+
+Runs are compared by interquartile means, their difference and the probability of improvement, each with the interval
+of a bootstrap over the seeds (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
+precipice").
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 RESAMPLES = 2000
+COMPARISONS = 10_000  # resamples of a comparison of runs, of which there are few
 LEVEL = 0.95
 
 
@@ -92,4 +98,49 @@ def utility_of_mean(returns: NDArray[np.float64], utility: Callable[[Any], Any])
     values = np.asarray(utility(counts @ returns / n))
     tail = (1.0 - LEVEL) / 2.0
     low, high = np.quantile(values, [tail, 1.0 - tail])
+    return Estimate(value, float(low), float(high))
+
+
+def iqm(samples: NDArray[Any]) -> Estimate:
+    """The interquartile mean of ``samples`` (n,): the mean without the lowest and the highest quarter."""
+    return estimate(samples, interquartile_mean)
+
+
+def interquartile_mean(samples: NDArray[Any], axis: int = 0) -> Any:
+    """The mean of the middle half of ``samples`` (n, ...), as scipy.stats.trim_mean cuts it."""
+    return stats.trim_mean(samples, 0.25, axis=axis)
+
+
+def improvement(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
+    """The probability that a run of ``first`` (n,) is above one of ``second`` (m,); equal ones count half."""
+    return _compare(first, second, lambda x, y: (np.sign(x[..., :, None] - y[..., None, :]).mean((-2, -1)) + 1.0) / 2.0)
+
+
+def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
+    """Interquartile mean of ``first`` (n,) minus that of ``second`` (m,)."""
+    return _compare(first, second, lambda x, y: interquartile_mean(x, axis=-1) - interquartile_mean(y, axis=-1))
+
+
+def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
+    """Standard deviation of ``first`` (n,) over that of ``second`` (m,), infinite where the second does not vary."""
+
+    def ratio(x: Any, y: Any) -> Any:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.nan_to_num(np.std(x, axis=-1, ddof=1) / np.std(y, axis=-1, ddof=1), nan=1.0, posinf=np.inf)
+
+    return _compare(first, second, ratio)
+
+
+def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any, Any], Any]) -> Estimate:
+    """``statistic`` of two independent samples, which are resampled apart."""
+    first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    value = float(statistic(first, second))
+    if min(len(first), len(second)) < 2:
+        return Estimate(value)
+    generator = np.random.default_rng(0)
+    resampled = statistic(
+        generator.choice(first, (COMPARISONS, len(first))), generator.choice(second, (COMPARISONS, len(second)))
+    )
+    tail = (1.0 - LEVEL) / 2.0
+    low, high = np.quantile(resampled, [tail, 1.0 - tail])
     return Estimate(value, float(low), float(high))

@@ -236,13 +236,21 @@ class Learner(ABC):
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Weights and the optimiser's state as named tensors."""
-        state = {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
+        state = self.get_policy()
         state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
         state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
         return state
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`."""
-        self.actor.load_state_dict(below(state, "actor."))
+        self.set_policy(state)
         self.critic.load_state_dict(below(state, "critic."))
         set_optimiser_state(self.optimiser, below(state, "optimiser."))
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The actor's weights as named tensors."""
+        return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Act as the learner of :meth:`get_policy` or :meth:`get_state` does."""
+        self.actor.load_state_dict(below(state, "actor."))

@@ -33,10 +33,13 @@ class MOA2CConfig(ActorCriticConfig):
 
     Attributes:
         advantage: "utility_difference", "as_printed" or "utility_gradient".
+        observe_accrued: append the accrued reward to the state, as theory asks for; without it the policy is as blind
+            to the past as the baseline's.
         observe_discount: append gamma^t to the augmented state, on which the consistent advantage depends too.
     """
 
     advantage: AdvantageForm = "utility_difference"
+    observe_accrued: bool = True
     observe_discount: bool = True
 
 
@@ -60,13 +63,16 @@ class MOA2CLearner(Learner):
         self._episodes = 0
 
     def input_size(self, worlds: Worlds) -> int:
-        return worlds.observation_size + len(worlds.objectives) + self.config.observe_discount
+        accrued = len(worlds.objectives) if self.config.observe_accrued else 0
+        return worlds.observation_size + accrued + self.config.observe_discount
 
     def value_size(self, worlds: Worlds) -> int:
         return len(worlds.objectives)
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        parts = [observations / self.observation_scales, accrued / self.objective_scales]
+        parts = [observations / self.observation_scales]
+        if self.config.observe_accrued:
+            parts.append(accrued / self.objective_scales)
         if self.config.observe_discount:
             parts.append(discounts.unsqueeze(-1))
         return torch.cat(parts, dim=-1)

@@ -161,6 +161,8 @@ class PCN(Agent):
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=self.config.learning_rate, fused=True)
         self.store = Store(self.config.store_episodes, self.scales, self.config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
+        # What the best episodes got, where a policy came without them.
+        self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
         # Draws commands and batches.
         self._draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self._initial)))
         self._rounds = 0
@@ -245,11 +247,17 @@ class PCN(Agent):
         """Commands (K, d) and (K,) that the front is made of: what the non-dominated episodes of the store got.
 
         Raises:
-            ValueError: if the store is empty.
+            ValueError: if the store is empty and no policy was loaded.
         """
-        best = self.store.best()
-        best = best[spread(self.store.returns[best], self.config.max_policies, self.scales)]
-        return self.store.returns[best].astype(np.float32), self.store.lengths[best].astype(np.float32)
+        returns, lengths = self._best()
+        chosen = spread(returns, self.config.max_policies, self.scales)
+        return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
+
+    def _best(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Discounted returns (K, d) and decisions (K,) of the best episodes: the store's, else the loaded policy's."""
+        if self._attained is not None and not len(self.store):
+            return self._attained
+        return self.store.attained()
 
     def act(
         self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
@@ -438,25 +446,50 @@ class PCN(Agent):
             "generator": self.generator.get_state(),
             "draws": self._draws.get_state(),
             "counts": torch.tensor([self._rounds, self._seen, self._worlds_seed]),
-            "bounds": torch.from_numpy(np.stack(self.bounds)),
+            **self._obedience(),
         }
         if self._unlogged:
             state["unlogged"] = torch.from_numpy(np.stack(self._unlogged))
-        state |= {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
         return state | {f"store.{name}": tensor for name, tensor in self.store.get_state().items()}
+
+    def _obedience(self) -> dict[str, torch.Tensor]:
+        """What acting under a command needs."""
+        network = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **network}
+
+    def _get_policy(self) -> dict[str, torch.Tensor]:
+        # Of the store's episodes, which take megabytes, only what the commands are made of.
+        returns, lengths = self._best()
+        attained = {"returns": torch.from_numpy(returns.astype(np.float32)), "lengths": torch.from_numpy(lengths)}
+        return {**self._obedience(), **{f"attained.{name}": tensor for name, tensor in attained.items()}}
 
     def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
         names = ("network.", "bounds") if policy_only else ("network.", "bounds", "generator", "draws", "counts")
         return {name: tuple(t.shape) for name, t in self._get_state().items() if name.startswith(names)}
 
-    def _set_state(self, tensors: dict[str, torch.Tensor], policy_only: bool) -> None:
+    def _set_policy(self, tensors: dict[str, torch.Tensor]) -> None:
+        attained = below(tensors, "attained.")
+        self._attained = self._read_attained(attained) if attained else None
         self.network.load_state_dict(below(tensors, "network."))
         low, high = tensors["bounds"].numpy()
         self.bounds = low, high
         self.store.set_state(below(tensors, "store."))
-        if policy_only:
-            return
+
+    def _read_attained(self, state: dict[str, torch.Tensor]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Discounted returns (K, d) and decisions (K,) of the best episodes, as :meth:`_get_policy` wrote them.
+
+        Raises:
+            ValueError: if a part is missing or of another shape.
+        """
+        shapes = {name: tuple(state[name].shape) for name in ("returns", "lengths") if name in state}
+        count = shapes.get("returns", (0,))[0]
+        if not count or shapes != {"returns": (count, len(self.scales)), "lengths": (count,)}:
+            raise ValueError(f"the best episodes of the policy are broken: {shapes}, for {len(self.scales)} objectives")
+        return state["returns"].numpy().astype(np.float64), state["lengths"].numpy().astype(np.int64)
+
+    def _set_state(self, tensors: dict[str, torch.Tensor]) -> None:
+        self._set_policy(tensors)
         self._rounds, self._seen, self._worlds_seed = tensors["counts"].tolist()
         set_optimiser_state(self.optimiser, below(tensors, "optimiser."))
         self.generator.set_state(tensors["generator"])

@@ -9,11 +9,13 @@ import subprocess
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Literal
 
 from algorithms.experiment import Experiment, make_experiment
 from algorithms.files import atomic_write, write_json
 from algorithms.yaml_files import dump, read_mapping
+from algorithms.zoo import find
 
 if os.name == "posix":
     import fcntl
@@ -51,6 +53,8 @@ class Run:
         self.path = path
         self.experiment = experiment
         self._lock: Any = None
+        self._opened = perf_counter()
+        self._seconds_before = float(self.status.get("seconds", 0.0))
 
     @property
     def checkpoint(self) -> Path:
@@ -80,16 +84,21 @@ class Run:
 
     @classmethod
     def open(cls, path: str | Path, *, device: str | None = None) -> Run:
-        """The run in an existing directory.
+        """The run in an existing directory, or else a policy of the zoo, which has a run's config and its policy.
 
         Args:
-            path: the directory.
+            path: the directory, or the policy's name.
             device: instead of the one that it was trained on.
 
         Raises:
-            ValueError: if there is none, or its config.yaml is not valid.
+            ValueError: if there is neither, or its config.yaml is not valid.
         """
         path = Path(path)
+        if not path.is_dir():
+            try:
+                path = find(str(path))
+            except ValueError as error:
+                raise ValueError(f"{str(path)!r} is not a run directory, and {error}") from None
         config = path / "config.yaml"
         if not config.is_file():
             raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
@@ -120,7 +129,7 @@ class Run:
 
     @property
     def status(self) -> dict[str, Any]:
-        """``{"state": ..., "step": ..., "total_timesteps": ..., "updated": ...}``; empty where there is none."""
+        """State, step, total_timesteps, seconds (of work in all), updated; empty where there is none."""
         try:
             return json.loads((self.path / "status.json").read_text())
         except (OSError, json.JSONDecodeError):
@@ -134,6 +143,7 @@ class Run:
                 "state": state,
                 "step": step,
                 "total_timesteps": self.experiment.training.total_timesteps,
+                "seconds": round(self._seconds_before + perf_counter() - self._opened, 1),
                 "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
             },
         )

@@ -108,6 +108,15 @@ class Store:
             raise ValueError("the store holds no episode yet: train first, or load a checkpoint")
         return np.flatnonzero(non_dominated(self.returns))
 
+    def attained(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """(K, d) discounted returns and (K,) decisions of the episodes with non-dominated returns.
+
+        Raises:
+            ValueError: if the store is empty.
+        """
+        best = self.best()
+        return self.returns[best], self.lengths[best]
+
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(d,) least and greatest return from any decision on, which is what a command may ask for."""
         returns = self._flat()["returns"]

@@ -265,7 +265,8 @@ def evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
 def finish(run: Run, agent: Agent, console: Console) -> None:
     """Evaluate the trained agent; write and print the numbers; draw the curves; film the greedy policy.
 
-    Where the agent learnt a front, it is re-evaluated and drawn, and four of its policies are filmed.
+    Where the agent learnt a front, it is re-evaluated and drawn, and four of its policies are filmed. Without
+    ``logging.pictures`` the numbers are all.
 
     Raises:
         Stopped: if the numbers or the curves could not be written; the trained policy is safe.
@@ -292,8 +293,9 @@ def _finish_policy(run: Run, agent: Agent, console: Console) -> None:
     }
     console.print(table(evaluations, f"{settings.final_episodes} episodes from seed {settings.seed}"))
     write(run.path, evaluations, about)
-    plot(load_groups([run.path]), run.path / "curves.png")
-    film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
+    if experiment.logging.pictures:
+        plot(load_groups([run.path]), run.path / "curves.png")
+        film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
 
 
 def evaluate_front(agent: PCN, experiment: Experiment, *, episodes: int, seed: int) -> Front:
@@ -321,6 +323,8 @@ def _finish_front(run: Run, agent: Any, console: Console) -> None:
     settings = run.experiment.evaluation
     front = evaluate_front(agent, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
     report_front(run.experiment, front, console, directory=run.path, step=agent.step)
+    if not run.experiment.logging.pictures:
+        return
     plot(load_groups([run.path]), run.path / "curves.png")
     attempt_film(lambda: film_front(agent, front, run.experiment, run.path / "video.mp4", seed=settings.seed), console)
 

@@ -4,9 +4,10 @@
     python scripts/choose.py RUN --utility one_waypoint_nonlinear --video drive.mp4
     python scripts/choose.py RUN --target distance=14 g_force=-6
 
-RUN is a finished run of an algorithm that learns a front. All of its policies are evaluated anew. --weights takes the
-greatest weighted sum of returns (objectives that are not named weigh nothing), --utility the greatest expected utility,
---target the policy that falls least short of what is named, in nominal scales of the objectives.
+RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo. All of its policies are
+evaluated anew. --weights takes the greatest weighted sum of returns (objectives that are not named weigh nothing),
+--utility the greatest expected utility, --target the policy that falls least short of what is named, in nominal scales
+of the objectives.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
-    parser.add_argument("run", metavar="RUN", help="directory of a finished run")
+    parser.add_argument("run", metavar="RUN", help="directory of a finished run, or a name in the zoo")
     preference = parser.add_mutually_exclusive_group(required=True)
     preference.add_argument(
         "--weights", nargs="+", metavar="OBJECTIVE=W", help="how much a unit of each return is worth"
@@ -172,7 +173,7 @@ def main(arguments: list[str]) -> int:
                 f"--video {options.video!r}: {str(Path(options.video).absolute().parent)!r} is no directory"
             )
         agent = build(experiment, num_envs=1)
-        front = Front.read(options.run)
+        front = Front.read(run.path)
         scales = np.asarray(agent.scales, dtype=np.float64)
         what, worth_of = preference(options, front.objectives, scales)
         agent.load(run.checkpoint, policy_only=True)
@@ -181,7 +182,7 @@ def main(arguments: list[str]) -> int:
         worth = worth_of(returns)
         order = best(worth, returns.mean(axis=1), scales)
         show(console, front, evaluations, worth, order, what)
-        console.print(f"policy {order[0]} of {Path(options.run) / 'front.csv'}")
+        console.print(f"policy {order[0]} of {run.path / 'front.csv'}")
         if options.video and not attempt_film(
             lambda: film_front(agent, front, experiment, options.video, seed=seed, policies=order[:1]), console
         ):

@@ -1,6 +1,9 @@
 """Evaluate the policy of a run: utilities, vector returns, rates and comfort, with 95% intervals; or its front.
 
-python scripts/evaluate.py runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000 --episodes 1000 --video drive.mp4
+    python scripts/evaluate.py runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000 --episodes 1000 --video drive.mp4
+    python scripts/evaluate.py --zoo
+
+The zoo's policies are trained already; their names stand for runs.
 """
 
 from __future__ import annotations
@@ -15,14 +18,18 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(os.getcwd())  # where a user's own utility lives
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 
 from algorithms.checkpoints import read_checkpoint
+from algorithms.experiment import find_environment
 from algorithms.front_reports import film_front, report_front
 from algorithms.progress import make_console
 from algorithms.reports import table, write
 from algorithms.runs import Run
 from algorithms.training import attempt_film, build, evaluate_front, evaluate_policies, film
+from algorithms.zoo import find, names
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
@@ -30,7 +37,9 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
-    parser.add_argument("run", metavar="RUN", help="directory of a run")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("run", nargs="?", metavar="RUN", help="directory of a run, or a name in the zoo")
+    what.add_argument("--zoo", action="store_true", help="list the policies of the zoo instead")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes per policy (default: as in the config)")
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: as in the config)")
     parser.add_argument("--video", metavar="FILE", help="also write an MP4 of the first episodes (four of a front)")
@@ -55,11 +64,34 @@ def show_front(
     )
 
 
+def list_zoo(console: Console) -> None:
+    """Print the names of the zoo's policies, and what each was trained on.
+
+    Raises:
+        ValueError: if the config of one is not valid.
+    """
+    table = Table(title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    table.add_column("name", no_wrap=True)
+    for column in ("scenario", "utility", "algorithm"):
+        table.add_column(column)
+    for name in names():
+        experiment = Run.open(find(name), device="cpu").experiment
+        scenario = find_environment(experiment.environment.id).kwargs.get("scenario", experiment.environment.id)
+        chosen = experiment.utility
+        utilities = [] if chosen is None else [chosen.name, *(each.name for each in chosen.vehicles.values())]
+        utility = ", ".join(dict.fromkeys(utilities)) or "all: a front"
+        table.add_row(name, scenario, utility, experiment.algorithm["name"])
+    console.print(table if table.row_count else "the zoo is empty")
+
+
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments)
     console = make_console()
     try:
+        if options.zoo:
+            list_zoo(console)
+            return 0
         run = Run.open(options.run, device=options.device)
         settings = run.experiment.evaluation
         episodes = settings.final_episodes if options.episodes is None else options.episodes
@@ -77,7 +109,7 @@ def main(arguments: list[str]) -> int:
         if not run.experiment.known_utility:
             return 0 if show_front(run, agent, options, console, episodes, seed, step) else 1
         evaluations = evaluate_policies(agent, run.experiment, episodes=episodes, seed=seed)
-        console.print(table(evaluations, f"{run.path} at step {step:,}: {episodes} episodes from seed {seed}"))
+        console.print(table(evaluations, f"{options.run} at step {step:,}: {episodes} episodes from seed {seed}"))
         if options.output:
             directory = Path(options.output)
             directory.mkdir(exist_ok=True)

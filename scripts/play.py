@@ -1,8 +1,10 @@
-"""Drive in a window: alone, two people at one keyboard, or against a trained run.
+"""Drive in a window: alone, two people at one keyboard, or against a trained policy.
 
     python scripts/play.py --env mo-deepdrive-one-waypoint-v0
     python scripts/play.py --env mo-deepdrive-intersection-v0
     python scripts/play.py --env mo-deepdrive-intersection-v0 --against RUN --vehicle 1 --record drive.mp4
+
+RUN is the directory of a run, or the name of a policy of the zoo (scripts/evaluate.py --zoo lists them).
 
 Arrow keys: up speeds up, down brakes, left and right steer. With two people they drive vehicle 0, and W A S D drives
 vehicle 1. R starts the episode again, Escape or closing the window quits. Hard braking and fast bends can exceed the
@@ -58,7 +60,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: a random one)")
     parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: in real time)")
-    parser.add_argument("--against", metavar="RUN", help="directory of a run that drives the other vehicle")
+    parser.add_argument("--against", metavar="RUN", help="a run or policy of the zoo that drives the other vehicle")
     parser.add_argument("--vehicle", type=int, choices=(0, 1), help="the one that you drive against RUN (default: 0)")
     parser.add_argument("--stochastic", action="store_true", help="RUN's stochastic policy, not the greedy one")
     parser.add_argument("--record", metavar="FILE", help="write an MP4 of what was driven")

@@ -18,6 +18,7 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(os.getcwd())  # where a user's own utility lives
 
 from algorithms.base import Agent
+from algorithms.checkpoints import read_checkpoint
 from algorithms.experiment import load_experiment
 from algorithms.progress import make_console
 from algorithms.runs import Run, default_directory
@@ -55,6 +56,8 @@ def prepare(options: argparse.Namespace, overrides: list[str]) -> tuple[Run, Age
         given = [*overrides, *(["--output"] if options.output else [])]
         raise ValueError(f"--resume goes on with the run as it began; it cannot take {' '.join(given)}")
     run = Run.open(options.resume)
+    if run.checkpoint.exists():
+        read_checkpoint(run.checkpoint, {}, whole=True)  # before anything is written beside a policy of the zoo
     run.lock()
     agent = build(run.experiment)
     if run.checkpoint.exists():

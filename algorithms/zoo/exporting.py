@@ -1,0 +1,89 @@
+"""From a run to a policy of the zoo."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from algorithms import zoo
+from algorithms.checkpoints import read_checkpoint
+from algorithms.experiment import Experiment
+from algorithms.files import atomic_write, write_json
+from algorithms.front import EVALUATION_FILE, FRONT_FILE, Front
+from algorithms.runs import Run
+from algorithms.training import build
+from algorithms.yaml_files import dump
+
+ABOUT = "about.json"
+FILES = {zoo.CONFIG, zoo.CHECKPOINT, ABOUT, FRONT_FILE, EVALUATION_FILE}
+
+
+def export(run: Run, name: str, directory: str | Path | None = None, about: Mapping[str, Any] | None = None) -> Path:
+    """Write the policy of a run's checkpoint to a folder of its own, in the place of the policy that is there.
+
+    Args:
+        run: trained; of an algorithm that learns a front, finished.
+        name: of the policy: lower-case letters, digits, "_" and "-".
+        directory: where the folder goes; the zoo if None.
+        about: anything else for about.json, such as how the run was chosen.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: for another form of name, a checkpoint or front that is missing or broken, or a folder in which
+            something else is.
+        OSError: if it cannot be written; what was there is untouched.
+    """
+    if not zoo.NAME.fullmatch(name):
+        raise ValueError(f"name {name!r} must be lower-case letters, digits, '_' and '-'")
+    parent = zoo.ZOO if directory is None else Path(directory)
+    target = parent / name
+    if target.exists() and not (target.is_dir() and {path.name for path in target.iterdir()} <= FILES):
+        raise ValueError(f"{str(target)!r} holds something else than a policy; choose another name")
+    experiment = _anywhere(run.experiment)
+    agent = build(experiment, num_envs=1)
+    agent.load(run.checkpoint, policy_only=True)
+    agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
+    if not experiment.known_utility:
+        Front.read(run.path)
+    origin = {"seed": experiment.training.seed, "step": agent.step, "versions": run.versions}
+    staged = Path(tempfile.mkdtemp(prefix=f".{name}.", suffix=".tmp", dir=parent))
+    try:
+        staged.chmod(0o755)
+        atomic_write(staged / zoo.CONFIG, dump(experiment.to_dict()).encode())
+        write_json(staged / ABOUT, {**origin, **(about or {})})
+        if not experiment.known_utility:
+            for file in (FRONT_FILE, EVALUATION_FILE):
+                atomic_write(staged / file, (run.path / file).read_bytes())
+        agent.save_policy(staged / zoo.CHECKPOINT)
+        _replace(target, staged)
+    except BaseException:
+        shutil.rmtree(staged, ignore_errors=True)
+        raise
+    return target
+
+
+def _anywhere(experiment: Experiment) -> Experiment:
+    """The experiment on a CPU, which every machine has."""
+    training = experiment.training.model_copy(update={"device": "cpu"})
+    return experiment.model_copy(update={"training": training})
+
+
+def _replace(target: Path, staged: Path) -> None:
+    """Move the folder ``staged`` to ``target``, in the place of what may be there."""
+    if not target.exists():
+        os.replace(staged, target)
+        return
+    aside = staged.with_suffix(".old")  # a folder with something in it cannot be replaced at one stroke
+    os.replace(target, aside)
+    try:
+        os.replace(staged, target)
+    except BaseException:
+        os.replace(aside, target)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
