@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -65,24 +64,26 @@ def draw_curves(figure: int, plan: Plan, results: Results, path: Path) -> bool:
         OSError: if the file cannot be written.
     """
     wanted = CURVES[figure]
-    arms = list(
-        dict.fromkeys(arm for cell in wanted.cells for arm in results.arms(cell) if _compares(results, cell, arm))
-    )
-    if not arms:
+    panels = {(arm, cell) for cell in wanted.cells for arm in results.arms(cell) if _compares(results, cell, arm)}
+    cells = [cell for cell in wanted.cells if any(cell == each for _, each in panels)]
+    arms = list(dict.fromkeys(arm for cell in cells for arm in results.arms(cell) if (arm, cell) in panels))
+    if not panels:
         return False
     with matplotlib.rc_context(STYLE):
-        canvas = Figure(figsize=(4.7 * len(wanted.cells), 2.9 * len(arms) + 1.0))
-        axes = canvas.subplots(len(arms), len(wanted.cells), squeeze=False)
+        canvas = Figure(figsize=(4.7 * len(cells), 2.9 * len(arms) + 1.0))
+        axes = canvas.subplots(len(arms), len(cells), squeeze=False)
         for row, arm in zip(axes, arms, strict=True):
-            for axis, cell in zip(row, wanted.cells, strict=True):
+            for axis, cell in zip(row, cells, strict=True):
+                if (arm, cell) not in panels:
+                    axis.set_visible(False)
+                    continue
                 _panel(axis, results, cell, arm, f"{POLICY}/{wanted.metric}")
-                title = plan.cells[cell].arms[arm].title
-                axis.set_title(f"{_utility(cell)} utility, {title}")
+                axis.set_title(f"{_utility(cell)} utility, {plan.cells[cell].arms[arm].title}")
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
             axis.set_ylabel("utility per episode")
-        _frame(canvas, f"Figure {figure}. {wanted.title}", _counts(results, wanted.cells, arms))
+        _frame(canvas, f"Figure {figure}. {wanted.title}", _counts(results, panels))
         buffer = BytesIO()
         canvas.savefig(buffer, format="png", dpi=DPI)
     atomic_write(path, buffer.getvalue())
@@ -130,13 +131,8 @@ def _bound(axis: Axes, settled: np.ndarray) -> None:
     axis.set_ylim(max(bottom, low - pad), min(top, high + pad))
 
 
-def _counts(results: Results, cells: Sequence[str], arms: Sequence[str]) -> str:
-    counts = {
-        len(results.runs(cell, arm, variant))
-        for cell in cells
-        for arm in arms
-        for variant in results.variants(cell, arm)
-    }
+def _counts(results: Results, panels: set[tuple[str, str]]) -> str:
+    counts = {len(results.runs(cell, arm, variant)) for arm, cell in panels for variant in LINES}
     return " to ".join(str(count) for count in dict.fromkeys((min(counts), max(counts))))
 
 
