@@ -65,8 +65,13 @@ class ActorCritic(Agent):
             self.learner(self.worlds, v, each, self.config, self._initial, self.device)
             for v, each in enumerate(utilities)
         ]
-        self.collector = Collector(self.worlds, self.config.gamma, self.config.steps)
+        self.collector = Collector(self.worlds, self.config.accrual, self.config.steps)
         self._unlogged: list[Episodes] = []
+
+    @property
+    def gamma(self) -> float:
+        """Discount of the accrued reward."""
+        return float(self.config.accrual)
 
     @property
     def updates(self) -> int:

@@ -104,7 +104,10 @@ def perform(job: Job) -> Outcome:
 
 def _perform(name: str, experiment: dict[str, Any], path: str) -> Outcome:
     """:func:`perform` in another process, to which plain values travel."""
-    return perform(Job(name, make_experiment(experiment), Path(path)))
+    try:
+        return perform(Job(name, make_experiment(experiment), Path(path)))
+    except KeyboardInterrupt:
+        os._exit(130)  # everything is saved; a worker that lived on would take the next job from its queue
 
 
 def _apart() -> None:

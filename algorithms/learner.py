@@ -65,6 +65,11 @@ class ActorCriticConfig(Settings):
             raise ValueError(f"objective_scales = {self.objective_scales} must be positive")
         return self
 
+    @property
+    def accrual(self) -> float:
+        """Discount of the accrued reward."""
+        return self.gamma
+
     def entropy_at(self, progress: float) -> float:
         """Weight of the entropy bonus at ``progress`` in [0, 1]."""
         if self.entropy_start == 0.0:
@@ -230,7 +235,7 @@ class Learner(ABC):
             if cut.any():
                 factors = rollout.discounts[:-1][cut]
                 accrued = rollout.accrued[:-1][cut] + factors.unsqueeze(-1) * rollout.rewards[cut]
-                final = self.inputs(rollout.final[cut], accrued, factors * self.config.gamma)
+                final = self.inputs(rollout.final[cut], accrued, factors * self.config.accrual)
                 following[cut] = self.values(self.critic_inputs(final, rollout.final_others[cut]))
         return following
 

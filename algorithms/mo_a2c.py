@@ -9,6 +9,14 @@ advantages (paper, section 4.2; Reymond et al. 2023; Hayes et al. 2022):
 - ``as_printed``: the same without gamma^{t+1}, as the paper prints eq. 4.2;
 - ``utility_gradient``: the advantages per objective weighted with the gradient of u at the expected return, which is
   the policy gradient of u(E[R]) (SER).
+
+With ``accrued_gamma`` g the past counts in full or nearly so: R_t = sum_{i<t} g^i r_i, and a difference is taken at
+
+    U_t = u(R_t + g^t (r_t + gamma v(S_{t+1}))) - u(R_t + g^t v(S_t)),
+
+whose sums decay by lambda gamma / g. At g = 1 a linear utility gives the advantage of A2C at every step, where g = gamma
+gives gamma^t times that: a decision late in a long episode hardly counts then, and a product of two discounted returns
+is discounted twice.
 """
 
 from __future__ import annotations
@@ -16,6 +24,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.learner import ActorCriticConfig, Learner
@@ -33,14 +42,20 @@ class MOA2CConfig(ActorCriticConfig):
 
     Attributes:
         advantage: "utility_difference", "as_printed" or "utility_gradient".
+        accrued_gamma: discount g of the accrued reward; None for gamma, as in the paper.
         observe_accrued: append the accrued reward to the state, as theory asks for; without it the policy is as blind
             to the past as the baseline's.
         observe_discount: append gamma^t to the augmented state, on which the consistent advantage depends too.
     """
 
     advantage: AdvantageForm = "utility_difference"
+    accrued_gamma: float | None = Field(default=None, gt=0.0, le=1.0)
     observe_accrued: bool = True
     observe_discount: bool = True
+
+    @property
+    def accrual(self) -> float:
+        return self.gamma if self.accrued_gamma is None else self.accrued_gamma
 
 
 class MOA2CLearner(Learner):
@@ -100,6 +115,8 @@ class MOA2CLearner(Learner):
             gamma,
             as_printed=self.config.advantage == "as_printed",
         )
+        if self.config.accrued_gamma is not None:
+            decay *= gamma / self.config.accrued_gamma
         return discounted_sum(differences, going_on, decay), targets
 
     def value_losses(self, values: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:

@@ -40,12 +40,13 @@ def utility_differences(
 ) -> torch.Tensor:
     """U_t = u(R_{t+1} + gamma^{t+1} v(S_{t+1})) - u(R_t + gamma^t v(S_t)), shape (T, ...) (paper, eq. 4.2).
 
-    The paper prints the first value without gamma^{t+1}: ``as_printed``.
+    The paper prints the first value without gamma^{t+1}: ``as_printed``. gamma^{t+1} is ``discount * gamma``, which
+    differs from a power of gamma where the accrued reward has a discount of its own.
 
     Args:
         accrued: (T, ..., d) accrued reward R_t before each step.
         rewards: (T, ..., d).
-        discount: (T, ...) gamma^t.
+        discount: (T, ...) gamma^t, or that of the accrued reward.
         values: (T, ..., d) v(S_t).
         next_values: (T, ..., d) v(S_{t+1}), zero after termination.
     """

@@ -95,7 +95,7 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
     """
-    worlds, gamma = agent.worlds, agent.config.gamma
+    worlds, gamma = agent.worlds, agent.gamma
     n, o, d = worlds.num_envs, worlds.observation_size, len(worlds.objectives)
     rng = np.random.default_rng(seed)
     scales = worlds.observation_scales, worlds.objective_scales

@@ -362,6 +362,52 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
     assert len(kinds) == 4
 
 
+def test_with_the_past_in_full_a_linear_utility_gives_the_advantages_of_a2c() -> None:
+    weights = torch.tensor([0.5, 1.0, 0.03, 0.001])
+    utility = make_utility("linear", ("distance", "destination", "g_force", "jerk"), weights=weights.tolist())
+    agent = make_agent(MOA2C, num_envs=3, utility=utility, gamma=0.9, gae_lambda=0.8, accrued_gamma=1.0)
+    learner, r = agent.learners[0], handmade(agent)
+    assert (r.discounts == 1.0).all()
+    rng = np.random.default_rng(2)
+    values, following = (torch.tensor(rng.normal(size=r.rewards.shape), dtype=torch.float32) for _ in range(2))
+    advantages, targets = learner.estimates(r, values, following)
+    deltas = (r.rewards + 0.9 * following - values) @ weights
+    over = r.terminated | r.truncated
+    steps, n = deltas.shape
+    for i in range(n):
+        later = 0.0
+        for t in range(steps - 1, -1, -1):
+            later = float(deltas[t, i]) + (0.0 if over[t, i] else 0.9 * 0.8 * later)
+            assert float(advantages[t, i]) == pytest.approx(later, rel=1e-4, abs=1e-4)
+            # The targets of the critic are the same, one per objective.
+            assert float((targets - values)[t, i] @ weights) == pytest.approx(later, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("cls", [MOA2C, MOPPO])
+def test_the_discount_of_the_accrued_reward_is_its_own(cls: type[ActorCritic]) -> None:
+    usual = make_agent(cls, gamma=0.9)
+    full = make_agent(cls, gamma=0.9, accrued_gamma=1.0)
+    assert (usual.gamma, full.gamma) == (0.9, 1.0)
+    for agent in (usual, full):
+        agent.train(64)
+    expected = 1.0 if full.collector.history.discounts.size else None
+    assert (full.collector.history.discounts == expected).all()
+    assert usual.collector.history.discounts.max() < 1.0
+    with pytest.raises(ValueError, match="accrued_gamma"):
+        make_agent(cls, accrued_gamma=0.0)
+
+
+@pytest.mark.parametrize("cls", [MOA2C, MOPPO])
+def test_the_accrued_reward_can_be_left_out_of_what_is_seen(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, observe_accrued=False)
+    exaggerate(agent)
+    assert agent.learners[0].input_size(agent.worlds) == 15 + 1
+    observation = np.ones(15, dtype=np.float32)
+    rng = np.random.default_rng(0)
+    assert len({int(agent.eval(observation, rng.normal(0.0, [20.0, 1.0, 5.0, 500.0]))) for _ in range(50)}) == 1
+    agent.train(200)
+
+
 @ALL_FORMS
 def test_what_follows_an_end_does_not_enter_the_next_value(form: str) -> None:
     agent, learner = learner_of(form)

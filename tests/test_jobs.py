@@ -109,10 +109,12 @@ def test_jobs_that_are_interrupted_are_saved_and_end_as_if_they_had_not_been(tmp
 
     watcher = threading.Thread(target=stop)
     watcher.start()
+    waiting = [job(tmp_path / "waiting", seed) for seed in (1, 2, 3)]
     with pytest.raises(KeyboardInterrupt):
-        perform_all([wanted], 1, quiet())
+        perform_all([wanted, *waiting], 1, quiet())
     watcher.join()
     assert not multiprocessing.active_children()
+    assert not any(other.path.exists() for other in waiting)  # nothing else was begun
     assert not wanted.finished
     assert perform_all([wanted], 1, quiet()) == []
     assert wanted.finished

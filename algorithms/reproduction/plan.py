@@ -16,6 +16,9 @@ from algorithms.yaml_files import read_mapping
 from mo_deepdrive.config import Settings, nearest, parse
 
 
+QUICK_EVALUATIONS = 5  # on the way
+
+
 class Variant(Settings):
     """One line of a figure, one row of a table: a config and how it differs from its file.
 
@@ -68,6 +71,7 @@ class Plan(Settings):
         seeds: runs of each variant.
         quick_seeds: the same in a quick reproduction.
         overrides: of every run.
+        quick_overrides: of every run of a quick reproduction.
         cells: by key.
     """
 
@@ -75,6 +79,7 @@ class Plan(Settings):
     seeds: Annotated[int, Field(ge=1)]
     quick_seeds: Annotated[int, Field(ge=1)]
     overrides: dict[str, Any] = {}
+    quick_overrides: dict[str, Any] = {}
     cells: dict[str, Cell] = Field(min_length=1)
 
 
@@ -146,7 +151,10 @@ def _of_arm(
     count = min(arm.seeds or plan.seeds, plan.quick_seeds if quick else arm.seeds or plan.seeds)
     if seeds is not None:
         count = min(seeds, arm.seeds) if arm.seeds else seeds
-    shortened = {"training.total_timesteps": arm.quick_timesteps} if quick else {}
+    shortened: dict[str, Any] = {}
+    if quick and arm.quick_timesteps is not None:
+        few = {"evaluation.interval": max(1, arm.quick_timesteps // QUICK_EVALUATIONS)}
+        shortened = {"training.total_timesteps": arm.quick_timesteps, **few, **plan.quick_overrides}
     for key, variant in arm.variants.items():
         for seed in range(plan.first_seed, plan.first_seed + count):
             values = {**plan.overrides, **arm.overrides, **variant.overrides, **shortened, "training.seed": seed}
