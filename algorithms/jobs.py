@@ -129,6 +129,7 @@ def perform_all(jobs: Sequence[Job], workers: int, console: Console) -> list[tup
 
     Raises:
         ValueError: before anything starts, if a directory holds another experiment.
+        Stopped: if a worker process died.
         KeyboardInterrupt: if the user stops it; what was being trained has been saved.
     """
     missing = [job for job in jobs if not job.finished]
@@ -170,7 +171,9 @@ def _completed(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> Iterator[tuple
             except (ValueError, Stopped, OSError) as error:
                 yield job, str(error)
             except BrokenProcessPool:
-                yield job, "its process died (out of memory, or killed); run the command again to go on"
+                raise Stopped(
+                    "a worker process died (out of memory, or killed); the same command again goes on from what is saved"
+                ) from None
             except Exception as error:
                 yield job, f"{type(error).__name__}: {error}"
             else:

@@ -14,9 +14,9 @@ With ``accrued_gamma`` g the past counts in full or nearly so: R_t = sum_{i<t} g
 
     U_t = u(R_t + g^t (r_t + gamma v(S_{t+1}))) - u(R_t + g^t v(S_t)),
 
-whose sums decay by lambda gamma / g. At g = 1 a linear utility gives the advantage of A2C at every step, where g = gamma
-gives gamma^t times that: a decision late in a long episode hardly counts then, and a product of two discounted returns
-is discounted twice.
+whose sums decay by lambda gamma / g. At g = 1 a linear utility gives the advantage of A2C at every step, where
+g = gamma gives gamma^t times that: a decision late in a long episode hardly counts then, and a product of two
+discounted returns is discounted twice.
 """
 
 from __future__ import annotations

@@ -40,6 +40,7 @@ from algorithms.reproduction.report import (
 )
 from algorithms.reproduction.scores import Results, gather
 from algorithms.runs import Run
+from algorithms.training import Stopped
 from algorithms.zoo.exporting import export
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -176,6 +177,9 @@ def main(arguments: list[str]) -> int:
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except Stopped as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("interrupted; what was being trained is saved: the same command goes on", file=sys.stderr)
         return 130

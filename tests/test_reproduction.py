@@ -137,6 +137,8 @@ def test_a_quick_reproduction_is_a_shorter_one_of_the_same(tmp_path: Path) -> No
         other = whole[entry.cell, entry.arm, entry.variant].job.experiment
         assert entry.job.experiment.training.total_timesteps < other.training.total_timesteps
         assert entry.job.experiment.algorithm == other.algorithm
+        assert entry.job.experiment.evaluation.final_episodes == 200 < other.evaluation.final_episodes
+        assert entry.job.experiment.evaluation.interval * 5 == entry.job.experiment.training.total_timesteps
     assert {(e.cell, e.arm) for e in quick} >= {(cell, "best") for each in CLAIMS for cell in each.cells}
 
 

@@ -15,7 +15,6 @@ from algorithms.jobs import Job
 from algorithms.yaml_files import read_mapping
 from mo_deepdrive.config import Settings, nearest, parse
 
-
 QUICK_EVALUATIONS = 5  # on the way
 
 
@@ -39,6 +38,7 @@ class Arm(Settings):
     Attributes:
         title: what they have in common.
         seeds: runs of each; None for the plan's number.
+        first_seed: None for the plan's; another where the plan's were looked at before the settings were final.
         quick_timesteps: environment steps of each in a quick reproduction; None leaves the arm out of it.
         overrides: of every variant.
         variants: by key; the key names the runs' folder.
@@ -46,6 +46,7 @@ class Arm(Settings):
 
     title: str
     seeds: int | None = Field(default=None, ge=1)
+    first_seed: int | None = Field(default=None, ge=0)
     quick_timesteps: Count | None = None
     overrides: dict[str, Any] = {}
     variants: dict[str, Variant] = Field(min_length=1)
@@ -156,7 +157,8 @@ def _of_arm(
         few = {"evaluation.interval": max(1, arm.quick_timesteps // QUICK_EVALUATIONS)}
         shortened = {"training.total_timesteps": arm.quick_timesteps, **few, **plan.quick_overrides}
     for key, variant in arm.variants.items():
-        for seed in range(plan.first_seed, plan.first_seed + count):
+        first = plan.first_seed if arm.first_seed is None else arm.first_seed
+        for seed in range(first, first + count):
             values = {**plan.overrides, **arm.overrides, **variant.overrides, **shortened, "training.seed": seed}
             where = f"{cell}/{name}/{key}"
             try:
