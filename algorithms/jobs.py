@@ -172,7 +172,7 @@ def _completed(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> Iterator[tuple
                 yield job, str(error)
             except BrokenProcessPool:
                 raise Stopped(
-                    "a worker process died (out of memory, or killed); the same command again goes on from what is saved"
+                    "a worker process died (out of memory, or killed); the same command again goes on from there"
                 ) from None
             except Exception as error:
                 yield job, f"{type(error).__name__}: {error}"
