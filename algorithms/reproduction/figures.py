@@ -20,6 +20,7 @@ from algorithms.reproduction.plan import Plan
 from algorithms.reproduction.scores import TOTAL_UTILITY, Results
 
 DPI = 160
+WIDTH = 8.4  # inches that title and note need
 LINES = {BASELINE: ("A2C", COLOURS[1]), MULTI_OBJECTIVE: ("MO-A2C", COLOURS[0])}
 POLICY = "stochastic"
 
@@ -70,7 +71,7 @@ def draw_curves(figure: int, plan: Plan, results: Results, path: Path) -> bool:
     if not panels:
         return False
     with matplotlib.rc_context(STYLE):
-        canvas = Figure(figsize=(4.7 * len(cells), 2.9 * len(arms) + 1.0))
+        canvas = Figure(figsize=(max(4.7 * len(cells), WIDTH), 2.9 * len(arms) + 1.0))
         axes = canvas.subplots(len(arms), len(cells), squeeze=False)
         for row, arm in zip(axes, arms, strict=True):
             for axis, cell in zip(row, cells, strict=True):
