@@ -324,7 +324,8 @@ def test_a_folder_says_where_its_policy_comes_from(trained: Trained, kind: str, 
     about = json.loads((path / "about.json").read_text())
     step = whole_agent(run).step
     assert step >= 256
-    assert about == {"seed": 3, "step": step, "versions": versions(), "chosen": "best of five seeds"}
+    made_with = {name: versions()[name] for name in ("python", "packages")}
+    assert about == {"seed": 3, "step": step, **made_with, "chosen": "best of five seeds"}
     with safe_open(path / zoo.CHECKPOINT, framework="pt") as file:
         stated = json.loads(file.metadata()["checkpoint"])
     assert (stated["policy_only"], stated["step"]) == (True, step)
