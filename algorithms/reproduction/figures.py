@@ -71,7 +71,7 @@ def draw_curves(figure: int, plan: Plan, results: Results, path: Path) -> bool:
     if not panels:
         return False
     with matplotlib.rc_context(STYLE):
-        canvas = Figure(figsize=(max(4.7 * len(cells), WIDTH), 2.9 * len(arms) + 1.0))
+        canvas = Figure(figsize=(max(4.7 * len(cells), WIDTH), 3.1 * len(arms) + 1.0))
         axes = canvas.subplots(len(arms), len(cells), squeeze=False)
         for row, arm in zip(axes, arms, strict=True):
             for axis, cell in zip(row, cells, strict=True):
@@ -79,7 +79,7 @@ def draw_curves(figure: int, plan: Plan, results: Results, path: Path) -> bool:
                     axis.set_visible(False)
                     continue
                 _panel(axis, results, cell, arm, f"{POLICY}/{wanted.metric}")
-                axis.set_title(f"{_utility(cell)} utility, {plan.cells[cell].arms[arm].title}")
+                axis.set_title(f"{_utility(cell)} utility\n{plan.cells[cell].arms[arm].title}", fontsize=9.5)
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
@@ -108,7 +108,7 @@ def _panel(axis: Axes, results: Results, cell: str, arm: str, metric: str) -> No
         for run in runs:
             if metric in run:
                 axis.plot(run["step"], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
-                last.append(run[metric][len(run[metric]) // 8 :])
+                last.append(run[metric][-max(1, len(run[metric]) // 2) :])
         found = curve(runs, metric)
         if found is None:
             continue
@@ -125,11 +125,11 @@ def _panel(axis: Axes, results: Results, cell: str, arm: str, metric: str) -> No
 
 
 def _bound(axis: Axes, settled: np.ndarray) -> None:
-    """Leave out the first evaluations where their depth would flatten the rest."""
-    low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
-    pad = 0.08 * max(high - low, 1e-6)
+    """Leave out what lies far below the second half of the training, which would flatten the rest."""
+    low, high = np.nanquantile(settled, [0.1, 1.0])
+    reach = 0.5 * max(high - low, 0.02 * abs(high))
     bottom, top = axis.get_ylim()
-    axis.set_ylim(max(bottom, low - pad), min(top, high + pad))
+    axis.set_ylim(max(bottom, low - reach), min(top, high + 0.2 * reach))
 
 
 def _counts(results: Results, panels: set[tuple[str, str]]) -> str:
