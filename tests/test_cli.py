@@ -310,7 +310,7 @@ def test_broken_and_foreign_checkpoints_are_refused(finished: Path, tmp_path: Pa
         "\n".join(
             "  name: a2c" if line == "  name: mo_a2c" else line
             for line in text.splitlines()
-            if not line.startswith(("  advantage", "  observe_accrued", "  observe_discount"))
+            if not line.startswith(("  advantage", "  accrued_gamma", "  observe_accrued", "  observe_discount"))
         )
     )
     refused(call("train", "--resume", run), "algorithm = 'mo_a2c'", "'a2c'")

@@ -125,14 +125,17 @@ def test_both_algorithms_of_an_arm_have_the_same_budget_networks_and_environment
             assert mine[0].training == mine[1].training
             assert mine[0].environment == mine[1].environment
             compared += 1
-    assert compared >= 14
+    assert compared == 2 * 6 + 1  # six cells as printed and with best effort, and continuous actions
 
 
 def test_a_quick_reproduction_is_a_shorter_one_of_the_same(tmp_path: Path) -> None:
     plan = load_plan(PLAN)
     whole = {(e.cell, e.arm, e.variant): e for e in entries(plan, list(plan.cells), tmp_path, root=ROOT)}
     quick = entries(plan, list(plan.cells), tmp_path, quick=True, root=ROOT)
-    assert {entry.seed for entry in quick} == set(range(plan.first_seed, plan.first_seed + plan.quick_seeds))
+    seeds = {
+        (e.cell, e.arm): {other.seed for other in quick if (other.cell, other.arm) == (e.cell, e.arm)} for e in quick
+    }
+    assert {len(each) for each in seeds.values()} == {plan.quick_seeds}
     for entry in quick:
         other = whole[entry.cell, entry.arm, entry.variant].job.experiment
         assert entry.job.experiment.training.total_timesteps < other.training.total_timesteps
@@ -411,7 +414,7 @@ def test_a_run_of_another_plan_in_the_folder_is_refused(call: Callable[..., Any]
 def test_studies_are_told_from_comparisons() -> None:
     plan = Plan.model_validate(load_plan(PLAN).model_dump())
     arms = plan.cells["one_waypoint_nonlinear"].arms
-    assert [key for key, arm in arms.items() if is_study(arm)] == ["without", "with"]
+    assert [key for key, arm in arms.items() if is_study(arm)] == ["without"]
 
 
 def test_a_report_of_some_cells_leaves_the_others_out(tmp_path: Path) -> None:
