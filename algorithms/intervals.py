@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +33,7 @@ class Estimate:
         if self.low is None or self.high is None:
             return f"{self.value:.4g}"
         width = self.high - self.low
-        if width <= 0.0:
+        if not width > 0.0:  # also where both ends are infinite
             return f"{self.value:.4g}"
         decimals = int(np.clip(1 - np.floor(np.log10(width)), 0, 4))
         return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
@@ -142,5 +142,7 @@ def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any
         generator.choice(first, (COMPARISONS, len(first))), generator.choice(second, (COMPARISONS, len(second)))
     )
     tail = (1.0 - LEVEL) / 2.0
-    low, high = np.quantile(resampled, [tail, 1.0 - tail])
+    # Between two infinite values there is nothing to interpolate.
+    method: Literal["linear", "nearest"] = "linear" if np.isfinite(resampled).all() else "nearest"
+    low, high = np.quantile(resampled, [tail, 1.0 - tail], method=method)
     return Estimate(value, float(low), float(high))

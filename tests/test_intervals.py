@@ -64,3 +64,6 @@ def test_the_ratio_of_spreads_is_that_of_the_standard_deviations() -> None:
     assert spread_ratio(second, first).value == pytest.approx(10.0)
     assert spread_ratio(first, np.ones(4)).value == np.inf
     assert spread_ratio(np.ones(4), np.ones(4)).value == 1.0
+    for found in (spread_ratio(first, np.ones(4)), spread_ratio(first, np.array([1.0, 1.0, 1.0, 1.1]))):
+        assert not np.isnan([found.value, found.low, found.high]).any()
+        assert found.text()
