@@ -112,8 +112,13 @@ def utility_metric(cell: str) -> str:
     return TOTAL_UTILITY if cell.startswith("intersection") else "utility_esr"
 
 
+def utility_kind(cell: str) -> str:
+    """Linear or not."""
+    return "non-linear" if cell.endswith("nonlinear") else "linear"
+
+
 def above(estimate: Estimate, limit: float) -> bool | None:
-    """Whether a value lies above a limit: by its interval, which must not reach it; without one by itself."""
+    """Whether a value lies above a limit: by its interval, which must not reach it; open without one."""
     low, high = _ends(estimate)
     return True if low > limit else False if high < limit else None
 
@@ -160,10 +165,8 @@ def solves(cell: str, variant: str) -> Callable[[Results, str], Check]:
 
 def fails(cell: str, variant: str) -> Callable[[Results, str], Check]:
     """Arrives in fewer than FAILED of the episodes."""
-    where = "non-linear" if cell.endswith("nonlinear") else "linear"
-    return _arrivals(
-        cell, variant, f"arrives in under {FAILED:.0%} ({where} utility)", lambda found: _below(found, FAILED)
-    )
+    asks = f"arrives in under {FAILED:.0%} ({utility_kind(cell)} utility)"
+    return _arrivals(cell, variant, asks, lambda found: _below(found, FAILED))
 
 
 def learns(cell: str, variant: str) -> Callable[[Results, str], Check]:

@@ -15,7 +15,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.files import atomic_write
 from algorithms.plots import COLOURS, STYLE, curve
-from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE
+from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
 from algorithms.reproduction.plan import Plan
 from algorithms.reproduction.scores import TOTAL_UTILITY, Results
 
@@ -79,7 +79,8 @@ def draw_curves(figure: int, plan: Plan, results: Results, path: Path) -> bool:
                     axis.set_visible(False)
                     continue
                 _panel(axis, results, cell, arm, f"{POLICY}/{wanted.metric}")
-                axis.set_title(f"{_utility(cell)} utility\n{plan.cells[cell].arms[arm].title}", fontsize=9.5)
+                kind = utility_kind(cell).capitalize()
+                axis.set_title(f"{kind} utility\n{plan.cells[cell].arms[arm].title}", fontsize=9.5)
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
@@ -94,10 +95,6 @@ def draw_curves(figure: int, plan: Plan, results: Results, path: Path) -> bool:
 def _compares(results: Results, cell: str, arm: str) -> bool:
     """Whether an arm compares the two algorithms, as the figures do."""
     return set(LINES) <= set(results.variants(cell, arm)) and len(results.variants(cell, arm)) == len(LINES)
-
-
-def _utility(cell: str) -> str:
-    return "Non-linear" if cell.endswith("nonlinear") else "Linear"
 
 
 def _panel(axis: Axes, results: Results, cell: str, arm: str, metric: str) -> None:

@@ -21,6 +21,7 @@ from algorithms.reproduction.claims import (
     Verdict,
     compare,
     percent,
+    utility_kind,
     utility_metric,
 )
 from algorithms.reproduction.figures import CURVES, FRONTS, draw_curves, file_name
@@ -121,7 +122,7 @@ def verdict_table(plan: Plan, results: Results) -> str:
         for arm, verdict in verdicts(claim, results).items():
             title = plan.cells[claim.cells[0]].arms[arm].title
             for i, cell in enumerate(claim.cells):
-                which = f" ({_utility(cell)})" if len(claim.cells) > 1 else ""
+                which = f" ({utility_kind(cell)})" if len(claim.cells) > 1 else ""
                 name = f"{claim.number}. {claim.statement}" if i == 0 else ""
                 word = f"**{verdict.word}**" if i == 0 else ""
                 rows.append([name, title + which, *_effect(results, cell, arm), word])
@@ -147,10 +148,6 @@ def verdicts(claim: Claim, results: Results) -> dict[str, Verdict]:
     return found
 
 
-def _utility(cell: str) -> str:
-    return "non-linear" if cell.endswith("nonlinear") else "linear"
-
-
 def _checks(plan: Plan, claim: Claim, results: Results) -> str:
     rows = [["arm", "test", "measured", "holds"]]
     answers = {True: "yes", False: "no", None: "open"}
@@ -170,25 +167,14 @@ def _scores(cell_key: str, cell: Cell, results: Results) -> str:
         for variant, label in results.variants(cell_key, arm).items():
             for policy in ("stochastic", "greedy"):
 
-                def value(metric: str, scale: float = 1.0) -> Estimate:
-                    return iqm(scale * results.values(cell_key, arm, variant, metric, policy))  # noqa: B023
+                def value(metric: str) -> Estimate:
+                    return iqm(results.values(cell_key, arm, variant, metric, policy))  # noqa: B023
 
                 progress = "vehicle_0/return/distance" if vehicles else "return/distance"
-                utility = value(utility_metric(cell_key))
-                seeds = results.values(cell_key, arm, variant, "success", policy)
-                rows.append(
-                    [
-                        *(
-                            cell.arms[arm].title,
-                            label,
-                            policy,
-                            str(len(seeds)),
-                            _steps(results, cell_key, arm, variant),
-                        ),
-                        *(utility.text(), percent(value("success")), percent(value("end/collision"))),
-                        value(progress).text(),
-                    ]
-                )
+                seeds = len(results.values(cell_key, arm, variant, "success", policy))
+                about = [cell.arms[arm].title, label, policy, str(seeds), _steps(results, cell_key, arm, variant)]
+                rates = [percent(value("success")), percent(value("end/collision"))]
+                rows.append([*about, value(utility_metric(cell_key)).text(), *rates, value(progress).text()])
     return markdown(rows)
 
 
