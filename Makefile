@@ -10,7 +10,7 @@ READY = $(VENV)/.ready
 RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
 
-.PHONY: install train test test-ray test-peers lint benchmark clean
+.PHONY: install train test test-ray test-peers test-cluster lint benchmark clean
 
 install: $(READY)
 
@@ -43,7 +43,11 @@ lint: $(READY)
 	$(VENV)/bin/mypy
 
 test: lint
-	$(VENV)/bin/python -m pytest --numprocesses 2
+	$(VENV)/bin/python -m pytest --numprocesses 2 --ignore tests/cluster
+
+# Starts a Slurm of its own (Debian's slurm-wlm and munge, as root) and a Ray cluster of its own, and stops them.
+test-cluster: $(READY)
+	$(VENV)/bin/python -m pytest tests/cluster
 
 test-ray: $(RAY_READY)
 	$(RAY_VENV)/bin/python -m pytest tests/ray

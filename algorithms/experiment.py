@@ -173,15 +173,16 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     """
     values = read_mapping(path)
     for key, value in parse_overrides(overrides):
-        _override(values, key, value)
+        override(values, key, value)
     return make_experiment(values, f"experiment {str(path)!r}")
 
 
-def make_experiment(values: Mapping[str, Any], what: str = "experiment") -> Experiment:
+def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
     """Validate ``values`` and fill in every default, also the environment's and the algorithm's.
 
     Args:
         what: the name of ``values`` in messages.
+        here: whether it is for this machine, which must then have the device.
 
     Raises:
         ValueError: as :func:`load_experiment`.
@@ -198,7 +199,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment") -> Expe
 
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     algorithm = attempt(lambda: _algorithm(experiment.algorithm))
-    attempt(lambda: _check_device(experiment.training.device))
+    attempt(lambda: _check_device(experiment.training.device, here))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
     reference: dict[str, Any] = {}
@@ -243,7 +244,12 @@ def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
     return pairs
 
 
-def _override(values: dict[str, Any], key: str, value: Any) -> None:
+def override(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set ``section.key`` in ``values``; a mapping is merged into what is there.
+
+    Raises:
+        ValueError: if the way to the key leads through something that is not a section.
+    """
     *sections, last = key.split(".")
     for depth, name in enumerate(sections):
         if values.get(name) is None:
@@ -253,7 +259,7 @@ def _override(values: dict[str, Any], key: str, value: Any) -> None:
             raise ValueError(f"argument --{key}: {'.'.join(sections[: depth + 1])} = {values!r} is not a section")
     if isinstance(value, dict) and isinstance(values.get(last), dict):
         for name, inner in value.items():
-            _override(values[last], str(name), inner)
+            override(values[last], str(name), inner)
     else:
         values[last] = value
 
@@ -346,13 +352,13 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
     return {"reference_point": point.values.tolist()}
 
 
-def _check_device(name: str) -> dict[str, Any]:
+def _check_device(name: str, here: bool) -> dict[str, Any]:
     try:
         device = torch.device(name)
     except RuntimeError:
         raise ValueError(f"training.device = {name!r} is no device; write cpu, cuda or cuda:0") from None
     count = torch.cuda.device_count()
-    if device.type == "cuda" and (device.index or 0) >= count:
+    if here and device.type == "cuda" and (device.index or 0) >= count:
         raise ValueError(f"training.device = {name!r} is not there; torch sees {count} CUDA devices")
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"training.device = {name!r} is not supported; write cpu, cuda or cuda:0")

@@ -1,27 +1,25 @@
-"""Runs to be made: each is trained, gone on with, or left alone where it is finished; several at a time."""
+"""Runs to be made: each is trained, gone on with, or left alone where it is finished."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from algorithms.experiment import Experiment, make_experiment
-from algorithms.runs import Run
-from algorithms.training import Stopped, build, finish, train
+from algorithms.files import atomic_write
+from algorithms.runs import Run, read_status
+from algorithms.training import Stopped, finish, resume, train
 
 # Of a config: they say where and how loudly a run is made, not what comes out of it.
 FREE = ("training.device", "training.threads", "logging")
 
-Outcome = Literal["trained", "already there"]
+Outcome = Literal["trained", "already there", "stopped"]
+Watch = Callable[[int, Mapping[str, float]], None]
 
 
 @dataclass(frozen=True)
@@ -32,29 +30,50 @@ class Job:
         name: for messages.
         experiment: resolved.
         path: the run's directory.
+        id: of a run whose directory is named by what determines it, so that no other can be there; also its id in
+            Weights & Biases.
     """
 
     name: str
-    experiment: Experiment
+    experiment: Experiment = field(hash=False)
     path: Path
+    id: str | None = None
 
     @property
-    def finished(self) -> bool:
-        """Whether the run is there, trained and evaluated.
+    def done(self) -> bool:
+        """Whether nothing is left to do: trained and evaluated, or pruned.
 
         Raises:
             ValueError: if another experiment has the directory, naming what differs.
         """
+        if self.id is None:
+            self.check()
+        return read_status(self.path).get("state") in ("finished", "pruned")
+
+    def check(self) -> None:
+        """Refuse a directory that holds another experiment.
+
+        Raises:
+            ValueError: naming what differs.
+        """
         if not (self.path / "config.yaml").is_file():
-            return False
-        run = Run.open(self.path)
-        changed = differences(run.experiment.to_dict(), self.experiment.to_dict())
+            return
+        changed = differences(Run.open(self.path).experiment.to_dict(), self.experiment.to_dict())
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
                 "delete it or choose another folder"
             )
-        return run.status.get("state") == "finished"
+
+    def packed(self) -> dict[str, Any]:
+        """Plain values that travel to other processes, for :meth:`unpack`."""
+        return {"name": self.name, "experiment": self.experiment.to_dict(), "path": str(self.path), "id": self.id}
+
+    @classmethod
+    def unpack(cls, values: Mapping[str, Any]) -> Job:
+        """The job that :meth:`packed` gave."""
+        experiment = make_experiment(values["experiment"])
+        return cls(values["name"], experiment, Path(values["path"]), values["id"])
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str = "") -> list[str]:
@@ -72,109 +91,56 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str
     return found
 
 
-def perform(job: Job) -> Outcome:
+def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> Outcome:
     """Make a run, or go on with it from its checkpoint; what it says goes to train.log in its directory.
 
+    Args:
+        job: the run.
+        watch, stop: as for :func:`algorithms.training.train`.
+
+    Returns:
+        "stopped" if a signal or ``stop`` ended it early; it is saved then.
+
     Raises:
-        ValueError: for a directory that holds something else, or that another process trains in.
+        InUse: if another process trains in the directory.
+        ValueError: for a directory that holds something else, or an experiment that cannot be built.
         Stopped: if something could not be written.
-        KeyboardInterrupt: if SIGINT or SIGTERM came; the run is saved.
     """
-    if job.finished:
+    if job.done:
         return "already there"
     begun = (job.path / "config.yaml").is_file()
-    agent = build(job.experiment)
     if begun:
+        job.check()
         run = Run.open(job.path)
         run.lock()
-        if run.checkpoint.exists():
-            agent.load(run.checkpoint)
     else:
         run = Run.create(job.experiment, job.path)
     try:
+        if job.done:  # by the process that held it until now
+            return "already there"
+        _keep_wandb_id(job)
+        agent = resume(run)
         with (job.path / "train.log").open("a") as log:
             console = Console(file=log, width=120)
-            if train(run, agent, console, resumed=begun) is not None:
-                raise KeyboardInterrupt
+            if train(run, agent, console, resumed=begun, watch=watch, stop=stop) is not None:
+                return "stopped"
             finish(run, agent, console)
+    except Exception as error:
+        with contextlib.suppress(OSError):  # the disk may be what failed; the error itself is on its way
+            run.set_status("failed", run.status.get("step", 0), describe(error))
+        raise
     finally:
         run.unlock()
     return "trained"
 
 
-def _perform(name: str, experiment: dict[str, Any], path: str) -> Outcome:
-    """:func:`perform` in another process, to which plain values travel."""
-    try:
-        return perform(Job(name, make_experiment(experiment), Path(path)))
-    except KeyboardInterrupt:
-        os._exit(130)  # everything is saved; a worker that lived on would take the next job from its queue
+def describe(error: BaseException) -> str:
+    """An error in one line; of those that are not meant for users, with its type."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, (ValueError, Stopped, OSError)) else f"{type(error).__name__}: {text}"
 
 
-def _apart() -> None:
-    """Ctrl-C reaches the parent alone, which stops the workers by one signal: a second would not let them save."""
-    if os.name == "posix":
-        os.setsid()
-
-
-def perform_all(jobs: Sequence[Job], workers: int, console: Console) -> list[tuple[Job, str]]:
-    """Make the runs that are missing, ``workers`` at a time, each in a worker process.
-
-    Args:
-        jobs: those that are finished are passed over.
-        workers: processes.
-        console: for the progress.
-
-    Returns:
-        The jobs that failed, each with its error.
-
-    Raises:
-        ValueError: before anything starts, if a directory holds another experiment.
-        Stopped: if a worker process died.
-        KeyboardInterrupt: if the user stops it; what was being trained has been saved.
-    """
-    missing = [job for job in jobs if not job.finished]
-    failed: list[tuple[Job, str]] = []
-    if not missing:
-        return failed
-    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with (
-        ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _apart) as pool,
-        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
-    ):
-        task = progress.add_task("runs", total=len(missing))
-        try:
-            for job, error in _completed(pool, missing):
-                progress.advance(task)
-                if error is not None:
-                    failed.append((job, error))
-                what = "done" if error is None else f"FAILED: {error}"
-                progress.console.print(f"{job.name}: {what}", markup=False, highlight=False, soft_wrap=True)
-        except KeyboardInterrupt:
-            for process in multiprocessing.active_children():
-                process.terminate()  # SIGTERM, at which training saves
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return failed
-
-
-def _completed(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> Iterator[tuple[Job, str | None]]:
-    """Every job as it ends, with its error."""
-    waiting: dict[Future[Any], Job] = {
-        pool.submit(_perform, job.name, job.experiment.to_dict(), str(job.path)): job for job in jobs
-    }
-    while waiting:
-        done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-        for future in done:
-            job = waiting.pop(future)
-            try:
-                future.result()
-            except (ValueError, Stopped, OSError) as error:
-                yield job, str(error)
-            except BrokenProcessPool:
-                raise Stopped(
-                    "a worker process died (out of memory, or killed); the same command again goes on from there"
-                ) from None
-            except Exception as error:
-                yield job, f"{type(error).__name__}: {error}"
-            else:
-                yield job, None
+def _keep_wandb_id(job: Job) -> None:
+    """Let W&B know the run by its id, wherever and however often it is made."""
+    if job.id is not None and job.experiment.logging.wandb is not None:
+        atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())

@@ -136,7 +136,7 @@ class WandbRun:
     """A Weights & Biases run that never stops training: what fails is said once and left out from there.
 
     Args:
-        directory: where offline data and the run's id go; a resumed run continues the id it finds.
+        directory: where offline data, the run's id and its project go; a resumed run continues those that it finds.
         settings: project and so on.
         config: shown beside the run.
         name: of the run.
@@ -156,11 +156,12 @@ class WandbRun:
     def _start(self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str) -> Any:
         import wandb
 
-        id_file = directory / "wandb_id"
+        id_file, project_file = directory / "wandb_id", directory / "wandb_project"
         stored = id_file.read_text().strip() if id_file.exists() else None
+        entity, project = self._place(wandb, settings, project_file)
         options: dict[str, Any] = {
-            "project": settings.project,
-            "entity": settings.entity,
+            "project": project,
+            "entity": entity,
             "group": settings.group,
             "tags": settings.tags,
             "config": config,
@@ -187,9 +188,19 @@ class WandbRun:
             run = wandb.init(mode=mode, **options)
         run.define_metric("step")
         run.define_metric("*", step_metric="step")
-        if stored is None:
+        if mode != "disabled":  # where entity and project are dummies
+            atomic_write(project_file, f"{run.entity}/{run.project}\n".encode())
             atomic_write(id_file, f"{run.id}\n".encode())
         return run
+
+    def _place(self, wandb: Any, settings: WandbSettings, project_file: Path) -> tuple[str | None, str | None]:
+        """Entity and project; None for what W&B knows itself, as it does under a sweep's agent."""
+        if wandb.setup().settings.sweep_id:
+            return None, None
+        if project_file.exists():
+            entity, _, project = project_file.read_text().strip().partition("/")
+            return entity or None, project
+        return settings.entity, settings.project
 
     def _obstacle(self, wandb: Any) -> str | None:
         """Why a run cannot be online, if so."""

@@ -20,7 +20,7 @@ from algorithms.zoo import find
 if os.name == "posix":
     import fcntl
 
-State = Literal["running", "interrupted", "failed", "trained", "finished"]
+State = Literal["running", "interrupted", "failed", "trained", "pruned", "finished"]
 PACKAGES = (
     "gymnasium",
     "matplotlib",
@@ -37,6 +37,10 @@ PACKAGES = (
     "torch",
     "wandb",
 )
+
+
+class InUse(ValueError):
+    """Another process trains in the run's directory."""
 
 
 class Run:
@@ -71,13 +75,16 @@ class Run:
         path = Path(path)
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if any(path.iterdir()):
-                raise ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
+            refuse = ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
+            if _contents(path):
+                raise refuse
             run = cls(path, experiment)
             run.lock()
-            atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
+            if _contents(path):  # another process was there first, and has left
+                raise refuse
             write_json(path / "versions.json", versions())
             run.set_status("running", 0)
+            atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
         except OSError as error:
             raise ValueError(f"run directory {str(path)!r} cannot be written: {error}") from None
         return run
@@ -110,8 +117,10 @@ class Run:
     def lock(self) -> None:
         """Hold the directory until this process ends, so that no two processes train in it.
 
+        What an earlier process was writing when it was killed is removed.
+
         Raises:
-            ValueError: if another process holds it.
+            InUse: if another process holds it.
         """
         if os.name != "posix":
             return
@@ -119,7 +128,10 @@ class Run:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(f"run directory {str(self.path)!r} is in use by another process") from None
+            self.unlock()
+            raise InUse(f"run directory {str(self.path)!r} is in use by another process") from None
+        for leftover in self.path.glob(".*.tmp"):
+            leftover.unlink()
 
     def unlock(self) -> None:
         """Let other processes train in the directory."""
@@ -129,14 +141,11 @@ class Run:
 
     @property
     def status(self) -> dict[str, Any]:
-        """State, step, total_timesteps, seconds (of work in all), updated; empty where there is none."""
-        try:
-            return json.loads((self.path / "status.json").read_text())
-        except (OSError, json.JSONDecodeError):
-            return {}
+        """As :func:`read_status`."""
+        return read_status(self.path)
 
-    def set_status(self, state: State, step: int) -> None:
-        """Write how far the run is."""
+    def set_status(self, state: State, step: int, reason: str | None = None) -> None:
+        """Write how far the run is; ``reason`` is why it failed."""
         write_json(
             self.path / "status.json",
             {
@@ -145,6 +154,7 @@ class Run:
                 "total_timesteps": self.experiment.training.total_timesteps,
                 "seconds": round(self._seconds_before + perf_counter() - self._opened, 1),
                 "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
+                **({} if reason is None else {"reason": reason}),
             },
         )
 
@@ -167,6 +177,22 @@ class Run:
             for name in names
             if flat_then.get(name) != flat_now[name]
         ]
+
+
+def read_status(path: Path) -> dict[str, Any]:
+    """Of a run's directory: state, step, total_timesteps, seconds (of work in all), updated, and reason where it
+    failed; empty where there is none."""
+    try:
+        return json.loads((path / "status.json").read_text())
+    except (OSError, json.JSONDecodeError):
+        return {}
+
+
+def _contents(path: Path) -> list[str]:
+    """What is in a run's directory, apart from what a process that was killed while it made one leaves behind."""
+    half_made = (".lock", "versions.json", "status.json")
+    whole = (path / "config.yaml").exists()
+    return [entry.name for entry in path.iterdir() if whole or not (entry.name in half_made or entry.match(".*.tmp"))]
 
 
 def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:

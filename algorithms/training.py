@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import signal
+import threading
 from collections.abc import Callable, Mapping
 from types import FrameType, TracebackType
 from typing import Any
@@ -37,7 +39,15 @@ FRONT_EPISODES = 256  # a front's policies and their episodes, side by side
 
 
 class Stopped(Exception):
-    """Training cannot go on for a reason outside of it, such as a full disk; the message says what to do."""
+    """Training cannot go on for a reason outside of it; the message says what to do."""
+
+
+class DiskFull(Stopped):
+    """There is no space left to write to."""
+
+
+def _stopped(message: str, error: OSError) -> Stopped:
+    return (DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT) else Stopped)(message)
 
 
 def build(experiment: Experiment, num_envs: int | None = None) -> Any:
@@ -122,8 +132,10 @@ def _try(utility: Utility) -> None:
 class Interrupts:
     """Takes note of SIGINT and SIGTERM while it is open; a second signal acts at once, as without it.
 
+    Only the main thread receives signals; elsewhere it notes none.
+
     Attributes:
-        received: the signal's number, or None.
+        received: the signal's number, 0 for a request of another kind, or None.
     """
 
     def __init__(self) -> None:
@@ -139,7 +151,8 @@ class Interrupts:
             signal.signal(number, handler)
 
     def __enter__(self) -> Interrupts:
-        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(
@@ -148,7 +161,27 @@ class Interrupts:
         self._restore()
 
 
-def train(run: Run, agent: Agent, console: Console, *, resumed: bool = False) -> int | None:
+def resume(run: Run) -> Any:
+    """The agent of a run whose lock is held, as its last checkpoint left it; untrained where there is none.
+
+    Raises:
+        ValueError: if it cannot be built or loaded.
+    """
+    agent = build(run.experiment)
+    if run.checkpoint.exists():
+        agent.load(run.checkpoint)
+    return agent
+
+
+def train(
+    run: Run,
+    agent: Agent,
+    console: Console,
+    *,
+    resumed: bool = False,
+    watch: Callable[[int, Mapping[str, float]], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> int | None:
     """Train ``agent`` to the end of the run's experiment, or until SIGINT or SIGTERM; either way save it.
 
     When it ends or stops changes nothing about what is learnt: checkpoints and evaluations go by steps alone.
@@ -158,9 +191,11 @@ def train(run: Run, agent: Agent, console: Console, *, resumed: bool = False) ->
         agent: new, or loaded from the run's checkpoint.
         console: for the progress.
         resumed: whether the run has begun before; its metrics are continued.
+        watch: called with the step and the metrics of every row logged.
+        stop: asked after every update; True saves and stops as a signal does.
 
     Returns:
-        The signal that stopped it, or None.
+        The signal that stopped it, 0 if ``stop`` did, or None at the end of the training.
 
     Raises:
         Stopped: if something could not be written; the last checkpoint is whole.
@@ -187,6 +222,8 @@ def train(run: Run, agent: Agent, console: Console, *, resumed: bool = False) ->
             def log(step: int, metrics: Mapping[str, float]) -> None:
                 logger.log(step, metrics)
                 reporter.note(metrics)
+                if watch is not None:
+                    watch(step, metrics)
 
             fronts = None if known_utility else FrontsFile(run.path / "fronts.csv", after)
 
@@ -200,6 +237,8 @@ def train(run: Run, agent: Agent, console: Console, *, resumed: bool = False) ->
                 reporter.update(trained.step)
                 if trained.step // every > saved // every:
                     save("running")
+                if interrupts.received is None and stop is not None and stop():
+                    interrupts.received = 0
                 return interrupts.received is not None
 
             run.set_status("running", saved)
@@ -219,22 +258,22 @@ def train(run: Run, agent: Agent, console: Console, *, resumed: bool = False) ->
             )
             save("trained" if interrupts.received is None else "interrupted")
     except OSError as error:
-        _failed(run, saved)
+        _failed(run, saved, str(error))
         keeps = (
             f"the checkpoint of step {saved:,} is whole" if run.checkpoint.exists() else "there is no checkpoint yet"
         )
-        raise Stopped(f"training stopped at step {agent.step:,}: {error}; {keeps}") from error
-    except BaseException:
-        _failed(run, saved)
+        raise _stopped(f"training stopped at step {agent.step:,}: {error}; {keeps}", error) from error
+    except BaseException as error:
+        _failed(run, saved, f"{type(error).__name__}: {error}")
         raise
     finally:
         eval_env.close()
     return interrupts.received
 
 
-def _failed(run: Run, step: int) -> None:
+def _failed(run: Run, step: int, reason: str) -> None:
     with contextlib.suppress(OSError):  # the disk may be what failed; the error itself is on its way
-        run.set_status("failed", step)
+        run.set_status("failed", step, reason)
 
 
 def evaluate_policies(agent: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
@@ -278,7 +317,7 @@ def finish(run: Run, agent: Agent, console: Console) -> None:
             _finish_front(run, agent, console)
         run.set_status("finished", agent.step)
     except OSError as error:
-        raise Stopped(f"the run is trained, but its results could not be written: {error}") from error
+        raise _stopped(f"the run is trained, but its results could not be written: {error}", error) from error
 
 
 def _finish_policy(run: Run, agent: Agent, console: Console) -> None:

@@ -13,18 +13,17 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 
 from rich.console import Console
 
-from algorithms.jobs import perform_all
+from algorithms.monitor import Monitor
+from algorithms.pool import perform_all
 from algorithms.progress import make_console
 from algorithms.reproduction.claims import CLAIMS, utility_metric
 from algorithms.reproduction.figures import FIGURES
@@ -40,7 +39,7 @@ from algorithms.reproduction.report import (
 )
 from algorithms.reproduction.scores import Results, gather
 from algorithms.runs import Run
-from algorithms.training import Stopped
+from algorithms.training import Interrupts, Stopped
 from algorithms.zoo.exporting import export
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -130,9 +129,14 @@ def reproduce(options: argparse.Namespace, plan: Plan, console: Console) -> int:
         _write(plan, results, output, figures, how, console)
         return 0
     wanted = entries(plan, cells, runs, seeds=options.seeds, quick=options.quick, root=ROOT)
-    missing = sum(not entry.job.finished for entry in wanted)
+    missing = sum(not entry.job.done for entry in wanted)
     console.print(f"{len(wanted)} runs, {missing} of them to be made, {options.workers} at a time, in {runs}")
-    failed = perform_all([entry.job for entry in wanted], options.workers, console)
+    jobs = [entry.job for entry in wanted]
+    with Interrupts() as interrupts, Monitor(jobs, console) as monitor:
+        failed = perform_all(jobs, options.workers, monitor, stop=lambda: interrupts.received is not None)
+    if interrupts.received is not None:
+        print("interrupted; what was being trained is saved: the same command goes on", file=sys.stderr)
+        return 128 + interrupts.received
     results = gather(wanted)
     if not results.scores:
         raise ValueError("no run has finished")
@@ -143,7 +147,7 @@ def reproduce(options: argparse.Namespace, plan: Plan, console: Console) -> int:
         insert_verdicts(ROOT / "README.md", plan, results)
         names = export_policies(wanted, plan, results)
         console.print(f"README.md has the verdicts; the zoo has {', '.join(names)}")
-    for job, error in failed:
+    for job, error in failed.items():
         console.print(f"FAILED {job.name}: {error}", markup=False, highlight=False, soft_wrap=True)
     return 1 if failed else 0
 
@@ -163,14 +167,9 @@ def _write(plan: Plan, results: Results, output: Path, figures: Sequence[int], h
     console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)
 
 
-def _stop(number: int, frame: Any) -> None:
-    raise KeyboardInterrupt
-
-
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments)
-    signal.signal(signal.SIGTERM, _stop)
     try:
         check(options)
         return reproduce(options, load_plan(options.plan), make_console())
@@ -181,7 +180,6 @@ def main(arguments: list[str]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("interrupted; what was being trained is saved: the same command goes on", file=sys.stderr)
         return 130
 
 

@@ -22,7 +22,7 @@ from algorithms.checkpoints import read_checkpoint
 from algorithms.experiment import load_experiment
 from algorithms.progress import make_console
 from algorithms.runs import Run, default_directory
-from algorithms.training import Stopped, build, finish, train
+from algorithms.training import Stopped, build, finish, resume, train
 
 
 def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -59,9 +59,7 @@ def prepare(options: argparse.Namespace, overrides: list[str]) -> tuple[Run, Age
     if run.checkpoint.exists():
         read_checkpoint(run.checkpoint, {}, whole=True)  # before anything is written beside a policy of the zoo
     run.lock()
-    agent = build(run.experiment)
-    if run.checkpoint.exists():
-        agent.load(run.checkpoint)
+    agent = resume(run)
     for change in run.changed_versions():
         print(f"warning: since the run began, {change}")
     return run, agent

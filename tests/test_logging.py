@@ -177,13 +177,15 @@ class FakeWandb:
 
     Error = type("Error", (Exception,), {})
 
-    def __init__(self, key: bool = True, refuses: tuple[str, ...] = ()):
-        self.key, self.refuses = key, refuses
+    def __init__(self, key: bool = True, refuses: tuple[str, ...] = (), mode: str = "online"):
+        self.key, self.refuses, self.mode = key, refuses, mode
+        self.sweep_id: str | None = None
         self.runs: list[dict[str, Any]] = []
         self.rows: list[dict[str, float]] = []
 
     def setup(self) -> Any:
-        return SimpleNamespace(settings=SimpleNamespace(mode="online", base_url="http://127.0.0.1:9"))
+        settings = SimpleNamespace(mode=self.mode, base_url="http://127.0.0.1:9", sweep_id=self.sweep_id)
+        return SimpleNamespace(settings=settings)
 
     def login(self, **options: Any) -> bool:
         return self.key
@@ -200,6 +202,8 @@ class FakeWandb:
         self.runs.append(options)
         return SimpleNamespace(
             id=options["id"] or "new-id",
+            entity=options["entity"] or ("team" if self.sweep_id else ""),
+            project=options["project"] or "elsewhere",
             define_metric=lambda *a, **k: None,
             log=lambda row: self.rows.append(row),
             finish=lambda exit_code: self.rows.append({"exit_code": exit_code}),
@@ -236,6 +240,29 @@ def test_wandb_gets_the_rows_and_a_resumed_run_keeps_its_id(tmp_path: Path, monk
     assert (first["config"], first["name"], first["id"], first["dir"]) == ({"x": 1}, "n", None, str(tmp_path))
     log_with(fake, tmp_path, monkeypatch)
     assert (fake.runs[1]["id"], fake.runs[1]["resume"]) == ("new-id", "allow")
+
+
+def test_a_run_of_a_sweep_goes_on_in_the_sweeps_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeWandb(mode="offline")
+    fake.sweep_id = "s"
+    assert log_with(fake, tmp_path, monkeypatch, WandbSettings(project="p", entity="e")) == []
+    fake.sweep_id = None
+    assert log_with(fake, tmp_path, monkeypatch, WandbSettings(project="p", entity="e")) == []
+    places = [(run["entity"], run["project"], run["id"]) for run in fake.runs]
+    assert places == [(None, None, None), ("team", "elsewhere", "new-id")]
+
+
+def test_a_resumed_run_that_began_without_an_entity_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeWandb(mode="offline")
+    for _ in range(2):
+        assert log_with(fake, tmp_path, monkeypatch) == []
+    places = [(run["entity"], run["project"], run["id"]) for run in fake.runs]
+    assert places == [(None, "p", None), (None, "p", "new-id")]
+
+
+def test_a_run_that_wandb_was_disabled_for_has_no_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert log_with(FakeWandb(mode="disabled"), tmp_path, monkeypatch) == []
+    assert not list(tmp_path.glob("wandb*"))
 
 
 @pytest.mark.parametrize(("key", "refuses", "said"), [(False, (), "no API key"), (True, (), "no connection")])

@@ -113,7 +113,7 @@ def gather(entries: Iterable[Entry]) -> Results:
     scores: list[Row] = []
     curves: list[Row] = []
     for entry in entries:
-        if not entry.job.finished:
+        if not entry.job.done:
             continue
         keys = {
             "cell": entry.cell,

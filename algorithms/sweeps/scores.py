@@ -1,0 +1,56 @@
+"""Final scores of runs, as a search and Ray Tune need them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from algorithms.jobs import Job
+from algorithms.logging import read_metrics
+from algorithms.runs import read_status
+from mo_deepdrive.config import nearest
+
+T = TypeVar("T")
+
+
+def final_metrics(path: Path) -> dict[str, float]:
+    """The final evaluation of a run: "greedy/utility_esr" and so on; empty where there is none."""
+    file = path / "evaluation.json"
+    if not file.is_file():
+        return {}
+    policies = json.loads(file.read_text())["policies"]
+    return {
+        f"{policy}/{name}": estimate["value"]
+        for policy, summary in policies.items()
+        for name, estimate in summary.items()
+    }
+
+
+def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float]:
+    """The metric of every run that has ended, by id.
+
+    Of a pruned run it is that of its last evaluation.
+
+    Raises:
+        ValueError: if a run has no such metric.
+    """
+    scores: dict[str, float] = {}
+    for job in jobs:
+        assert job.id is not None
+        state = read_status(job.path).get("state")
+        if state == "finished":
+            scores[job.id] = _named(final_metrics(job.path), metric)
+        elif state == "pruned":
+            column = _named(read_metrics(job.path / "metrics.csv"), f"eval/{metric}")
+            scores[job.id] = float(column[np.isfinite(column)][-1])
+    return scores
+
+
+def _named(metrics: Mapping[str, T], metric: str) -> T:
+    if metric not in metrics:
+        raise ValueError(f"metric {metric!r} is not among those of the runs; {nearest(metric, metrics)}")
+    return metrics[metric]

@@ -1,0 +1,332 @@
+"""A Slurm cluster of one node on this machine, for tests: munged, slurmctld and slurmd in a folder of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+DAEMONS = ("munged", "slurmctld", "slurmd")
+COMMANDS = ("sbatch", "srun", "squeue", "scancel", "scontrol", "sinfo")
+PROCESSES = {*DAEMONS, "slurmscriptd", "slurmstepd"}
+PREFIXES = ("SLURM", "SBATCH", "SRUN", "SALLOC", "SQUEUE", "SINFO", "SCANCEL")
+
+# Slurm accepts no smaller lifetime of a credential (in seconds), and a requeued job waits for as long, and one more.
+CREDENTIAL_LIFETIME = 5
+# Slurm writes what it knows to disk at most once in so many seconds.
+SAVE_INTERVAL = 5.0
+
+CONFIGURATION = """\
+ClusterName=tests
+SlurmctldHost={host}(127.0.0.1)
+SlurmctldPort={controller_port}
+SlurmdPort={node_port}
+SlurmUser=root
+SlurmdUser=root
+AuthType=auth/munge
+CredType=cred/munge
+AuthInfo=socket={runtime}/munge.socket,cred_expire={credential_lifetime}
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={runtime}/spool
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.log
+MailProg=/bin/true
+SlurmctldDebug=info
+SlurmdDebug=info
+PlugStackConfig={folder}/plugstack.conf
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+JobAcctGatherType=jobacct_gather/none
+AccountingStorageType=accounting_storage/none
+JobCompType=jobcomp/none
+MpiDefault=none
+SwitchType=switch/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core
+SchedulerType=sched/builtin
+SchedulerParameters=batch_sched_delay=0,sched_interval=1
+SlurmdParameters=config_overrides
+ReturnToService=2
+KillWait=5
+MinJobAge=600
+JobRequeue=1
+PreemptType=preempt/partition_prio
+PreemptMode=REQUEUE
+NodeName={host} NodeHostname={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory=1048576 State=UNKNOWN
+PartitionName=main Nodes={host} Default=YES MaxTime=INFINITE State=UP PriorityTier=1 GraceTime={grace}
+PartitionName=urgent Nodes={host} MaxTime=INFINITE State=UP PriorityTier=10
+"""
+
+
+def search_path() -> str:
+    """Where programs are looked for: where this process does, and where Debian puts daemons."""
+    return os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"])
+
+
+def missing_programs() -> list[str]:
+    """The programs of Debian's slurm-wlm and munge that are not installed here."""
+    return [program for program in (*DAEMONS, *COMMANDS) if shutil.which(program, path=search_path()) is None]
+
+
+def unavailable() -> str:
+    """Why no cluster can be started here; empty where one can."""
+    if missing := missing_programs():
+        return f"{', '.join(missing)} not installed: apt-get install slurm-wlm munge"
+    return "" if os.geteuid() == 0 else "Slurm's daemons are started by root only"
+
+
+@dataclass
+class SlurmCluster:
+    """A running cluster.
+
+    ``environment`` is that of this process without what another Slurm left in it, and with ``SLURM_CONF``: give it to
+    every process that submits jobs or asks for them.
+    """
+
+    folder: Path
+    runtime: Path
+    environment: dict[str, str]
+    daemons: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    @property
+    def configuration(self) -> Path:
+        """The cluster's slurm.conf."""
+        return Path(self.environment["SLURM_CONF"])
+
+    def run(self, *command: str, timeout: float = 30.0) -> str:
+        """What a command prints, stripped; raises RuntimeError with its messages if it fails (timeout in seconds)."""
+        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=timeout)
+        if done.returncode != 0:
+            raise RuntimeError(f"{' '.join(command)} failed with {done.returncode}: {done.stderr.strip()}")
+        return done.stdout.strip()
+
+    def states(self, job: str) -> dict[str, str]:
+        """States by id of a job, or of the tasks of an array ("7_0"): PENDING, RUNNING, COMPLETED, ...
+
+        Finished jobs are known for ten minutes; raises RuntimeError for a job that is not known.
+        """
+        lines = self.run("squeue", "--noheader", "--array", "--states=all", f"--jobs={job}", "--format=%i %T")
+        return dict(line.split() for line in lines.splitlines())
+
+    def wait_for(self, job: str, state: str = "COMPLETED", timeout: float = 60.0) -> None:
+        """Wait until a job, or every task of an array, is in a state; raises TimeoutError after so many seconds."""
+        self._until(
+            lambda: set(self.states(job).values()) == {state}, timeout, lambda: f"{state} of {self.states(job)}"
+        )
+
+    def restart_controller(self, saved: bool = True) -> None:
+        """Kill slurmctld and start it again, while jobs go on."""
+        self.kill_controller(saved)
+        self.start_controller()
+
+    def kill_controller(self, saved: bool = True) -> None:
+        """Kill slurmctld (SIGKILL); jobs that run go on.
+
+        What it knows is written to disk every few seconds only. ``saved`` waits for that before the kill, for up to six
+        seconds; without it a job that was just submitted is forgotten and killed, its id given to the next one, and a
+        job that just started is killed and started anew.
+        """
+        if saved:
+            self._await_saved_state()
+        controller = self.daemons["slurmctld"]
+        controller.kill()
+        controller.wait()
+
+    def start_controller(self) -> None:
+        """Start slurmctld, with the state that it left on disk, and wait until it takes the node for up."""
+        self._start_controller()
+        self._await_node({"idle", "mixed", "allocated"})
+
+    def processes(self) -> list[int]:
+        """The ids of the cluster's processes that run: its daemons, its jobs and all that these have started."""
+        parents: dict[int, int] = {}
+        found: set[int] = set()
+        marker = f"SLURM_CONF={self.configuration}".encode()
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            with contextlib.suppress(OSError):
+                variables = (entry / "environ").read_bytes().split(b"\0")
+                name, _, rest = (entry / "stat").read_text().partition("(")[2].rpartition(")")
+                parents[int(entry.name)] = int(rest.split()[1])
+                of_job = any(variable.startswith(b"SLURM_JOB_ID=") for variable in variables)
+                if marker in variables and (of_job or name in PROCESSES):
+                    found.add(int(entry.name))
+        while children := {process for process, parent in parents.items() if parent in found} - found:
+            found |= children
+        return sorted(found)
+
+    def start(self) -> None:
+        """Start the daemons; raises TimeoutError or RuntimeError if the node is not idle within 30 seconds."""
+        munge_socket = self.runtime / "munge.socket"
+        self._launch(
+            "munged",
+            "--foreground",
+            "--force",
+            f"--key-file={self.folder / 'munge.key'}",
+            f"--socket={munge_socket}",
+            f"--pid-file={self.folder / 'munged.pid'}",
+            f"--seed-file={self.folder / 'munged.seed'}",
+            "--origin=127.0.0.1",
+        )
+        self._until(munge_socket.exists, 10.0, lambda: "munged's socket")
+        self._start_controller()
+        self._launch("slurmd", "-D", "-f", str(self.configuration))
+        self._await_node({"idle"})
+
+    def stop(self) -> None:
+        """Kill the daemons and the jobs' processes; raises TimeoutError if some are left after 10 seconds."""
+        deadline = time.monotonic() + 10.0
+        while processes := self.processes():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"processes of {self.configuration} that cannot be killed: {processes}")
+            for process in processes:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+            time.sleep(0.05)
+        for daemon in self.daemons.values():
+            daemon.wait()
+        shutil.rmtree(self.runtime, ignore_errors=True)
+
+    def logs(self, lines: int = 20) -> str:
+        """The last lines that every daemon wrote."""
+        tails = []
+        for name in self.daemons:
+            path = self.folder / f"{name}.log"
+            path = path if path.exists() else path.with_suffix(".out")
+            tails += [f"== {path}", *path.read_text(errors="replace").splitlines()[-lines:]]
+        return "\n".join(tails)
+
+    def _launch(self, name: str, *arguments: str) -> None:
+        """Start a daemon in the foreground; its messages go to a file of its name."""
+        program = shutil.which(name, path=self.environment["PATH"])
+        assert program is not None
+        with (self.folder / f"{name}.out").open("ab") as messages:
+            self.daemons[name] = subprocess.Popen(
+                [program, *arguments],
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=messages,
+                stderr=messages,
+                start_new_session=True,
+            )
+
+    def _start_controller(self) -> None:
+        self._launch("slurmctld", "-D", "-f", str(self.configuration))
+        self._until(
+            lambda: " is UP" in self._ask("scontrol", "ping"), 30.0, lambda: "an answer of slurmctld to scontrol ping"
+        )
+
+    def _await_node(self, states: set[str]) -> None:
+        """Wait until the node answers and is in one of the states."""
+        command = ("sinfo", "--noheader", "--partition=main", "--format=%T")
+        self._until(lambda: self._ask(*command) in states, 30.0, lambda: f"the node, which is {self._ask(*command)}")
+
+    def _await_saved_state(self) -> None:
+        """Wait until all that slurmctld knows now is on disk."""
+        asked = time.time()
+        last = max(map(self._written, ("job_state", "node_state")))
+        while time.time() < last + SAVE_INTERVAL + 1.0 and self._written("job_state") <= asked:
+            time.sleep(0.05)
+
+    def _written(self, name: str) -> float:
+        """When a file of slurmctld's state was written, in seconds since 1970; 0 while there is none."""
+        try:
+            return (self.folder / "state" / name).stat().st_mtime
+        except FileNotFoundError:
+            return 0.0
+
+    def _ask(self, *command: str) -> str:
+        """What a command prints; empty if it fails."""
+        try:
+            return self.run(*command, timeout=10.0)
+        except (RuntimeError, subprocess.TimeoutExpired):
+            return ""
+
+    def _until(self, reached: Callable[[], bool], seconds: float, what: Callable[[], str]) -> None:
+        """Ask ten times a second until it is so; raises TimeoutError, or RuntimeError if a daemon has ended."""
+        deadline = time.monotonic() + seconds
+        while not reached():
+            for name, daemon in self.daemons.items():
+                if daemon.poll() is not None:
+                    raise RuntimeError(f"{name} ended with {daemon.returncode}")
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"waited {seconds:g} seconds for {what()}")
+            time.sleep(0.1)
+
+
+def free_ports(count: int) -> list[int]:
+    """Distinct ports on which nothing listens now."""
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [int(one.getsockname()[1]) for one in sockets]
+
+
+@contextlib.contextmanager
+def slurm_cluster(
+    folder: Path, cpus: int = 2, grace: int = 10, signal_on_preemption: bool = True
+) -> Iterator[SlurmCluster]:
+    """A cluster of one node with so many CPUs (it may be more than there are), stopped with its jobs at the end.
+
+    Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of one in ``main`` preempts it:
+    that one's steps are told, and unless it ends or requeues itself it is killed ``grace`` seconds later or up to ten
+    more, and requeued. With ``signal_on_preemption`` its steps are told by the signal it asked for (``--signal``);
+    else, or if it asked for none, by SIGTERM. Between SIGTERM and SIGKILL there are five seconds.
+
+    Jobs of a partition start in the order in which they came, none past one that has to wait: Slurm does not write
+    the start of a backfilled job to disk. Raises RuntimeError with the ends of the logs if the cluster does not start.
+    """
+    if reason := unavailable():
+        raise RuntimeError(reason)
+    host = socket.gethostname().split(".")[0]
+    folder = folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "state").mkdir(exist_ok=True)
+    # The paths of sockets have to be short, and every directory above munged's has to be open to all.
+    runtime = Path(tempfile.mkdtemp(prefix="slurm-", dir="/tmp"))
+    runtime.chmod(0o755)
+    (runtime / "spool").mkdir()
+    key = folder / "munge.key"
+    key.touch(mode=0o600)
+    key.write_bytes(secrets.token_bytes(128))
+    controller_port, node_port = free_ports(2)
+    configuration = folder / "slurm.conf"
+    text = CONFIGURATION + "SlurmctldParameters=preempt_send_user_signal\n" * signal_on_preemption
+    configuration.write_text(
+        text.format(
+            host=host,
+            controller_port=controller_port,
+            node_port=node_port,
+            folder=folder,
+            runtime=runtime,
+            credential_lifetime=CREDENTIAL_LIFETIME,
+            cpus=cpus,
+            grace=grace,
+        )
+    )
+    (folder / "plugstack.conf").write_text("")
+    # No control group is used, but where none is mounted slurmd ends when it looks for the kind there is.
+    (folder / "cgroup.conf").write_text("CgroupPlugin=cgroup/v1\n")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(PREFIXES)}
+    cluster = SlurmCluster(folder, runtime, {**environment, "PATH": search_path(), "SLURM_CONF": str(configuration)})
+    try:
+        try:
+            cluster.start()
+        except (OSError, RuntimeError) as error:
+            raise RuntimeError(f"Slurm did not start: {error}\n{cluster.logs()}") from error
+        yield cluster
+    finally:
+        cluster.stop()
