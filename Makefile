@@ -47,7 +47,7 @@ test: lint
 
 # Starts a Slurm of its own (Debian's slurm-wlm and munge, as root) and a Ray cluster of its own, and stops them.
 test-cluster: $(READY)
-	$(VENV)/bin/python -m pytest tests/cluster
+	$(VENV)/bin/python -m pytest tests/cluster --numprocesses 2 --dist loadfile
 
 test-ray: $(RAY_READY)
 	$(RAY_VENV)/bin/python -m pytest tests/ray

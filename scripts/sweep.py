@@ -21,6 +21,7 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 os.environ.setdefault("TUNE_DISABLE_SIGINT_HANDLER", "1")  # this script saves and stops by itself
 os.environ.setdefault("RAY_CHDIR_TO_TRIAL_DIR", "0")
+os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # a cluster that does not answer is an error within a minute
 os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")  # what it prints, this script prints for every engine
 sys.path.append(os.getcwd())  # where a user's own utility lives
 

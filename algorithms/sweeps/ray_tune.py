@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import logging
 import queue
+import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +27,7 @@ from algorithms.training import DiskFull, Stopped
 
 Row = dict[str, Any]
 GIB = 2**30
+KNOCK = 10.0  # s
 
 
 class RunTrainable(tune.Trainable):
@@ -275,6 +277,19 @@ def _connect(address: str | None) -> None:
         if address is None:
             ray.init(address="local", include_dashboard=False, **quiet)
         else:
+            _knock(address)
             ray.init(address=address, **quiet)
-    except (ConnectionError, ValueError) as error:
-        raise Stopped(f"--address {address}: {' '.join(str(error).split())}") from None
+    except (OSError, ValueError) as error:
+        hint = "if the cluster asks for a token, set RAY_AUTH_MODE=token"
+        raise Stopped(f"--address {address}: {' '.join(str(error).split())} ({hint})") from None
+
+
+def _knock(address: str) -> None:
+    """Find out quickly whether anybody is at ``host:port``; Ray itself tries for minutes.
+
+    Raises:
+        OSError: if nobody is.
+    """
+    host, _, port = address.rpartition(":")
+    if host and port.isdecimal() and "/" not in host:
+        socket.create_connection((host, int(port)), timeout=KNOCK).close()

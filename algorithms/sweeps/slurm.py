@@ -40,8 +40,8 @@ ENDED = (
 class Chunk:
     """What one task of the array does: the runs of a part of the manifest.
 
-    Told to go (by submitit, which catches SIGUSR2, or by SIGTERM), it saves what is going on. Begun again it goes on,
-    for the runs' directories say how far they are.
+    Told to go, it saves what is going on and requeues itself: by SIGUSR2, which submitit catches, before the job's time
+    is over; by SIGTERM when it is pre-empted. Begun again it goes on, for the runs' directories say how far they are.
 
     Attributes:
         sweep: the sweep's directory.
@@ -82,6 +82,8 @@ class Chunk:
         (outcome,) = result
         if isinstance(outcome, BaseException):
             raise outcome
+        if stop.is_set():
+            _requeue(submitit.JobEnvironment().job_id)
         return [f"{job.name}: {error}" for job, error in outcome.items()]
 
     def checkpoint(self) -> submitit.helpers.DelayedSubmission:
@@ -90,6 +92,26 @@ class Chunk:
             self._stop.set()
             self._ended.wait()
         return submitit.helpers.DelayedSubmission(Chunk(self.sweep, self.ids, self.side_by_side, self.retries))
+
+
+def _requeue(job: str) -> None:
+    """Put a job that must go back into the queue, unless somebody has cancelled it."""
+    if _states([job]) == {job: "RUNNING"}:
+        subprocess.run(["scontrol", "requeue", job], check=True)
+
+
+def _states(jobs: Sequence[str]) -> dict[str, str] | None:
+    """The state of every job, or task of an array, that Slurm still knows; None if it does not answer."""
+    command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T"]
+    found: dict[str, str] = {}
+    for first in range(0, len(jobs), ASKED):
+        asked = subprocess.run(
+            [*command, f"--jobs={','.join(jobs[first : first + ASKED])}"], capture_output=True, text=True, check=False
+        )
+        if asked.returncode and "Invalid job id" not in asked.stderr:
+            return None
+        found |= dict(line.split("|") for line in asked.stdout.split())
+    return found
 
 
 class _ScriptOnly(submitit.SlurmExecutor):
@@ -174,23 +196,10 @@ class Queue:
 
     def look(self) -> bool:
         """Ask Slurm for the states; whether it answered."""
-        if not self.jobs:
-            return True
-        arrays = sorted({job.partition("_")[0] for job in self.jobs}, key=int)
-        command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T"]
-        found: dict[str, str] = {}
-        for first in range(0, len(arrays), 500):
-            asked = subprocess.run(
-                [*command, f"--jobs={','.join(arrays[first : first + 500])}"],
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            if asked.returncode and "Invalid job id" not in asked.stderr:
-                return False
-            found |= dict(line.split("|") for line in asked.stdout.split())
-        self.states = found
-        return True
+        states = _states(sorted({job.partition("_")[0] for job in self.jobs}, key=int))
+        if states is not None:
+            self.states = states
+        return states is not None
 
     def alive(self, job: str) -> bool:
         """Whether a job is in the queue or runs."""

@@ -1,0 +1,183 @@
+"""Sweeps on Ray: the same as on this machine, through deaths, interrupts and a restart of the head."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import Reference
+from short_runs import assert_whole
+from slurm import free_ports
+from sweep_files import (
+    assert_same_sweep,
+    begun,
+    broken_utility,
+    eventually,
+    interrupt,
+    run_sweep,
+    runs,
+    start_sweep,
+    status,
+    write_sweep,
+)
+
+pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
+
+
+def processes(what: str) -> list[int]:
+    """Ids of the processes on this machine whose title or command line has ``what``."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):  # it has ended meanwhile
+                if what in (entry / "cmdline").read_bytes().decode(errors="replace"):
+                    found.append(int(entry.name))
+    return found
+
+
+def kill(what: str) -> int:
+    """SIGKILL to all such processes; how many."""
+    found = [number for number in processes(what) if number != os.getpid()]
+    for number in found:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(number, signal.SIGKILL)
+    return len(found)
+
+
+def test_embedded_ray_makes_the_same_sweep_and_reports_every_objective(short: Reference, tmp_path: Path) -> None:
+    done = run_sweep(short.file, "--on", "ray", "--output", tmp_path)
+    assert done.returncode == 0
+    assert_same_sweep(short.directory, tmp_path)
+    results = sorted((tmp_path / "ray").rglob("result.json"))
+    assert len(results) == 6
+    for path in results:
+        reports = [json.loads(line) for line in path.read_text().splitlines()]
+        for objective in ("distance", "destination", "g_force", "jerk"):
+            assert all(f"eval/greedy/return/{objective}" in report for report in reports)
+        final = json.loads(
+            (tmp_path / "runs").glob(f"*-{path.parent.name}").__next__().joinpath("evaluation.json").read_text()
+        )
+        value = final["policies"]["greedy"]["return/distance"]["value"]
+        assert reports[-1]["final/greedy/return/distance"] == value
+    again = run_sweep(short.file, "--on", "ray", "--output", tmp_path)
+    assert again.returncode == 0
+    assert "6 done" in again.stdout
+
+
+def test_killed_actors_are_begun_again_where_they_were(long: Reference, tmp_path: Path) -> None:
+    with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray") as process:
+        eventually(lambda: begun(tmp_path / "ray"))
+        assert kill("ray::ResourceTrainable") >= 1
+        out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0, out
+    assert_same_sweep(tmp_path / "ray", long.directory)
+
+
+def test_an_interrupt_saves_and_the_same_command_goes_on(long: Reference, tmp_path: Path) -> None:
+    with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray", "--workers", "1") as process:
+        eventually(lambda: begun(tmp_path / "ray"))
+        code, out = interrupt(process)
+    assert code == 130
+    assert "the same command goes on" in out
+    states = {status(run).get("state") for run in runs(tmp_path / "ray")}
+    assert "interrupted" in states
+    assert states <= {"interrupted", "finished", None}
+    assert run_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray").returncode == 0
+    assert_same_sweep(tmp_path / "ray", long.directory)
+
+
+def test_early_stopping_prunes_the_runs_that_are_behind(tmp_path: Path) -> None:
+    asha = {"metric": "greedy/utility_esr", "grace_period": 10_000, "reduction_factor": 2}
+    file = write_sweep(
+        tmp_path,
+        overrides={"training.total_timesteps": 200_000, "training.num_envs": 64, "evaluation.interval": 10_000},
+        grid={"algorithm.learning_rate": [0.003, 1e-9]},
+        seeds=2,
+        ray={"asha": asha},
+    )
+    done = run_sweep(file, "--on", "ray", "--output", tmp_path / "asha", "--workers", "1")
+    assert done.returncode == 0
+    states = [status(run)["state"] for run in runs(tmp_path / "asha")]
+    assert set(states) == {"finished", "pruned"}
+    for run in runs(tmp_path / "asha"):
+        if status(run)["state"] == "pruned":
+            assert status(run)["step"] < 200_000
+            assert not (run / "evaluation.json").exists()
+        else:
+            assert_whole(run)
+    before = {run: (run / "status.json").read_bytes() for run in runs(tmp_path / "asha")}
+    again = run_sweep(file, "--on", "ray", "--output", tmp_path / "asha")
+    assert again.returncode == 0
+    assert {run: (run / "status.json").read_bytes() for run in before} == before
+
+
+def test_a_run_that_fails_is_reported_with_its_reason(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, grid={"utility.name": ["one_waypoint_linear", broken_utility(tmp_path, "RAY_JOB_ID")]})
+    done = run_sweep(file, "--on", "ray", "--output", tmp_path / "ray")
+    assert done.returncode == 1
+    assert "1 done, 0 running, 1 failed" in done.stdout
+    assert "FAILED utility.name=broken:utility seed 0" in done.stdout
+    assert "no licence on this node" in done.stdout
+
+
+class Head:
+    """A Ray cluster of one node, which ``--address auto`` finds with the head's environment."""
+
+    def __init__(self, folder: Path):
+        self.environment = {**os.environ, "RAY_TMPDIR": str(folder)}
+
+    def start(self) -> None:
+        ray = Path(sys.executable).with_name("ray")
+        (port,) = free_ports(1)
+        options = ["--head", f"--port={port}", "--num-cpus=2", "--disable-usage-stats", "--include-dashboard=false"]
+        done = subprocess.run(
+            [ray, "start", *options], env=self.environment, capture_output=True, text=True, check=False, timeout=120
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    def kill(self) -> None:
+        for name in ("gcs_server", "raylet/raylet", "ray::", "log_monitor.py"):
+            kill(name)
+
+
+@pytest.fixture
+def head() -> Iterator[Head]:
+    with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as folder:  # sockets: short
+        started = Head(Path(folder))
+        started.start()
+        yield started
+        started.kill()
+
+
+def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
+    head: Head, long: Reference, tmp_path: Path
+) -> None:
+    sweep = tmp_path / "ray"
+    options = ("--on", "ray", "--address", "auto", "--output", sweep)
+    with start_sweep(long.file, *options, environment=head.environment) as process:
+        eventually(lambda: begun(sweep))
+        head.kill()
+        os.killpg(process.pid, signal.SIGKILL)  # it would notice after a minute
+        process.communicate(timeout=60)
+    assert not all(status(run).get("state") == "finished" for run in runs(sweep))
+    head.start()
+    assert run_sweep(long.file, *options, environment=head.environment).returncode == 0
+    assert_same_sweep(sweep, long.directory)
+
+
+def test_a_cluster_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    (port,) = free_ports(1)
+    done = run_sweep(
+        write_sweep(tmp_path), "--on", "ray", "--address", f"127.0.0.1:{port}", "--output", tmp_path / "ray"
+    )
+    assert done.returncode == 1
+    assert f"error: --address 127.0.0.1:{port}" in done.stderr
+    assert "Traceback" not in done.stderr

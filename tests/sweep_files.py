@@ -1,0 +1,138 @@
+"""Sweeps of runs of a second or less, and the command line that makes them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from short_runs import VALUES, assert_same_run, assert_whole
+
+ROOT = Path(__file__).resolve().parent.parent
+LONG = {"training.total_timesteps": 400_000, "training.num_envs": 64}  # some seconds
+
+
+def write_sweep(folder: Path, **settings: Any) -> Path:
+    """A sweep's file in ``folder``, with the short experiment as its base, and two learning rates unless told."""
+    base = folder / "base.yaml"
+    base.write_text(yaml.safe_dump(VALUES))
+    if "search" not in settings:
+        settings.setdefault("grid", {"algorithm.learning_rate": [0.001, 0.003]})
+    path = folder / "short.yaml"
+    path.write_text(yaml.safe_dump({"config": str(base), **settings}))
+    return path
+
+
+def sweep_command(file: Path, *options: str | Path) -> list[str]:
+    """The command line."""
+    return [sys.executable, str(ROOT / "scripts" / "sweep.py"), "--config", str(file), *map(str, options)]
+
+
+def run_sweep(
+    file: Path, *options: str | Path, environment: Mapping[str, str] | None = None, timeout: float = 300.0
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line to its end; prints what it says, for pytest to show where a test fails."""
+    done = subprocess.run(
+        sweep_command(file, *options),
+        env=dict(environment or os.environ),
+        cwd=file.parent,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+    print(done.stdout, done.stderr)
+    return done
+
+
+@contextlib.contextmanager
+def start_sweep(
+    file: Path, *options: str | Path, environment: Mapping[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """Begin the command line; at the end of the context it does not go on."""
+    process = subprocess.Popen(
+        sweep_command(file, *options),
+        env=dict(environment or os.environ),
+        cwd=file.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+
+
+def runs(sweep: Path) -> list[Path]:
+    """The run directories that a sweep's manifest names."""
+    return [sweep / json.loads(line)["directory"] for line in (sweep / "manifest.jsonl").read_text().splitlines()]
+
+
+def status(run: Path) -> dict[str, Any]:
+    """What a run's status.json says."""
+    try:
+        return json.loads((run / "status.json").read_text())
+    except FileNotFoundError:
+        return {}
+
+
+def begun(sweep: Path) -> list[Path]:
+    """Runs that have a checkpoint and go on."""
+    return [
+        run
+        for run in (sweep / "runs").glob("*")
+        if status(run).get("step", 0) > 0 and status(run)["state"] == "running"
+    ]
+
+
+def broken_utility(folder: Path, where: str) -> str:
+    """A user's own utility in ``folder`` that fails where the environment has a variable; its name for the YAML."""
+    (folder / "broken.py").write_text(
+        "import os\n"
+        "def utility(returns):\n"
+        f"    if {where!r} in os.environ:\n"
+        "        raise RuntimeError('no licence on this node')\n"
+        "    return returns[..., 0]\n"
+    )
+    return "broken:utility"
+
+
+def eventually(condition: Callable[[], Any], seconds: float = 120.0) -> None:
+    """Wait until the condition holds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to that"
+        time.sleep(0.05)
+
+
+def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tuple[int, str]:
+    """Send a signal; the exit code and what was printed."""
+    process.send_signal(number)
+    out, _ = process.communicate(timeout=120)
+    print(out)
+    return process.returncode, out
+
+
+def assert_same_sweep(first: Path, second: Path) -> None:
+    """The same manifest, byte for byte, and the same runs: weights, curves, final metrics; each run once and whole."""
+    assert (first / "manifest.jsonl").read_bytes() == (second / "manifest.jsonl").read_bytes()
+    for sweep in (first, second):
+        wanted = runs(sweep)
+        assert len(set(wanted)) == len(wanted)
+        assert {path.name for path in (sweep / "runs").iterdir()} == {path.name for path in wanted}
+    for one, other in zip(runs(first), runs(second), strict=True):
+        assert_same_run(one, other)
+        assert_whole(one)
+        assert_whole(other)
