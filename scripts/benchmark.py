@@ -1,8 +1,12 @@
-"""Measure speed and memory: ``python scripts/benchmark.py [--quick] [--output FILE.csv]``.
+"""Measure speed and memory: ``python scripts/benchmark.py [--quick] [--sweep] [--output FILE.csv]``.
 
 Everything is measured in one run, the best of several repetitions, so that ratios hold on a noisy machine. Peers are
 measured where they are installed (``pip install highway-env`` for mo-highway-fast-v0; the extra ``[peers]`` for
 morl-baselines' PCN).
+
+``--sweep`` measures only how long scripts/table.py and scripts/plot.py take to summarise a sweep of 1,000 runs (with
+``--quick`` 100) with 1,000 logged rows of 40 metrics each, and how much memory; its made-up runs take 0.8 GB of the
+temporary folder.
 """
 
 from __future__ import annotations
@@ -12,17 +16,21 @@ import contextlib
 import csv
 import io
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice, product
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import mo_gymnasium
 import numpy as np
+import polars as pl
 import torch
 from gymnasium.vector import AutoresetMode
 from rich.console import Console
@@ -31,10 +39,14 @@ from rich.table import Table
 import mo_deepdrive
 from algorithms import ALGORITHMS
 from algorithms.experiment import load_experiment
+from algorithms.files import write_json
 from algorithms.pareto import hypervolume
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
+from algorithms.sweeps.collection import FOLDER as COLLECTED
+from algorithms.sweeps.manifest import RUNS, write_manifest
+from algorithms.sweeps.manifest import Row as ManifestRow
 from algorithms.training import build, evaluate_front
 from algorithms.worlds import make_env
 from mo_deepdrive.utilities import make_utility
@@ -47,7 +59,8 @@ IDS = {
 LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
-DEEP_SEA = Path(__file__).resolve().parent.parent / "configs" / "deep_sea_treasure"
+CONFIGS = Path(__file__).resolve().parent.parent / "configs"
+DEEP_SEA = CONFIGS / "deep_sea_treasure"
 DEEP_SEA_POINT = (0.0, -25.0)  # the reference point that morl-baselines uses there
 
 FIRST_STEP = """
@@ -74,6 +87,34 @@ before = resident()
 large = grown(4096)
 print(resident() - before, resident())
 """
+
+
+# Runs a script; then writes the most memory (MB) that it has had.
+WITH_PEAK = r"""
+import re, runpy, sys
+sys.argv = {command}
+try:
+    runpy.run_path(sys.argv[0], run_name="__main__")
+except SystemExit as error:
+    if error.code:
+        raise
+status = open("/proc/self/status").read()
+print(int(re.search(r"VmHWM:\s+(\d+)", status).group(1)) / 1000, file=sys.stderr)
+"""
+
+# Of a made-up sweep: what its cells vary, in the section of the algorithm, and what its runs have measured.
+GRID: dict[str, list[Any]] = {
+    "learning_rate": [1e-4, 3e-4, 1e-3, 3e-3, 1e-2],
+    "steps": [8, 16, 32, 64],
+    "entropy_start": [0.001, 0.003, 0.01, 0.03, 0.1],
+    "observe_discount": [True, False],
+}
+MADE_UP = (
+    *("utility_esr", "utility_ser", "success", "length", "mean_g_force", "max_g_force", "mean_jerk", "max_jerk"),
+    *("return/distance", "return/destination", "return/g_force", "return/jerk"),
+    *("discounted_return/distance", "discounted_return/destination"),
+    *("discounted_return/g_force", "discounted_return/jerk"),
+)
 
 
 @dataclass
@@ -247,7 +288,60 @@ def memory_megabytes(scenario: str) -> tuple[float, float]:
     return float(growth), float(total)
 
 
-def measure(repetitions: int, training_steps: int, with_threads: bool) -> list[Row]:
+def make_sweep(sweep: Path, runs: int, rows: int) -> None:
+    """Write a finished sweep of made-up numbers, in cells of five seeds.
+
+    Args:
+        sweep: its directory.
+        runs: how many, a multiple of 5.
+        rows: logged by each, with 40 metrics.
+    """
+    rng = np.random.default_rng(0)
+    base = load_experiment(CONFIGS / "one_waypoint" / "mo_a2c_linear.yaml").to_dict()
+    names = [f"{kind}/{name}" for kind in ("eval/greedy", "eval/stochastic") for name in MADE_UP]
+    names += [f"train/{name}" for name in MADE_UP[:8]]
+    steps = pl.DataFrame({"step": np.arange(rows) * 8192})
+    manifest: list[ManifestRow] = []
+    for values, seed in product(islice(product(*GRID.values()), runs // 5), range(5)):
+        chosen = dict(zip(GRID, values, strict=True))
+        run = f"{len(manifest):012x}"
+        config = {**base, "algorithm": {**base["algorithm"], **chosen}, "training": {**base["training"], "seed": seed}}
+        cell = {f"algorithm.{key}": value for key, value in chosen.items()}
+        manifest.append(ManifestRow(run, f"{RUNS}/mo_a2c-seed{seed}-{run}", cell, seed, None, config))
+        directory = sweep / manifest[-1].directory
+        directory.mkdir(parents=True)
+        score = 5.0 - abs(np.log10(chosen["learning_rate"]) + 2.5) + 0.3 * rng.standard_normal()
+        learnt = score * (1.0 - np.exp(-np.linspace(0.0, 5.0, rows)))[:, None]
+        metrics = pl.DataFrame(learnt + 0.5 * rng.standard_normal((rows, len(names))), schema=names)
+        steps.hstack(metrics).write_csv(directory / "metrics.csv")
+        estimates = {name: {"value": score, "low": score - 0.1, "high": score + 0.1} for name in MADE_UP}
+        write_json(directory / "evaluation.json", {"policies": {"greedy": estimates, "stochastic": estimates}})
+        write_json(directory / "status.json", {"state": "finished", "step": rows * 8192})
+    write_manifest(sweep, manifest)
+
+
+def summary_rows(runs: int, rows: int) -> list[Row]:
+    """Time and memory of the scripts that summarise a sweep; reads /proc, so on Linux only."""
+    scripts = Path(__file__).resolve().parent
+    measured = []
+    with tempfile.TemporaryDirectory() as folder:
+        sweep = Path(folder) / "sweep"
+        make_sweep(sweep, runs, rows)
+        for script, output in (("table.py", "table.csv"), ("plot.py", "curves.png")):
+            shutil.rmtree(sweep / COLLECTED, ignore_errors=True)
+            for when in ("first time", "again"):
+                command = [str(scripts / script), str(sweep), "--output", str(Path(folder) / output)]
+                code = WITH_PEAK.replace("{command}", repr(command))
+                started = time.perf_counter()
+                done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+                seconds = time.perf_counter() - started
+                what = f"{script}, {runs:,} x {rows:,} rows, {when}"
+                measured.append(Row(what, seconds, "s", "< 30"))
+                measured.append(Row(f"{what}, peak memory", float(done.stderr.split()[-1]), "MB", "< 1000"))
+    return measured
+
+
+def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads: bool) -> list[Row]:
     """All measurements."""
     rows: list[Row] = []
     targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M"}
@@ -285,18 +379,23 @@ def measure(repetitions: int, training_steps: int, with_threads: bool) -> list[R
         growth, total = memory_megabytes(scenario)
         rows.append(Row(f"{scenario}, 4096 worlds, growth of resident memory", growth, "MB"))
         rows.append(Row(f"{scenario}, 4096 worlds, resident memory of the process", total, "MB", "< 300"))
-    return rows
+    return rows + summary_rows(sweep_runs, 1000)
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
+    parser.add_argument("--sweep", action="store_true", help="only how a sweep is summarised")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     repetitions = 3 if arguments.quick else 15
-    rows = measure(repetitions, 400_000 if arguments.quick else 3_000_000, with_threads=(os.cpu_count() or 1) > 1)
+    training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)
+    if arguments.sweep:
+        rows = summary_rows(sweep_runs, 1000)
+    else:
+        rows = measure(repetitions, training_steps, sweep_runs, with_threads=(os.cpu_count() or 1) > 1)
     table = Table("measurement", "value", "unit", "goal")
     for row in rows:
         table.add_row(row.what, f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}", row.unit, row.target)

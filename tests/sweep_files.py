@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 from short_runs import VALUES, assert_same_run, assert_whole
+
+from algorithms import pool
 
 ROOT = Path(__file__).resolve().parent.parent
 LONG = {"training.total_timesteps": 400_000, "training.num_envs": 64}  # some seconds
@@ -136,3 +142,46 @@ def assert_same_sweep(first: Path, second: Path) -> None:
         assert_same_run(one, other)
         assert_whole(one)
         assert_whole(other)
+
+
+def load_script() -> Any:
+    """scripts/sweep.py as a module: ``main`` is what the command line runs."""
+    spec = importlib.util.spec_from_file_location("sweep_script", ROOT / "scripts" / "sweep.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextlib.contextmanager
+def forked_workers() -> Iterator[None]:
+    """Worker processes as forks of this one, which has imported everything, instead of new interpreters."""
+    context = multiprocessing.get_context("fork")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            pool._Workers, "_executor", staticmethod(lambda: ProcessPoolExecutor(1, context, pool._begin_worker))
+        )
+        yield
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path, kilobytes: int) -> Iterator[None]:
+    """A file system of its own in ``folder``; the test is skipped where this process may not mount one."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "none", str(folder)]
+    try:
+        mounted = subprocess.run(command, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        pytest.skip("there is no mount command here")
+    if mounted.returncode:
+        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def enlarge_disk(folder: Path, kilobytes: int) -> None:
+    """Make a :func:`small_disk` larger."""
+    subprocess.run(["mount", "-o", f"remount,size={kilobytes}k", str(folder)], check=True)

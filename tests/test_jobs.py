@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 from short_runs import job, quiet
 
+from algorithms.experiment import make_experiment
 from algorithms.jobs import Job, differences, perform
 from algorithms.monitor import Monitor
 from algorithms.pool import perform_all
+from algorithms.runs import Run
 
 
 def test_a_job_is_trained_and_evaluated_without_pictures_and_then_left_alone(tmp_path: Path) -> None:
@@ -40,3 +42,32 @@ def test_where_a_run_is_made_does_not_make_it_another(tmp_path: Path) -> None:
     assert differences(first, second) == []
     second["algorithm"]["gamma"] = 0.5
     assert differences(first, second) == ["algorithm.gamma = 0.99 there, 0.5 wanted"]
+
+
+def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    values = job(tmp_path).experiment.to_dict()
+    values["logging"]["wandb"] = {"project": "sweeps"}
+    wanted = Job("wanted", make_experiment(values), tmp_path / "run", id="0123456789ab")
+    assert perform(wanted, stop=lambda: True) == "stopped"
+    assert not wanted.done
+    assert perform(wanted) == "trained"
+    begun = [path.name for path in (wanted.path / "wandb").glob("offline-run-*")]
+    assert len(begun) == 2
+    assert all(name.endswith("-0123456789ab") for name in begun)
+    assert (wanted.path / "wandb_id").read_text() == "0123456789ab\n"
+
+
+def test_what_a_killed_process_leaves_half_made_is_made_anew(tmp_path: Path) -> None:
+    wanted = job(tmp_path)
+    wanted.path.mkdir()
+    for name in (".lock", ".config.yaml.abcdefgh.tmp", "versions.json", "status.json"):
+        (wanted.path / name).write_text("{")
+    assert perform(wanted) == "trained"
+    assert not list(wanted.path.glob(".*.tmp"))
+    (wanted.path / ".metrics.csv.abcdefgh.tmp").write_text("torn")
+    Run.open(wanted.path).lock()
+    assert not list(wanted.path.glob(".*.tmp"))

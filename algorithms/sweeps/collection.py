@@ -1,0 +1,308 @@
+"""What the runs of a sweep have logged and scored, as Parquet files that are brought up to date when they are needed.
+
+``SWEEP/collected/`` is for anything that reads Parquet: ``pl.scan_parquet("SWEEP/collected/metrics/*.parquet")``,
+``pandas.read_parquet("SWEEP/collected/scores.parquet")``. A run is named by its id in all three:
+
+``runs.parquet``, one row per run of the manifest:
+    run, directory (within SWEEP), cell (its keys and values in words), trial (of a search, else null), seed,
+    state ("finished", "pruned", "failed", "running", "interrupted", "trained"; "waiting" before it has begun),
+    step (environment steps made), rows (of its metrics); then a column per key of the cell: numbers, truth values
+    and words as they are, anything else as JSON.
+``scores.parquet``, one row per number of the final evaluation of each finished run:
+    run, policy ("greedy", "stochastic" or "front"), vehicle ("" for one vehicle, or all together), metric, value,
+    low and high (95% interval over the episodes, null where there is none); then the columns of ``runs.parquet``
+    without directory, step and rows.
+``metrics/part-*.parquet``, one row per row of each run's metrics.csv, unfinished runs included:
+    run, step; then every metric that any of the runs has, null where this one or this row has none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from algorithms.plots import MAX_POINTS, Columns
+from algorithms.runs import read_status
+from algorithms.sweeps.manifest import Row, label, read_manifest
+from algorithms.sweeps.metric_parts import Log, part_files, update_metrics, write_parquet
+
+if os.name == "posix":
+    import fcntl
+
+FOLDER = "collected"
+NAMED = 3  # runs that are named in a message; the others are counted
+PLACE = ("policy", "vehicle", "metric")
+Place = tuple[str, str, str]
+NUMBERS = ("value", "low", "high")
+POLICIES = ("greedy", "stochastic", "front")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Runs that differ in their seed alone.
+
+    Attributes:
+        keys: the values that set it apart, as in the manifest.
+        trial: number of the search's point; None without a search.
+        rows: of the manifest.
+    """
+
+    keys: dict[str, Any]
+    trial: int | None
+    rows: tuple[Row, ...]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The resolved experiment of one of the runs."""
+        return self.rows[0].config
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The collected results of a sweep; :func:`collect` makes one.
+
+    Attributes:
+        sweep: its directory.
+        rows: its manifest.
+        states: of all runs, by id.
+        logs: of the runs that have a metrics.csv, by id.
+        scored: ids of the runs that have scores.
+        problems: final evaluations that cannot be read.
+    """
+
+    sweep: Path
+    rows: tuple[Row, ...]
+    states: dict[str, str]
+    logs: dict[str, Log]
+    scored: frozenset[str]
+    problems: tuple[str, ...]
+
+    @property
+    def runs(self) -> pl.LazyFrame:
+        """``runs.parquet``."""
+        return pl.scan_parquet(self.sweep / FOLDER / "runs.parquet", glob=False)
+
+    @property
+    def scores(self) -> pl.LazyFrame:
+        """``scores.parquet``."""
+        return pl.scan_parquet(self.sweep / FOLDER / "scores.parquet", glob=False)
+
+    @property
+    def metrics(self) -> pl.LazyFrame:
+        """The metrics of all runs.
+
+        Raises:
+            ValueError: if no run has any.
+        """
+        if not any(log.rows for log in self.logs.values()):
+            raise ValueError(
+                f"no run of sweep {str(self.sweep)!r} has any metrics yet: scripts/sweep.py with --output {self.sweep} "
+                "makes the runs"
+            )
+        return pl.scan_parquet(part_files(self.sweep / FOLDER / "metrics"), glob=False)
+
+    @cached_property
+    def cells(self) -> tuple[Cell, ...]:
+        """In the order of the manifest."""
+        found: dict[tuple[int | None, str], list[Row]] = {}
+        for row in self.rows:
+            found.setdefault((row.trial, as_json(row.cell)), []).append(row)
+        return tuple(Cell(rows[0].cell, rows[0].trial, tuple(rows)) for rows in found.values())
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is missing, a line each."""
+        found = []
+        without = [row for row in self.rows if row.id not in self.scored]
+        if without:
+            counts = Counter(self.states[row.id] for row in without).most_common()
+            states = ", ".join(f"{number} {state}" for state, number in counts)
+            which = _some([row.directory for row in without])
+            found.append(f"{len(without)} of {len(self.rows)} runs have no final evaluation ({states}): {which}")
+        broken = [*self.problems, *(log.problem for log in self.logs.values() if log.problem)]
+        if broken:
+            found.append(f"{len(broken)} files cannot be read: {_some(broken)}")
+        return found
+
+    def curves(self, runs: Sequence[str], names: Sequence[str], points: int = MAX_POINTS) -> dict[str, Columns]:
+        """Metrics of some runs, each averaged over ``points`` equal intervals of the steps.
+
+        Args:
+            runs: ids.
+            names: metrics.
+            points: at most so many per run and metric.
+
+        Returns:
+            Columns by run, as :func:`algorithms.logging.read_metrics` gives them.
+        """
+        if not names:
+            return {}
+        mine = self.metrics.filter(pl.col("run").is_in(runs)).select("run", "step", *names)
+        last = mine.select(pl.col("step").max()).collect().item() or 0
+        binned = (
+            mine.unpivot(names, index=["run", "step"], variable_name="metric")
+            .filter(pl.col("value").is_finite())
+            .group_by("run", "metric", pl.col("step") // (last // points + 1))
+            .agg(pl.col("step").mean().alias("mean_step"), pl.col("value").mean())
+            .collect(engine="streaming")
+        )
+        return {
+            str(run): {
+                name: column.to_numpy()
+                for name, column in rows.sort("mean_step")
+                .pivot("metric", index="mean_step", values="value")
+                .rename({"mean_step": "step"})
+                .fill_null(np.nan)
+                .to_dict()
+                .items()
+            }
+            for (run,), rows in binned.partition_by("run", as_dict=True).items()
+        }
+
+    def latest_scores(self) -> tuple[str, pl.DataFrame]:
+        """The final evaluations ("final"); where no run has one, the last evaluation of each while it trains ("last").
+
+        The columns are run, policy, vehicle, metric and value.
+
+        Raises:
+            ValueError: if no run has any metrics.
+        """
+        final = self.scores.select("run", *PLACE, "value").collect()
+        if self.scored:
+            return "final", final
+        metrics = self.metrics
+        names = [name for name in metrics.collect_schema().names() if name.startswith("eval/")]
+        if not names:
+            return "last", final
+        long = (
+            metrics.select("run", "step", *names)
+            .unpivot(names, index=["run", "step"], variable_name="name")
+            .filter(pl.col("value").is_finite())
+            .group_by("run", "name")
+            .agg(pl.col("value").sort_by("step").last())
+            .collect(engine="streaming")
+        )
+        places = [split_place(name.removeprefix("eval/")) for name in long["name"]]
+        columns = [pl.Series(name, [place[i] for place in places], pl.String) for i, name in enumerate(PLACE)]
+        return "last", long.with_columns(columns).drop("name")
+
+
+def collect(sweep: Path) -> Collection:
+    """Bring ``SWEEP/collected/`` up to date; the module says what is in it.
+
+    Args:
+        sweep: a directory with a manifest.
+
+    Raises:
+        ValueError: if there is no manifest, or it is broken or empty.
+        OSError: if something cannot be written; every file is whole.
+    """
+    rows = tuple(read_manifest(sweep))
+    if not rows:
+        raise ValueError(f"sweep {str(sweep)!r} is empty: its manifest has no runs; scripts/sweep.py writes it")
+    folder = sweep / FOLDER
+    with _alone(folder):
+        status = {row.id: read_status(sweep / row.directory) for row in rows}
+        states = {run: str(each.get("state", "waiting")) for run, each in status.items()}
+        logs = update_metrics(folder / "metrics", {row.id: sweep / row.directory / "metrics.csv" for row in rows})
+        steps = [int(status[row.id].get("step", 0)) for row in rows]
+        runs = _runs_frame(rows, states, steps, logs)
+        scores, problems = _scores_frame([row for row in rows if states[row.id] == "finished"], sweep)
+        of_runs = runs.drop("directory", "step", "rows")
+        write_parquet(folder / "runs.parquet", runs)
+        write_parquet(folder / "scores.parquet", scores.join(of_runs, on="run", how="left"))
+    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), tuple(problems))
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Make the folders; of several processes that collect the same sweep one waits for the other."""
+    (folder / "metrics").mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as lock:
+        if os.name == "posix":
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        for leftover in folder.rglob(".*.tmp"):  # of a process that was killed while it wrote
+            leftover.unlink()
+        yield
+
+
+def _runs_frame(
+    rows: Sequence[Row], states: Mapping[str, str], steps: Sequence[int], logs: Mapping[str, Log]
+) -> pl.DataFrame:
+    keys = dict.fromkeys(key for row in rows for key in row.cell)
+    return pl.DataFrame(
+        [
+            pl.Series("run", [row.id for row in rows], pl.String),
+            pl.Series("directory", [row.directory for row in rows], pl.String),
+            pl.Series("cell", [label(row.cell) for row in rows], pl.String),
+            pl.Series("trial", [row.trial for row in rows], pl.Int64),
+            pl.Series("seed", [row.seed for row in rows], pl.Int64),
+            pl.Series("state", [states[row.id] for row in rows], pl.String),
+            pl.Series("step", steps, pl.Int64),
+            pl.Series("rows", [logs[row.id].rows if row.id in logs else 0 for row in rows], pl.Int64),
+            *(_key_column(key, [row.cell.get(key) for row in rows]) for key in keys),
+        ]
+    )
+
+
+def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
+    types = {type(value) for value in values if value is not None}
+    for wanted, kind in (({bool}, pl.Boolean), ({int}, pl.Int64), ({int, float}, pl.Float64), ({str}, pl.String)):
+        if types <= wanted:
+            return pl.Series(key, values, kind, strict=False)
+    return pl.Series(key, [as_json(value) for value in values], pl.String)
+
+
+def _scores_frame(rows: Iterable[Row], sweep: Path) -> tuple[pl.DataFrame, list[str]]:
+    """The final evaluations, and those that cannot be read."""
+    found: list[tuple[Any, ...]] = []
+    problems = []
+    for row in rows:
+        path = sweep / row.directory / "evaluation.json"
+        try:
+            found += [
+                (row.id, policy, *_split_vehicle(name), *(estimate[number] for number in NUMBERS))
+                for policy, summary in json.loads(path.read_text(encoding="utf-8"))["policies"].items()
+                for name, estimate in summary.items()
+            ]
+        except FileNotFoundError:
+            continue
+        except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
+            problems.append(f"{path}: {error}")
+    types = {**dict.fromkeys(("run", *PLACE), pl.String()), **dict.fromkeys(NUMBERS, pl.Float64())}
+    return pl.DataFrame(found, types, orient="row"), problems
+
+
+def _split_vehicle(name: str) -> tuple[str, str]:
+    """``vehicle_0/end/collision`` as ``("vehicle_0", "end/collision")``; the vehicle is "" where none is named."""
+    vehicle, slash, metric = name.partition("/")
+    return (vehicle, metric) if slash and vehicle.startswith("vehicle_") else ("", name)
+
+
+def split_place(name: str) -> Place:
+    """``greedy/vehicle_0/success`` as ``("greedy", "vehicle_0", "success")``; the policy is "" where none is named."""
+    policy, slash, rest = name.partition("/")
+    if not slash or policy not in POLICIES:
+        policy, rest = "", name
+    vehicle, metric = _split_vehicle(rest)
+    return policy, vehicle, metric
+
+
+def as_json(value: Any) -> str:
+    """JSON with sorted keys: the same text for equal values."""
+    return json.dumps(value, sort_keys=True)
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - NAMED
+    return ", ".join([*names[:NAMED], *([f"and {more} more"] if more > 0 else [])])
