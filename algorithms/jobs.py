@@ -13,7 +13,7 @@ from rich.console import Console
 from algorithms.experiment import Experiment, make_experiment
 from algorithms.files import atomic_write
 from algorithms.runs import Run, read_status
-from algorithms.training import Stopped, finish, resume, train
+from algorithms.training import Stopped, finish, resume, stopped, train
 
 # Of a config: they say where and how loudly a run is made, not what comes out of it.
 FREE = ("training.device", "training.threads", "logging")
@@ -109,12 +109,10 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     begun = (job.path / "config.yaml").is_file()
-    if begun:
-        job.check()
-        run = Run.open(job.path)
-        run.lock()
-    else:
-        run = Run.create(job.experiment, job.path)
+    try:
+        run = _take(job) if begun else Run.make(job.experiment, job.path)
+    except OSError as error:
+        raise stopped(f"the run cannot be written: {error}", error) from error
     try:
         if job.done:  # by the process that held it until now
             return "already there"
@@ -125,6 +123,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
             if train(run, agent, console, resumed=begun, watch=watch, stop=stop) is not None:
                 return "stopped"
             finish(run, agent, console)
+    except OSError as error:
+        raise stopped(f"the run cannot be written: {error}", error) from error
     except Exception as error:
         with contextlib.suppress(OSError):  # the disk may be what failed; the error itself is on its way
             run.set_status("failed", run.status.get("step", 0), describe(error))
@@ -132,6 +132,14 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     finally:
         run.unlock()
     return "trained"
+
+
+def _take(job: Job) -> Run:
+    """The run that has been begun, locked."""
+    job.check()
+    run = Run.open(job.path)
+    run.lock()
+    return run
 
 
 def describe(error: BaseException) -> str:

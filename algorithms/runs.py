@@ -70,23 +70,30 @@ class Run:
         """Make the directory, lock it, and write what determines the run.
 
         Raises:
+            InUse: if another process is doing the same.
             ValueError: if the directory is there and not empty, or cannot be written.
         """
-        path = Path(path)
         try:
-            path.mkdir(parents=True, exist_ok=True)
-            refuse = ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
-            if _contents(path):
-                raise refuse
-            run = cls(path, experiment)
-            run.lock()
-            if _contents(path):  # another process was there first, and has left
-                raise refuse
-            write_json(path / "versions.json", versions())
-            run.set_status("running", 0)
-            atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
+            return cls.make(experiment, Path(path))
         except OSError as error:
             raise ValueError(f"run directory {str(path)!r} cannot be written: {error}") from None
+
+    @classmethod
+    def make(cls, experiment: Experiment, path: Path) -> Run:
+        """As :meth:`create`, but OSError if the directory cannot be written."""
+        path.mkdir(parents=True, exist_ok=True)
+        refusal = ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
+        if _contents(path):
+            raise refusal
+        run = cls(path, experiment)
+        run.lock()
+        if _contents(path):  # another process was there first, and has left
+            run.unlock()
+            raise refusal
+        write_json(path / "versions.json", versions())
+        run.set_status("running", 0)
+        # The last: a directory that has it is whole.
+        atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
         return run
 
     @classmethod

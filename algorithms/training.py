@@ -46,7 +46,8 @@ class DiskFull(Stopped):
     """There is no space left to write to."""
 
 
-def _stopped(message: str, error: OSError) -> Stopped:
+def stopped(message: str, error: OSError) -> Stopped:
+    """What to raise with this message after an error of the operating system."""
     return (DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT) else Stopped)(message)
 
 
@@ -262,7 +263,7 @@ def train(
         keeps = (
             f"the checkpoint of step {saved:,} is whole" if run.checkpoint.exists() else "there is no checkpoint yet"
         )
-        raise _stopped(f"training stopped at step {agent.step:,}: {error}; {keeps}", error) from error
+        raise stopped(f"training stopped at step {agent.step:,}: {error}; {keeps}", error) from error
     except BaseException as error:
         _failed(run, saved, f"{type(error).__name__}: {error}")
         raise
@@ -317,7 +318,7 @@ def finish(run: Run, agent: Agent, console: Console) -> None:
             _finish_front(run, agent, console)
         run.set_status("finished", agent.step)
     except OSError as error:
-        raise _stopped(f"the run is trained, but its results could not be written: {error}", error) from error
+        raise stopped(f"the run is trained, but its results could not be written: {error}", error) from error
 
 
 def _finish_policy(run: Run, agent: Agent, console: Console) -> None:

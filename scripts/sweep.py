@@ -15,6 +15,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
@@ -37,6 +38,7 @@ from algorithms.sweeps.settings import SweepSettings, load_sweep
 from algorithms.training import Interrupts, Stopped
 
 ENGINES = ("local", "ray", "slurm", "manifest")
+NEEDS = {"ray": "ray", "slurm": "submitit"}
 ONLY_FOR = {"workers": ("local", "ray"), "address": ("ray",), "dry_run": ("slurm",), "no_wait": ("slurm",)}
 
 
@@ -66,14 +68,12 @@ def check(options: argparse.Namespace) -> None:
     """
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers} must be at least 1")
-    for name, engines in (
-        ("address", ("ray",)),
-        ("dry_run", ("slurm",)),
-        ("no_wait", ("slurm",)),
-        ("workers", ("local", "ray")),
-    ):
+    for name, engines in ONLY_FOR.items():
         if getattr(options, name) and options.on not in engines:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(engines)}, not {options.on}")
+    module = NEEDS.get(options.on)
+    if module is not None and find_spec(module) is None:
+        raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
 
 def cores() -> int:
@@ -106,6 +106,7 @@ class Sweep:
         """Make the runs, batch after batch of a search; all of them, whatever became of them."""
         while True:
             rows = self.expand()
+            self._tell_what_is_gone(rows, console)
             write_manifest(self.directory, rows)
             jobs = [row.job(self.directory) for row in rows]
             open_jobs = [job for job in jobs if job not in self.failed and not job.done]
@@ -118,6 +119,13 @@ class Sweep:
             if interrupts.received is not None or options.no_wait or self.settings.search is None:
                 return jobs
 
+    def _tell_what_is_gone(self, rows: Sequence[Row], console: Console) -> None:
+        """The file may have changed since the manifest was written."""
+        before = {row.id for row in read_manifest(self.directory)} if is_sweep(self.directory) else set()
+        gone = len(before - {row.id for row in rows})
+        if gone:
+            console.print(f"{gone} runs of an earlier manifest are not in the sweep any more; their directories stay")
+
     def _engine(
         self, options: argparse.Namespace, jobs: Sequence[Job], monitor: Monitor, interrupts: Interrupts
     ) -> dict[Job, str]:
@@ -126,24 +134,18 @@ class Sweep:
         def stop() -> bool:
             return interrupts.received is not None
 
+        settings = self.settings
         if options.on == "local":
-            workers = options.workers or max(1, int(cores() / self.settings.resources.cpus))
-            return perform_all(wanted, workers, monitor, retries=self.settings.retries, stop=stop)
+            workers = options.workers or max(1, int(cores() / settings.resources.cpus))
+            return perform_all(wanted, workers, monitor, retries=settings.retries, stop=stop)
+        what = wanted, settings, self.directory, monitor
         if options.on == "ray":
             from algorithms.sweeps.ray_tune import make_on_ray
 
-            return make_on_ray(
-                wanted,
-                self.settings,
-                self.directory,
-                monitor,
-                stop=stop,
-                address=options.address,
-                workers=options.workers,
-            )
+            return make_on_ray(*what, stop=stop, address=options.address, workers=options.workers)
         from algorithms.sweeps.slurm import make_on_slurm
 
-        return make_on_slurm(wanted, self.settings, self.directory, monitor, stop=stop, wait=not options.no_wait)
+        return make_on_slurm(*what, stop=stop, wait=not options.no_wait)
 
 
 def report(jobs: Sequence[Job], failed: dict[Job, str], console: Console) -> None:
