@@ -12,7 +12,7 @@ from rich.console import Console
 
 from algorithms.experiment import Experiment, make_experiment
 from algorithms.files import atomic_write
-from algorithms.runs import Run, read_status
+from algorithms.runs import InUse, Run, read_status
 from algorithms.training import Stopped, finish, resume, stopped, train
 
 # Of a config: they say where and how loudly a run is made, not what comes out of it.
@@ -108,9 +108,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     """
     if job.done:
         return "already there"
-    begun = (job.path / "config.yaml").is_file()
     try:
-        run = _take(job) if begun else Run.make(job.experiment, job.path)
+        run, begun = _take(job)
     except OSError as error:
         raise stopped(f"the run cannot be written: {error}", error) from error
     try:
@@ -134,18 +133,31 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     return "trained"
 
 
-def _take(job: Job) -> Run:
-    """The run that has been begun, locked."""
+def _take(job: Job) -> tuple[Run, bool]:
+    """The run, locked, and whether it had been begun."""
+    config = job.path / "config.yaml"
+    if not config.is_file():
+        try:
+            return Run.make(job.experiment, job.path), False
+        except InUse:
+            raise
+        except ValueError:
+            if not config.is_file():  # otherwise another process has made it meanwhile
+                raise
     job.check()
     run = Run.open(job.path)
     run.lock()
-    return run
+    return run, True
+
+
+class Failed(Exception):
+    """What a run raised, in words: other processes may not know its type."""
 
 
 def describe(error: BaseException) -> str:
     """An error in one line; of those that are not meant for users, with its type."""
     text = " ".join(str(error).split())
-    return text if isinstance(error, (ValueError, Stopped, OSError)) else f"{type(error).__name__}: {text}"
+    return text if isinstance(error, (ValueError, Stopped, OSError, Failed)) else f"{type(error).__name__}: {text}"
 
 
 def _keep_wandb_id(job: Job) -> None:

@@ -56,7 +56,7 @@ class Monitor:
         self._began = self._told = monotonic()
         self._next = 0.0
         self._read()
-        self._first = self._steps()
+        self._first = self._made()
 
     @property
     def counts(self) -> Counter[str]:
@@ -66,10 +66,8 @@ class Monitor:
     @property
     def seconds_left(self) -> float | None:
         """Until all is done, if it goes on as it went since the monitor began; None while that is not known."""
-        made = self._steps() - self._first
-        if made <= 0:
-            return None
-        return (self._total() - self._steps()) * (monotonic() - self._began) / made
+        made = self._made() - self._first
+        return self._to_be_made() * (monotonic() - self._began) / made if made > 0 else None
 
     def failed(self, job: Job, reason: str) -> None:
         """Note that a run is given up, and say so."""
@@ -97,17 +95,20 @@ class Monitor:
             if before not in ENDED:
                 self._status[job.path] = read_status(job.path)
 
-    def _total(self) -> int:
-        return sum(job.experiment.training.total_timesteps for job in self._jobs)
+    def _made(self) -> int:
+        """Steps made, as far as they are saved."""
+        return sum(self._step(job) for job in self._jobs)
 
-    def _steps(self) -> int:
-        """Steps made, or not to be made any more."""
-        steps = 0
-        for job in self._jobs:
-            total = job.experiment.training.total_timesteps
-            ended = self._state(job) in ENDED or job.path in self._failed
-            steps += total if ended else min(total, self._status.get(job.path, {}).get("step", 0))
-        return steps
+    def _to_be_made(self) -> int:
+        """Steps that are still to be made."""
+        return sum(
+            job.experiment.training.total_timesteps - self._step(job)
+            for job in self._jobs
+            if self._state(job) not in (*ENDED, "failed")
+        )
+
+    def _step(self, job: Job) -> int:
+        return min(job.experiment.training.total_timesteps, self._status.get(job.path, {}).get("step", 0))
 
     def summary(self) -> str:
         """One line: how many runs are in each state, and the time left."""
@@ -128,8 +129,12 @@ class Monitor:
 
     def _table(self) -> Group:
         head = Table.grid(padding=(0, 2))
-        total = self._total()
-        head.add_row(Text(self._title, style="bold"), ProgressBar(total, self._steps(), width=30), Text(self.summary()))
+        made, left = self._made(), self._to_be_made()
+        head.add_row(
+            Text(self._title, style="bold"),
+            ProgressBar(max(1, made + left), made if left else max(1, made), width=30),
+            Text(self.summary()),
+        )
         running = [job for job in self._jobs if SHOWN[self._state(job)] == "running"]
         rows = Table.grid(padding=(0, 2))
         for job in running[:MOST_ROWS]:

@@ -9,14 +9,14 @@ import signal
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
-from algorithms.jobs import Job, Outcome, describe, perform
+from algorithms.jobs import Failed, Job, Outcome, describe, perform
 from algorithms.monitor import Monitor
 from algorithms.runs import InUse, Run
 from algorithms.training import DiskFull, Stopped
@@ -27,8 +27,13 @@ DIED = "its worker process died (out of memory, or killed)"
 
 
 def _perform(packed: dict[str, Any]) -> Outcome:
-    """:func:`perform` in a worker process."""
-    outcome = perform(Job.unpack(packed))
+    """:func:`perform` in a worker process; its errors travel."""
+    try:
+        outcome = perform(Job.unpack(packed))
+    except (InUse, Stopped):
+        raise
+    except Exception as error:
+        raise Failed(describe(error)) from None
     if outcome == "stopped":
         os._exit(130)  # everything is saved; a worker that lived on would take the next job
     return outcome
@@ -37,7 +42,7 @@ def _perform(packed: dict[str, Any]) -> Outcome:
 def _begin_worker() -> None:
     """Make a worker obey its parent alone: SIGTERM stops it, and so does the parent's end.
 
-    Ctrl-C reaches the parent only, and batch systems send their signals to every process of a job.
+    Batch systems send their signals to every process of a job.
     """
     if os.name == "posix":
         os.setsid()
@@ -51,6 +56,19 @@ def _end_with_parent() -> None:
     if parent is not None:
         connection.wait([parent.sentinel])
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Processes that begin in the context never see Ctrl-C; this one sees it afterwards."""
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Workers:
@@ -77,7 +95,8 @@ class _Workers:
     def start(self, job: Job) -> None:
         """Give a job to a free worker."""
         executor = self._idle.pop()
-        self._busy[executor.submit(_perform, job.packed())] = executor, job
+        with _interrupts_held():
+            self._busy[executor.submit(_perform, job.packed())] = executor, job
 
     def ended(self, timeout: float) -> list[tuple[Job, BaseException | None]]:
         """The jobs that end within ``timeout`` seconds, each with its error."""

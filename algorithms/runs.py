@@ -190,9 +190,10 @@ def read_status(path: Path) -> dict[str, Any]:
     """Of a run's directory: state, step, total_timesteps, seconds (of work in all), updated, and reason where it
     failed; empty where there is none."""
     try:
-        return json.loads((path / "status.json").read_text())
-    except (OSError, json.JSONDecodeError):
+        status = json.loads((path / "status.json").read_bytes())
+    except (OSError, ValueError):
         return {}
+    return status if isinstance(status, dict) else {}
 
 
 def _contents(path: Path) -> list[str]:

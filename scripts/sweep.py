@@ -32,10 +32,11 @@ from algorithms.jobs import Job
 from algorithms.monitor import Monitor
 from algorithms.pool import perform_all
 from algorithms.progress import make_console
+from algorithms.runs import read_status
 from algorithms.sweeps.manifest import Row, expand, is_sweep, read_manifest, write_manifest
 from algorithms.sweeps.scores import read_scores
 from algorithms.sweeps.settings import SweepSettings, load_sweep
-from algorithms.training import Interrupts, Stopped
+from algorithms.training import DiskFull, Interrupts, Stopped, stopped
 
 ENGINES = ("local", "ray", "slurm", "manifest")
 NEEDS = {"ray": "ray", "slurm": "submitit"}
@@ -96,11 +97,23 @@ class Sweep:
 
     def expand(self) -> list[Row]:
         """The runs as far as they are known."""
-        scores: dict[str, float | None] = {job.id: None for job in self.failed if job.id is not None}
-        if self.settings.search is not None and is_sweep(self.directory):
-            jobs = [row.job(self.directory) for row in read_manifest(self.directory)]
-            scores |= read_scores(jobs, self.settings.search.metric)
+        search = self.settings.search
+        scores: dict[str, float | None] = {}
+        if search is not None and is_sweep(self.directory):
+            rows = read_manifest(self.directory)
+            scores |= read_scores([row.job(self.directory) for row in rows], search.metric)
+            self._remember_failures(rows)
+        scores |= {job.id: None for job in self.failed if job.id is not None}
         return expand(self.settings, scores)
+
+    def _remember_failures(self, rows: Sequence[Row]) -> None:
+        """A search that has gone on from a failed run stands by that: made now, it would have to begin again."""
+        assert self.settings.search is not None
+        batches = [(row.trial or 0) // self.settings.search.batch for row in rows]
+        for row, batch in zip(rows, batches, strict=True):
+            status = read_status(self.directory / row.directory)
+            if batch < max(batches) and status.get("state") == "failed":
+                self.failed.setdefault(row.job(self.directory), str(status.get("reason")))
 
     def make(self, options: argparse.Namespace, console: Console, interrupts: Interrupts) -> list[Job]:
         """Make the runs, batch after batch of a search; all of them, whatever became of them."""
@@ -113,7 +126,7 @@ class Sweep:
             if not open_jobs:
                 return jobs
             already = len(jobs) - len(open_jobs)
-            console.print(f"{len(jobs)} runs, {already} of them done, in {self.directory}", soft_wrap=True)
+            say(console, f"{len(jobs)} runs, {already} of them done, in {self.directory}")
             with Monitor(jobs, console, self.directory.name) as monitor:
                 self.failed |= self._engine(options, jobs, monitor, interrupts)
             if interrupts.received is not None or options.no_wait or self.settings.search is None:
@@ -124,7 +137,7 @@ class Sweep:
         before = {row.id for row in read_manifest(self.directory)} if is_sweep(self.directory) else set()
         gone = len(before - {row.id for row in rows})
         if gone:
-            console.print(f"{gone} runs of an earlier manifest are not in the sweep any more; their directories stay")
+            say(console, f"{gone} runs of an earlier manifest are not in the sweep any more; their directories stay")
 
     def _engine(
         self, options: argparse.Namespace, jobs: Sequence[Job], monitor: Monitor, interrupts: Interrupts
@@ -148,11 +161,16 @@ class Sweep:
         return make_on_slurm(*what, stop=stop, wait=not options.no_wait)
 
 
+def say(console: Console, text: str) -> None:
+    """Print a line as it is."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 def report(jobs: Sequence[Job], failed: dict[Job, str], console: Console) -> None:
     """What became of the runs, and why those that failed did."""
-    console.print(Monitor(jobs, console).summary(), soft_wrap=True)
+    say(console, Monitor(jobs, console).summary())
     for job, error in failed.items():
-        console.print(f"FAILED {job.name}: {error}\n  {job.path}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"FAILED {job.name}: {error}\n  {job.path}")
 
 
 def main(arguments: list[str]) -> int:
@@ -176,7 +194,8 @@ def main(arguments: list[str]) -> int:
             jobs = sweep.make(options, console, interrupts)
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        full = isinstance(error, OSError) and isinstance(stopped("", error), DiskFull)
+        return 1 if full else 2
     except Stopped as error:
         print(f"error: {error}\nthe same command again goes on from there", file=sys.stderr)
         return 1

@@ -57,7 +57,9 @@ class Row:
 
 def label(cell: Mapping[str, Any]) -> str:
     """A cell in words: ``algorithm.learning_rate=0.001 training.num_envs=16``."""
-    return " ".join(f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in cell.items())
+    return " ".join(
+        f"{key}={value if isinstance(value, str) else json.dumps(value, default=str)}" for key, value in cell.items()
+    )
 
 
 def run_id(config: Mapping[str, Any]) -> str:
@@ -96,7 +98,7 @@ def expand(settings: SweepSettings, scores: Scores) -> list[Row]:
         grid = dict(zip(settings.grid, values, strict=True))
         cell = {"config": names[path], **grid} if len(bases) > 1 else grid
         try:
-            base = _overridden(bases[path], {**settings.overrides, **grid})
+            base = _overridden(bases[path], {**settings.overrides, **grid}, cell)
             rows += _searched(settings, cell, base, scores) if settings.search else _seeds(settings, cell, base)
         except ValueError as error:
             problems.append(str(error))
@@ -113,8 +115,10 @@ def _searched(settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any
     rows: list[Row] = []
 
     def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
-        found = _seeds(settings, {**cell, **point}, _overridden(base, point), trial)
-        rows.extend(found)
+        here = {**cell, **point}
+        found = _seeds(settings, here, _overridden(base, point, here), trial)
+        known = {row.id for row in rows}  # a point may be chosen again
+        rows.extend(row for row in found if row.id not in known)
         return [row.id for row in found]
 
     propose(settings.search, runs_of, scores)
@@ -125,13 +129,13 @@ def _seeds(
     settings: SweepSettings, cell: dict[str, Any], values: dict[str, Any], trial: int | None = None
 ) -> list[Row]:
     """The rows of one cell."""
-    where = f"cell [{label(cell)}]"
+    where = _place(cell)
     rows: list[Row] = []
     for seed in settings.seeds:
-        experiment = make_experiment(_overridden(values, {"training.seed": seed}), where, here=False)
+        experiment = make_experiment(_overridden(values, {"training.seed": seed}, cell), where, here=False)
         if not rows:
             _try(experiment, where)
-        config = experiment.to_dict()
+        config = _sorted(experiment.to_dict())
         name = run_id(config)
         directory = f"{RUNS}/{experiment.algorithm['name']}-seed{seed}-{name}"
         rows.append(Row(name, directory, cell, seed, trial, config))
@@ -147,11 +151,27 @@ def _try(experiment: Experiment, where: str) -> None:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _overridden(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _place(cell: Mapping[str, Any]) -> str:
+    """For messages."""
+    return f"cell [{label(cell)}]"
+
+
+def _overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
+    """The values with the changes; errors name the cell."""
     result = copy.deepcopy(dict(values))
-    for key, value in changes.items():
-        override(result, key, copy.deepcopy(value))
+    try:
+        for key, value in changes.items():
+            override(result, key, copy.deepcopy(value))
+    except ValueError as error:
+        raise ValueError(f"{_place(cell)}: {error}") from None
     return result
+
+
+def _sorted(value: Any) -> Any:
+    """The same, whatever the order in which the keys of its mappings were written."""
+    if isinstance(value, Mapping):
+        return {key: _sorted(value[key]) for key in sorted(value)}
+    return [_sorted(each) for each in value] if isinstance(value, list) else value
 
 
 def _names(paths: Sequence[str]) -> dict[str, str]:
@@ -204,9 +224,9 @@ def read_manifest(sweep: Path) -> list[Row]:
     if not path.is_file():
         raise ValueError(f"{str(sweep)!r} is not a sweep: it has no {FILE}")
     rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
         try:
             rows.append(Row(**json.loads(line)))
-        except (TypeError, json.JSONDecodeError) as error:
+        except (TypeError, ValueError) as error:
             raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {error}") from None
     return rows

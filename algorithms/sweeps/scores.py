@@ -30,23 +30,25 @@ def final_metrics(path: Path) -> dict[str, float]:
     }
 
 
-def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float]:
-    """The metric of every run that has ended, by id.
+def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float | None]:
+    """The metric of every run that has ended, by id; None where it is not finite.
 
     Of a pruned run it is that of its last evaluation.
 
     Raises:
         ValueError: if a run has no such metric.
     """
-    scores: dict[str, float] = {}
+    scores: dict[str, float | None] = {}
     for job in jobs:
         assert job.id is not None
         state = read_status(job.path).get("state")
         if state == "finished":
-            scores[job.id] = _named(final_metrics(job.path), metric)
+            value = _named(final_metrics(job.path), metric)
+            scores[job.id] = value if np.isfinite(value) else None
         elif state == "pruned":
             column = _named(read_metrics(job.path / "metrics.csv"), f"eval/{metric}")
-            scores[job.id] = float(column[np.isfinite(column)][-1])
+            known = column[np.isfinite(column)]
+            scores[job.id] = float(known[-1]) if len(known) else None
     return scores
 
 

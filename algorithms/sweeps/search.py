@@ -12,7 +12,7 @@ from algorithms.sweeps.settings import Range, SearchSettings
 if TYPE_CHECKING:
     import optuna
 
-# By run id; None for a run that has failed.
+# By run id; None for a run that has failed, or has no finite score.
 Scores = Mapping[str, float | None]
 
 

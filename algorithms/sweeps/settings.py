@@ -11,6 +11,8 @@ from algorithms.experiment import SHORT_FORMS, Count
 from algorithms.yaml_files import read_mapping
 from mo_deepdrive.config import Settings, parse
 
+MOST_SEEDS = 100_000
+
 
 def _listed(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
@@ -18,7 +20,11 @@ def _listed(value: Any) -> Any:
 
 def _counted(value: Any) -> Any:
     """5 seeds are 0, 1, 2, 3 and 4."""
-    return list(range(value)) if isinstance(value, int) and not isinstance(value, bool) else value
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    if value > MOST_SEEDS:
+        raise ValueError(f"at most {MOST_SEEDS:,} seeds")
+    return list(range(value))
 
 
 def _choices(value: Any) -> Any:
@@ -188,6 +194,12 @@ def load_sweep(path: str | Path) -> SweepSettings:
             problems.append(f"{key!r} is in {' and in '.join(found)}")
     for key, values in space.items():
         problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
+    fixed = [(key, [value]) for key, value in settings.overrides.items()] + list(settings.grid.items())
+    for key, given in fixed:
+        if key == "training" and any(isinstance(value, dict) and "seed" in value for value in given):
+            problems.append("'seed' in 'training': seeds have a key of their own, 'seeds'")
+    if len(set(settings.config)) < len(settings.config):
+        problems.append(f"config = {settings.config} has a file twice")
     if len(set(settings.seeds)) < len(settings.seeds):
         problems.append(f"seeds = {settings.seeds} has a seed twice")
     if problems:
