@@ -188,10 +188,14 @@ def test_workers_killed_at_random_lose_nothing_and_make_nothing_twice(tmp_path: 
 
     def killer() -> None:
         nonlocal kills
-        while not over.wait(generator.uniform(0.5, 8.0)):
-            workers = [child for child in multiprocessing.active_children() if child.pid is not None]
-            if workers:
-                os.kill(generator.choice(workers).pid or 0, signal.SIGKILL)
+        while not over.is_set():
+            enough = sum(wanted.done for wanted in jobs) + generator.randint(3, 9)
+            while not over.wait(0.05) and sum(wanted.done for wanted in jobs) < enough:
+                pass
+            over.wait(generator.uniform(0.0, 0.5))
+            workers = [child.pid for child in multiprocessing.active_children() if child.pid is not None]
+            if workers and not over.is_set():
+                os.kill(generator.choice(workers), signal.SIGKILL)
                 kills += 1
 
     thread = threading.Thread(target=killer)
@@ -202,7 +206,7 @@ def test_workers_killed_at_random_lose_nothing_and_make_nothing_twice(tmp_path: 
         over.set()
         thread.join()
     assert failed == {}
-    assert kills >= 3
+    assert kills >= 5
     assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == sorted(wanted.path.name for wanted in jobs)
     for wanted in jobs:
         assert wanted.done

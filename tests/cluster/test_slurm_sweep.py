@@ -98,7 +98,7 @@ def test_a_job_told_to_go_saves_and_goes_on_after_its_requeue(
 ) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: begun(sweep))
+        eventually(lambda: len(begun(sweep)) == 2)
         submitted = jobs(sweep)
         for job in submitted:
             cluster.run("scancel", "--signal=USR2", job)
@@ -113,7 +113,7 @@ def test_a_job_told_to_go_saves_and_goes_on_after_its_requeue(
 def test_preempted_jobs_save_and_go_on(cluster: SlurmCluster, long: Reference, tmp_path: Path) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: begun(sweep))
+        eventually(lambda: len(begun(sweep)) == 2)
         submitted = jobs(sweep)
         cluster.run("sbatch", "--partition=urgent", "--cpus-per-task=2", "--output=/dev/null", "--wrap=sleep 1")
         eventually(lambda: interrupted(sweep), 60)
