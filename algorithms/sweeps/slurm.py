@@ -28,6 +28,7 @@ from algorithms.sweeps.settings import SweepSettings
 from algorithms.training import Stopped
 
 POLL = 5.0  # s between looks at the queue
+ARRAY = 1000  # tasks of an array; Slurm takes no more unless it is told to
 ASKED = 500  # jobs per look, for a command line has its limits
 # States of a Slurm job that will not run again.
 ENDED = (
@@ -161,10 +162,10 @@ def parameters(settings: SweepSettings, name: str) -> dict[str, Any]:
 
 
 def script(jobs: Sequence[Job], settings: SweepSettings, sweep: Path) -> str:
-    """The batch script that would be submitted for the runs."""
+    """The batch script that would be submitted for the runs, or for the first array of them."""
     executor = _ScriptOnly(_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
     executor.update_parameters(**parameters(settings, sweep.name))
-    count = len(chunks(jobs, settings, sweep))
+    count = min(ARRAY, len(chunks(jobs, settings, sweep)))
     if count > 1:
         executor.parameters["map_count"] = count
     return executor._make_submission_file_text(executor._submitit_command_str, "")
@@ -179,20 +180,22 @@ class Queue:
         self.states: dict[str, str] = {}
 
     def submit(self, tasks: Sequence[Chunk], settings: SweepSettings, sweep: Path) -> None:
-        """Put tasks into Slurm's queue, as one array.
+        """Put tasks into Slurm's queue, in as few arrays as it takes.
 
         Raises:
             Stopped: if Slurm refuses them.
         """
         executor = submitit.SlurmExecutor(_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
         executor.update_parameters(**parameters(settings, sweep.name))
-        try:
-            with executor.batch():
-                submitted = [executor.submit(task) for task in tasks]
-        except (subprocess.CalledProcessError, submitit.core.utils.FailedJobError) as error:
-            raise Stopped(f"Slurm refuses the jobs: {' '.join(str(error).split())}") from None
-        self.jobs |= {job.job_id: list(task.ids) for job, task in zip(submitted, tasks, strict=True)}
-        write_json(self._file, self.jobs)
+        for first in range(0, len(tasks), ARRAY):
+            array = tasks[first : first + ARRAY]
+            try:
+                with executor.batch():
+                    submitted = [executor.submit(task) for task in array]
+            except (subprocess.CalledProcessError, submitit.core.utils.FailedJobError) as error:
+                raise Stopped(f"Slurm refuses the jobs: {' '.join(str(error).split())}") from None
+            self.jobs |= {job.job_id: list(task.ids) for job, task in zip(submitted, array, strict=True)}
+            write_json(self._file, self.jobs)
 
     def look(self) -> bool:
         """Ask Slurm for the states; whether it answered."""
