@@ -23,7 +23,7 @@ from short_runs import VALUES, assert_same_run, assert_whole
 from algorithms import pool
 
 ROOT = Path(__file__).resolve().parent.parent
-LONG = {"training.total_timesteps": 600_000, "training.num_envs": 64}  # some seconds
+LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # some seconds
 
 
 def write_sweep(folder: Path, **settings: Any) -> Path:
