@@ -449,6 +449,7 @@ def test_an_export_that_fails_leaves_what_was_there(
 ) -> None:
     """After so many calls that succeed; None for none that fails."""
     export(trained("a2c"), "policy")
+    other = trained("pcn")  # now: training writes too
     before, real, made = contents(home), getattr(os, function), 0
 
     def full(*arguments: Any) -> None:
@@ -461,7 +462,7 @@ def test_an_export_that_fails_leaves_what_was_there(
     with monkeypatch.context() as context:
         context.setattr(os, function, full)
         try:
-            export(trained("pcn"), "policy")
+            export(other, "policy")
         except OSError:
             assert contents(home) == before
         else:
