@@ -7,7 +7,7 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,11 @@ def atomic_write(path: str | Path, data: bytes) -> None:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def leftovers(folder: Path) -> Iterator[Path]:
+    """What processes that were killed in :func:`atomic_write` have left in a folder."""
+    return folder.glob(".*.tmp")
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -13,7 +13,7 @@ from time import perf_counter
 from typing import Any, Literal
 
 from algorithms.experiment import Experiment, make_experiment
-from algorithms.files import atomic_write, write_json
+from algorithms.files import atomic_write, leftovers, write_json
 from algorithms.yaml_files import dump, read_mapping
 from algorithms.zoo import find
 
@@ -137,7 +137,7 @@ class Run:
         except BlockingIOError:
             self.unlock()
             raise InUse(f"run directory {str(self.path)!r} is in use by another process") from None
-        for leftover in self.path.glob(".*.tmp"):
+        for leftover in leftovers(self.path):
             leftover.unlink()
 
     def unlock(self) -> None:
@@ -198,9 +198,10 @@ def read_status(path: Path) -> dict[str, Any]:
 
 def _contents(path: Path) -> list[str]:
     """What is in a run's directory, apart from what a process that was killed while it made one leaves behind."""
-    half_made = (".lock", "versions.json", "status.json")
-    whole = (path / "config.yaml").exists()
-    return [entry.name for entry in path.iterdir() if whole or not (entry.name in half_made or entry.match(".*.tmp"))]
+    found = {entry.name for entry in path.iterdir()}
+    if "config.yaml" not in found:
+        found -= {".lock", "versions.json", "status.json", *(leftover.name for leftover in leftovers(path))}
+    return sorted(found)
 
 
 def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:

@@ -46,9 +46,14 @@ class DiskFull(Stopped):
     """There is no space left to write to."""
 
 
+def no_space(error: OSError) -> bool:
+    """Whether the disk, or a quota, is full."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
 def stopped(message: str, error: OSError) -> Stopped:
     """What to raise with this message after an error of the operating system."""
-    return (DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT) else Stopped)(message)
+    return (DiskFull if no_space(error) else Stopped)(message)
 
 
 def build(experiment: Experiment, num_envs: int | None = None) -> Any:

@@ -36,7 +36,7 @@ from algorithms.runs import read_status
 from algorithms.sweeps.manifest import Row, expand, is_sweep, read_manifest, write_manifest
 from algorithms.sweeps.scores import read_scores
 from algorithms.sweeps.settings import SweepSettings, load_sweep
-from algorithms.training import DiskFull, Interrupts, Stopped, stopped
+from algorithms.training import Interrupts, Stopped, no_space
 
 ENGINES = ("local", "ray", "slurm", "manifest")
 NEEDS = {"ray": "ray", "slurm": "submitit"}
@@ -194,8 +194,7 @@ def main(arguments: list[str]) -> int:
             jobs = sweep.make(options, console, interrupts)
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
-        full = isinstance(error, OSError) and isinstance(stopped("", error), DiskFull)
-        return 1 if full else 2
+        return 1 if isinstance(error, OSError) and no_space(error) else 2
     except Stopped as error:
         print(f"error: {error}\nthe same command again goes on from there", file=sys.stderr)
         return 1

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from algorithms.files import leftovers
 from algorithms.plots import MAX_POINTS, Columns
 from algorithms.runs import read_status
 from algorithms.sweeps.manifest import Row, label, read_manifest
@@ -231,7 +232,7 @@ def _alone(folder: Path) -> Iterator[None]:
     with (folder / ".lock").open("w") as lock:
         if os.name == "posix":
             fcntl.flock(lock, fcntl.LOCK_EX)
-        for leftover in folder.rglob(".*.tmp"):  # of a process that was killed while it wrote
+        for leftover in (*leftovers(folder), *leftovers(folder / "metrics")):
             leftover.unlink()
         yield
 

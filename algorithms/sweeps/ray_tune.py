@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import logging
 import queue
 import socket
@@ -12,11 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.jobs import Job, describe, perform
+from algorithms.logging import read_metrics
 from algorithms.monitor import Monitor
 from algorithms.pool import BUSY, DIED
 from algorithms.runs import InUse, Run, read_status
@@ -25,7 +26,7 @@ from algorithms.sweeps.scores import final_metrics
 from algorithms.sweeps.settings import AshaSettings, SweepSettings
 from algorithms.training import DiskFull, Stopped
 
-Row = dict[str, Any]
+Report = dict[str, Any]
 GIB = 2**30
 KNOCK = 10.0  # s
 
@@ -39,9 +40,9 @@ class RunTrainable(tune.Trainable):
 
     def setup(self, config: dict[str, Any]) -> None:
         """Begin."""
-        self._reports: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
+        self._reports: queue.SimpleQueue[Report | BaseException] = queue.SimpleQueue()
         self._stop = threading.Event()
-        self._last: Row = {}
+        self._last: Report = {}
         self._thread = threading.Thread(
             target=self._work, args=(config, self._reports, self._stop), daemon=True, name="training"
         )
@@ -53,7 +54,7 @@ class RunTrainable(tune.Trainable):
         self.setup(new_config)
         return True
 
-    def step(self) -> Row:
+    def step(self) -> Report:
         """The next report; raises what the run raised where another try may help."""
         report = self._reports.get()
         if isinstance(report, BaseException):
@@ -67,7 +68,9 @@ class RunTrainable(tune.Trainable):
         self._thread.join()
 
     @staticmethod
-    def _work(config: dict[str, Any], reports: queue.SimpleQueue[Row | BaseException], stop: threading.Event) -> None:
+    def _work(
+        config: dict[str, Any], reports: queue.SimpleQueue[Report | BaseException], stop: threading.Event
+    ) -> None:
         def watch(step: int, metrics: Mapping[str, float]) -> None:
             if any(name.startswith("eval/") for name in metrics):
                 reports.put({"step": step, **metrics})
@@ -98,15 +101,15 @@ class RunTrainable(tune.Trainable):
 def _evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
     """What a run that has been begun has already logged up to its last checkpoint: early stopping must know it."""
     path = job.path / "metrics.csv"
-    last = read_status(job.path).get("step", 0)
     if not path.is_file():
         return []
-    with path.open(newline="") as file:
-        rows = [{name: float(value) for name, value in row.items() if name and value} for row in csv.DictReader(file)]
+    columns = read_metrics(path)
+    steps = columns.pop("step")
+    last = read_status(job.path).get("step", 0)
     return [
-        (int(row["step"]), {name: value for name, value in row.items() if name != "step"})
-        for row in rows
-        if row["step"] <= last
+        (int(step), {name: float(column[i]) for name, column in columns.items() if not np.isnan(column[i])})
+        for i, step in enumerate(steps)
+        if step <= last
     ]
 
 
@@ -125,7 +128,7 @@ class _Asha(ASHAScheduler):
         )
         self.pruned: set[str] = set()
 
-    def on_trial_result(self, tune_controller: Any, trial: Any, result: Row) -> str:
+    def on_trial_result(self, tune_controller: Any, trial: Any, result: Report) -> str:
         decision = super().on_trial_result(tune_controller, trial, result)
         if decision == TrialScheduler.STOP and not result.get("done"):
             self.pruned.add(trial.config["run"]["id"])
@@ -151,7 +154,7 @@ class _Listener(_Here, tune.Callback):
     def on_step_end(self, iteration: int, trials: list[Any], **info: Any) -> None:
         self._monitor.update()
 
-    def on_trial_result(self, iteration: int, trials: list[Any], trial: Any, result: Row, **info: Any) -> None:
+    def on_trial_result(self, iteration: int, trials: list[Any], trial: Any, result: Report, **info: Any) -> None:
         if "error" in result:
             self._note(trial, result["error"])
         if "disk_full" in result:
@@ -174,7 +177,7 @@ class _Stopper(_Here, tune.Stopper):
     def __init__(self, stop: Callable[[], bool]):
         self._asked = stop
 
-    def __call__(self, trial_id: str, result: Row) -> bool:
+    def __call__(self, trial_id: str, result: Report) -> bool:
         return False
 
     def stop_all(self) -> bool:

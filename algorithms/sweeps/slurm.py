@@ -217,6 +217,10 @@ class Queue:
         job = [job for job, runs in self.jobs.items() if run in runs][-1]
         return job, self.states.get(job, "gone")
 
+    def log(self, job: str) -> Path:
+        """What a job has printed."""
+        return self._file.with_name(f"{job}_0_log.out")
+
     def cancel_command(self) -> str:
         """What a user types to cancel the jobs that are in the queue or run."""
         arrays = {job.partition("_")[0] for job in self.jobs if self.alive(job)}
@@ -296,8 +300,7 @@ def _reason(job: Job, queue: Queue, attempts: int, retries: int) -> str | None:
     if status.get("state") == "failed" and "reason" in status:
         return str(status["reason"])  # the job has tried what could be tried
     if state == "CANCELLED" or attempts > retries:
-        log = queue._file.parent / f"{slurm_job}_0_log.out"
-        return f"Slurm job {slurm_job} ended ({state}) before the run did; see {log}"
+        return f"Slurm job {slurm_job} ended ({state}) before the run did; see {queue.log(slurm_job)}"
     return None
 
 
