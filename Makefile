@@ -53,7 +53,7 @@ test-ray: $(RAY_READY)
 	$(RAY_VENV)/bin/python -m pytest tests/ray
 
 test-peers: $(PEERS_READY)
-	$(PEERS_VENV)/bin/python -m pytest tests/peers tests/test_wrappers.py
+	$(PEERS_VENV)/bin/python -m pytest tests/peers tests/mo_deepdrive/test_wrappers.py
 
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py

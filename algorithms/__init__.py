@@ -4,7 +4,7 @@ from typing import Any
 
 from algorithms.a2c import A2C
 from algorithms.actor_critic import ActorCritic
-from algorithms.base import Agent
+from algorithms.agent import Agent
 from algorithms.mo_a2c import MOA2C
 from algorithms.mo_ppo import MOPPO
 from algorithms.pcn import PCN

@@ -10,10 +10,10 @@ import torch
 from pydantic import Field
 
 from algorithms.actor_critic import ActorCritic
+from algorithms.common.advantages import discounted_sum
+from algorithms.common.env_adapter import Worlds
+from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import ActorCriticConfig, Learner
-from algorithms.returns import discounted_sum
-from algorithms.rollout import VehicleRollout
-from algorithms.worlds import Worlds
 
 
 class A2CConfig(ActorCriticConfig):

@@ -10,12 +10,12 @@ import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from algorithms.base import Agent, EvaluationPlan
-from algorithms.checkpoints import below
-from algorithms.evaluation import evaluate
-from algorithms.history import History
+from algorithms.agent import Agent, EvaluationPlan
+from algorithms.common.accrued_reward import History
+from algorithms.common.checkpoints import below
+from algorithms.common.rollout import Collector, Episodes, Rollout
+from algorithms.evaluation.evaluate import evaluate
 from algorithms.learner import ActorCriticConfig, Learner
-from algorithms.rollout import Collector, Episodes, Rollout
 from mo_deepdrive.utilities import Utility
 
 
@@ -23,7 +23,7 @@ class ActorCritic(Agent):
     """Base of the actor-critic agents: one independent learner per vehicle.
 
     Args:
-        env: a vector environment with vector rewards, from `algorithms.worlds.make_env`.
+        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
         utility: the known utility, or one per vehicle.
         seed: determines the run, bit for bit on one machine.
         device: where the networks live.

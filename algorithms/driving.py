@@ -16,8 +16,8 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from algorithms.base import Agent
-from algorithms.history import History
+from algorithms.agent import Agent
+from algorithms.common.accrued_reward import History
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
@@ -97,7 +97,7 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     seeded one after the other from ``reset(seed=...)`` on; one that was started again has the same seed.
 
     Args:
-        env: one world of ours that can be drawn and is not reset by itself (`algorithms.videos.make_world`).
+        env: one world of ours that can be drawn and is not reset by itself (`algorithms.reporting.videos.make_world`).
         seats: the vehicles that people drive.
         agent: drives the other ones.
         generator: of the agent's samples; None for greedy actions.

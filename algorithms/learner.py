@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from algorithms.checkpoints import below
-from algorithms.networks import CategoricalActor, GaussianActor, mlp
-from algorithms.optimisers import linear, optimiser_state, set_optimiser_state
-from algorithms.rollout import Rollout, VehicleRollout
-from algorithms.worlds import Worlds
+from algorithms.common.checkpoints import below
+from algorithms.common.env_adapter import Worlds
+from algorithms.common.networks import CategoricalActor, GaussianActor, mlp
+from algorithms.common.optimisers import linear, optimiser_state, set_optimiser_state
+from algorithms.common.rollout import Rollout, VehicleRollout
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from algorithms.actor_critic import ActorCritic
+from algorithms.common.advantages import AdvantageForm, discounted_sum, utility_differences, utility_gradient
+from algorithms.common.env_adapter import Worlds
+from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import ActorCriticConfig, Learner
-from algorithms.returns import AdvantageForm, discounted_sum, utility_differences, utility_gradient
-from algorithms.rollout import VehicleRollout
-from algorithms.worlds import Worlds
 from mo_deepdrive.utilities import Utility
 
 # Weight of the past when an episode's return enters the running mean that utility_gradient needs.

@@ -20,16 +20,16 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 from torch import nn
 
-from algorithms.base import Agent, EvaluationPlan
-from algorithms.checkpoints import below
-from algorithms.evaluation import Evaluation, evaluate_each
-from algorithms.front import Front
-from algorithms.history import History
-from algorithms.networks import CommandedNetwork
-from algorithms.optimisers import linear, optimiser_state, set_optimiser_state
-from algorithms.pareto import indicators, spread
-from algorithms.store import Episode, Store, returns_to_go
-from algorithms.worlds import Worlds
+from algorithms.agent import Agent, EvaluationPlan
+from algorithms.common.accrued_reward import History
+from algorithms.common.checkpoints import below
+from algorithms.common.env_adapter import Worlds
+from algorithms.common.episode_buffer import Episode, Store, returns_to_go
+from algorithms.common.networks import CommandedNetwork
+from algorithms.common.optimisers import linear, optimiser_state, set_optimiser_state
+from algorithms.common.pareto import indicators, spread
+from algorithms.evaluation.evaluate import Evaluation, evaluate_each
+from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 
@@ -130,7 +130,7 @@ class PCN(Agent):
     """Pareto Conditioned Networks.
 
     Args:
-        env: a vector environment with vector rewards and one vehicle, from `algorithms.worlds.make_env`.
+        env: a vector environment with vector rewards and one vehicle, from `algorithms.common.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
         device: where the network lives.
         **hyperparameters: fields of PCNConfig.
@@ -412,7 +412,7 @@ class PCN(Agent):
         """The front, as greedy policies under :meth:`commands` show it when they are evaluated anew.
 
         Args:
-            env: a raw environment, from `algorithms.worlds.make_env`; not the one that trains.
+            env: a raw environment, from `algorithms.common.env_adapter.make_env`; not the one that trains.
             episodes: of every policy; one is enough where every episode is the same.
             seed: of the first.
             gamma: discount of the returns that dominance goes by.

@@ -19,9 +19,9 @@ from pydantic import Field
 
 from algorithms.a2c import A2CConfig, A2CLearner
 from algorithms.actor_critic import ActorCritic
+from algorithms.common.env_adapter import Worlds
+from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import ActorCriticConfig, Learner, normalised
-from algorithms.rollout import VehicleRollout
-from algorithms.worlds import Worlds
 from mo_deepdrive.utilities import Utility
 
 

@@ -23,11 +23,11 @@ import yaml
 from numpy.typing import NDArray
 
 from mo_deepdrive.actions import CONTINUOUS, action_table
+from mo_deepdrive.batch import Simulator
 from mo_deepdrive.config import ActionType, EnvConfig, ScenarioName, nearest
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import DRAWS, SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
-from mo_deepdrive.simulator import Simulator
 
 GAMMA = 0.99  # beside 1.0, the discount factor for which fronts are made
 CONTINUOUS_UNIT = 1.0 / 1024.0  # of a shipped continuous action; exact in float32

@@ -38,17 +38,17 @@ from rich.table import Table
 
 import mo_deepdrive
 from algorithms import ALGORITHMS
-from algorithms.experiment import load_experiment
-from algorithms.files import write_json
-from algorithms.pareto import hypervolume
+from algorithms.common.atomic_io import write_json
+from algorithms.common.env_adapter import make_env
+from algorithms.common.pareto import hypervolume
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.training import build, evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from algorithms.sweeps.collection import FOLDER as COLLECTED
 from algorithms.sweeps.manifest import RUNS, write_manifest
 from algorithms.sweeps.manifest import Row as ManifestRow
-from algorithms.training import build, evaluate_front
-from algorithms.worlds import make_env
 from mo_deepdrive.utilities import make_utility
 
 IDS = {

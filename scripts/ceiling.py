@@ -28,10 +28,10 @@ from scipy.stats import binomtest
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.actions import action_table
+from mo_deepdrive.batch import Simulator
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, RUNNING, VEHICLE, YAW_FRICTION
-from mo_deepdrive.simulator import Simulator
 
 ENVIRONMENT = "mo-deepdrive-static-obstacle-v0"
 CONFIG = EnvConfig(scenario="static_obstacle")

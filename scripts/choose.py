@@ -29,14 +29,14 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from algorithms.evaluation import Evaluation
-from algorithms.front import Front
-from algorithms.front_reports import film_front
-from algorithms.intervals import Estimate, mean, rate
-from algorithms.progress import make_console
-from algorithms.runs import Run
-from algorithms.training import attempt_film, build, evaluate_policies_of
-from algorithms.yaml_files import read_value
+from algorithms.common.yaml_io import read_value
+from algorithms.evaluation.evaluate import Evaluation
+from algorithms.evaluation.front import Front
+from algorithms.evaluation.statistics import Estimate, mean, rate
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import attempt_film, build, evaluate_policies_of
+from algorithms.reporting.front_report import film_front
 from mo_deepdrive.config import nearest
 from mo_deepdrive.utilities import make_utility
 

@@ -22,13 +22,13 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from algorithms.checkpoints import read_checkpoint
-from algorithms.experiment import find_environment
-from algorithms.front_reports import film_front, report_front
-from algorithms.progress import make_console
-from algorithms.reports import table, write
-from algorithms.runs import Run
-from algorithms.training import attempt_film, build, evaluate_front, evaluate_policies, film
+from algorithms.common.checkpoints import read_checkpoint
+from algorithms.experiments.config import find_environment
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import attempt_film, build, evaluate_front, evaluate_policies, film
+from algorithms.reporting.front_report import film_front, report_front
+from algorithms.reporting.tables import table, write
 from algorithms.zoo import find, names
 
 

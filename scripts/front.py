@@ -30,14 +30,14 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from algorithms.evaluation import Policy
-from algorithms.experiment import find_environment
-from algorithms.files import atomic_write
-from algorithms.history import History
+from algorithms.common.accrued_reward import History
+from algorithms.common.atomic_io import atomic_write
+from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.evaluation.evaluate import Policy
+from algorithms.experiments.config import find_environment
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import build
 from algorithms.pcn import PCN
-from algorithms.runs import Run
-from algorithms.training import build
-from algorithms.worlds import Worlds, make_env
 from mo_deepdrive import fronts
 from mo_deepdrive.actions import (
     CURL,
@@ -52,13 +52,13 @@ from mo_deepdrive.actions import (
     decode_continuous,
     decode_discrete,
 )
+from mo_deepdrive.batch import Simulator
 from mo_deepdrive.config import ActionType
 from mo_deepdrive.objectives import scales
 from mo_deepdrive.scenarios import DRAWS, SCENARIOS
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import step_world
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, RUNNING, STEER_RANGE
-from mo_deepdrive.simulator import Simulator
 
 GAMMAS = (fronts.GAMMA, 1.0)
 KEPT = (200, 50)  # drives at most, and of them for the second of GAMMAS

@@ -24,11 +24,11 @@ import torch
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from algorithms.experiment import Experiment, load_experiment
+from algorithms.experiments.config import Experiment, load_experiment
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run, default_directory
 from algorithms.peers import PEERS
 from algorithms.peers.running import prepare, run_peer
-from algorithms.progress import make_console
-from algorithms.runs import Run, default_directory
 from mo_deepdrive.config import nearest
 
 

@@ -32,13 +32,13 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from algorithms.base import Agent
+from algorithms.agent import Agent
 from algorithms.driving import PICTURES, Cockpit, Outcome
-from algorithms.experiment import EnvironmentSettings, find_environment, is_ours
-from algorithms.progress import make_console
-from algorithms.runs import Run
-from algorithms.training import build
-from algorithms.videos import make_world, writing
+from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import build
+from algorithms.reporting.videos import make_world, writing
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from algorithms.plots import Group, Scores, drawn, load_groups, plot, plot_scores
+from algorithms.reporting.learning_curves import Group, Scores, drawn, load_groups, plot, plot_scores
 from algorithms.sweeps.collection import Cell, Collection, collect
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.ranking import Setting, cell_labels, rank, short_names, varying, words

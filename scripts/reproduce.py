@@ -22,9 +22,11 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 
 from rich.console import Console
 
-from algorithms.monitor import Monitor
-from algorithms.pool import perform_all
-from algorithms.progress import make_console
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import Interrupts, Stopped
+from algorithms.experiments.worker_pool import perform_all
 from algorithms.reproduction.claims import CLAIMS, utility_metric
 from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Entry, Plan, entries, load_plan
@@ -37,9 +39,7 @@ from algorithms.reproduction.report import (
     verdict_table,
     write_report,
 )
-from algorithms.reproduction.scores import Results, gather
-from algorithms.runs import Run
-from algorithms.training import Interrupts, Stopped
+from algorithms.reproduction.results import Results, gather
 from algorithms.zoo.exporting import export
 
 ROOT = Path(__file__).resolve().parent.parent

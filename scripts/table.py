@@ -33,10 +33,10 @@ from numpy.typing import NDArray
 from rich.table import Table
 from scipy import stats
 
-from algorithms.files import atomic_write, csv_bytes
-from algorithms.intervals import Estimate, bootstrap, interquartile_mean
-from algorithms.progress import make_console
-from algorithms.runs import Run
+from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.evaluation.statistics import Estimate, bootstrap, interquartile_mean
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
 from algorithms.sweeps.collection import PLACE, POLICIES, Collection, Place, as_json, collect, split_place
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.ranking import (

@@ -17,12 +17,12 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(os.getcwd())  # where a user's own utility lives
 
-from algorithms.base import Agent
-from algorithms.checkpoints import read_checkpoint
-from algorithms.experiment import load_experiment
-from algorithms.progress import make_console
-from algorithms.runs import Run, default_directory
-from algorithms.training import Stopped, build, finish, resume, train
+from algorithms.agent import Agent
+from algorithms.common.checkpoints import read_checkpoint
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run, default_directory
+from algorithms.experiments.training import Stopped, build, finish, resume, train
 
 
 def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:

@@ -18,8 +18,8 @@ import pytest
 import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from tests.helpers.paths import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parent.parent
 GOLDEN = REPOSITORY.parent / "shared" / "golden"
 
 hypothesis.settings.register_profile(

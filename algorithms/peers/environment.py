@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from algorithms.base import Log
-from algorithms.worlds import Worlds
+from algorithms.agent import Log
+from algorithms.common.env_adapter import Worlds
 from mo_deepdrive.utilities import Utility
 
 

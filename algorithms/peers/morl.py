@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from algorithms.pareto import evenly_spaced_weights, non_dominated
+from algorithms.common.pareto import evenly_spaced_weights, non_dominated
 from algorithms.peers.task import Policies, Seen, Task, WeightedConfig
 
 EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training

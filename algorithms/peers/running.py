@@ -11,19 +11,14 @@ import mo_gymnasium
 import numpy as np
 from rich.console import Console
 
-from algorithms.base import Log
-from algorithms.evaluation import evaluate_each
-from algorithms.experiment import Experiment
-from algorithms.front import Front
-from algorithms.front_reports import check_reference_point, film_front, report_front
-from algorithms.logging import FrontsFile, Logger
-from algorithms.peers import PEERS
-from algorithms.peers.environment import Recorder
-from algorithms.peers.task import Policies, Task
-from algorithms.plots import load_groups, plot
-from algorithms.reports import table, write
-from algorithms.runs import Run
-from algorithms.training import (
+from algorithms.agent import Log
+from algorithms.common.env_adapter import Worlds
+from algorithms.evaluation.evaluate import evaluate_each
+from algorithms.evaluation.front import Front
+from algorithms.experiments.config import Experiment
+from algorithms.experiments.loggers import FrontsFile, Logger
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import (
     FRONT_EPISODES,
     POLICIES,
     attempt_film,
@@ -32,7 +27,12 @@ from algorithms.training import (
     film,
     make,
 )
-from algorithms.worlds import Worlds
+from algorithms.peers import PEERS
+from algorithms.peers.environment import Recorder
+from algorithms.peers.task import Policies, Task
+from algorithms.reporting.front_report import check_reference_point, film_front, report_front
+from algorithms.reporting.learning_curves import load_groups, plot
+from algorithms.reporting.tables import table, write
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import make_utility
 

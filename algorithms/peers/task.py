@@ -13,9 +13,9 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from algorithms.history import History
+from algorithms.common.accrued_reward import History
+from algorithms.common.env_adapter import Worlds
 from algorithms.peers.environment import PeerEnv, Recorder
-from algorithms.worlds import Worlds
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 
@@ -203,7 +203,7 @@ class Policies:
 
 @dataclass(frozen=True)
 class PeerPolicy:
-    """Policies of a peer behind the interface of our own (`algorithms.evaluation.Policy`).
+    """Policies of a peer behind the interface of our own (`algorithms.evaluation.evaluate.Policy`).
 
     Attributes:
         policies: of which.

@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from algorithms.intervals import Estimate, improvement, iqm, iqm_difference, spread_ratio
-from algorithms.reproduction.scores import FARTHEST, NEAREST, TOTAL_UTILITY, Results
+from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference, spread_ratio
+from algorithms.reproduction.results import FARTHEST, NEAREST, TOTAL_UTILITY, Results
 
 # The two algorithms of every arm, by the keys of their variants.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from algorithms.files import atomic_write
-from algorithms.plots import COLOURS, STYLE, curve
+from algorithms.common.atomic_io import atomic_write
+from algorithms.reporting.learning_curves import COLOURS, STYLE, curve
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
 from algorithms.reproduction.plan import Plan
-from algorithms.reproduction.scores import TOTAL_UTILITY, Results
+from algorithms.reproduction.results import TOTAL_UTILITY, Results
 
 DPI = 160
 WIDTH = 8.4  # inches that title and note need
@@ -48,7 +48,7 @@ CURVES = {
     8: CurveFigure("Intersection, the vehicle that turns left (vehicle 0)", "vehicle_0/utility_esr", _CROSSING),
     9: CurveFigure("Intersection, the vehicle that goes straight (vehicle 1)", "vehicle_1/utility_esr", _CROSSING),
 }
-# Made of a front, by algorithms.front_plots; the name is that of its picture.
+# Made of a front, by algorithms.reporting.front_plots; the name is that of its picture.
 FRONTS = {7: "importance", 10: "reduction"}
 FIGURES = tuple(sorted([*CURVES, *FRONTS]))
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from algorithms.experiment import Count, load_experiment
-from algorithms.jobs import Job
-from algorithms.yaml_files import read_mapping
+from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.config import Count, load_experiment
+from algorithms.experiments.jobs import Job
 from mo_deepdrive.config import Settings, nearest, parse
 
 QUICK_EVALUATIONS = 5  # on the way

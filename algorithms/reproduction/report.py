@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from algorithms.files import atomic_write
-from algorithms.front import Front
-from algorithms.front_plots import draw_front
-from algorithms.intervals import Estimate, improvement, iqm, iqm_difference
+from algorithms.common.atomic_io import atomic_write
+from algorithms.evaluation.front import Front
+from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference
+from algorithms.reporting.front_plots import draw_front
 from algorithms.reproduction.claims import (
     BASELINE,
     CLAIMS,
@@ -26,7 +26,7 @@ from algorithms.reproduction.claims import (
 )
 from algorithms.reproduction.figures import CURVES, FRONTS, draw_curves, file_name
 from algorithms.reproduction.plan import Arm, Cell, Entry, Plan
-from algorithms.reproduction.scores import Results
+from algorithms.reproduction.results import Results
 
 REPORT_FILE = "reproduction.md"
 FRONT_CELL, FRONT_VARIANT = "one_waypoint_front", "pcn"

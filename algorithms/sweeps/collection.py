@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from algorithms.files import leftovers
-from algorithms.plots import MAX_POINTS, Columns
-from algorithms.runs import read_status
+from algorithms.common.atomic_io import leftovers
+from algorithms.experiments.run_directory import read_status
+from algorithms.reporting.learning_curves import MAX_POINTS, Columns
 from algorithms.sweeps.manifest import Row, label, read_manifest
 from algorithms.sweeps.metric_parts import Log, part_files, update_metrics, write_parquet
 
@@ -144,7 +144,7 @@ class Collection:
             points: at most so many per run and metric.
 
         Returns:
-            Columns by run, as :func:`algorithms.logging.read_metrics` gives them.
+            Columns by run, as :func:`algorithms.experiments.loggers.read_metrics` gives them.
         """
         if not names:
             return {}

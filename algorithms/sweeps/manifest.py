@@ -11,13 +11,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from algorithms.experiment import Experiment, make_experiment, override
-from algorithms.files import atomic_write
-from algorithms.jobs import FREE, Job
+from algorithms.common.atomic_io import atomic_write
+from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.config import Experiment, make_experiment, override
+from algorithms.experiments.jobs import FREE, Job
+from algorithms.experiments.training import build
 from algorithms.sweeps.search import Scores, propose
 from algorithms.sweeps.settings import SweepSettings
-from algorithms.training import build
-from algorithms.yaml_files import read_mapping
 
 FILE = "manifest.jsonl"
 RUNS = "runs"

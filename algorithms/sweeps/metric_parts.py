@@ -13,8 +13,8 @@ from pathlib import Path
 
 import polars as pl
 
-from algorithms.files import atomic_write
-from algorithms.logging import read_metrics
+from algorithms.common.atomic_io import atomic_write
+from algorithms.experiments.loggers import read_metrics
 
 # A part is full with so many runs, or so many bytes of metrics.csv.
 PART_RUNS, PART_BYTES = 100, 64 * 2**20

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from algorithms.experiment import EnvironmentSettings, UtilitySettings, find_environment, is_ours
+from algorithms.experiments.config import EnvironmentSettings, UtilitySettings, find_environment, is_ours
 from algorithms.sweeps.collection import PLACE, POLICIES, Cell, Place, as_json, split_place
 from algorithms.sweeps.manifest import label
 from mo_deepdrive.config import EnvConfig, nearest

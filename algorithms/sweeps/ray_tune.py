@@ -16,15 +16,15 @@ import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
-from algorithms.jobs import Job, describe, perform
-from algorithms.logging import read_metrics
-from algorithms.monitor import Monitor
-from algorithms.pool import BUSY, DIED
-from algorithms.runs import InUse, Run, read_status
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.jobs import Job, describe, perform
+from algorithms.experiments.loggers import read_metrics
+from algorithms.experiments.run_directory import InUse, Run, read_status
+from algorithms.experiments.training import DiskFull, Stopped
+from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.scores import final_metrics
 from algorithms.sweeps.settings import AshaSettings, SweepSettings
-from algorithms.training import DiskFull, Stopped
 
 Report = dict[str, Any]
 GIB = 2**30

@@ -9,9 +9,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from algorithms.jobs import Job
-from algorithms.logging import read_metrics
-from algorithms.runs import read_status
+from algorithms.experiments.jobs import Job
+from algorithms.experiments.loggers import read_metrics
+from algorithms.experiments.run_directory import read_status
 from mo_deepdrive.config import nearest
 
 T = TypeVar("T")

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from algorithms.experiment import SHORT_FORMS, Count
-from algorithms.yaml_files import read_mapping
+from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.config import SHORT_FORMS, Count
 from mo_deepdrive.config import Settings, parse
 
 MOST_SEEDS = 100_000

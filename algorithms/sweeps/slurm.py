@@ -18,14 +18,14 @@ from typing import Any
 import submitit
 from rich.console import Console
 
-from algorithms.files import write_json
-from algorithms.jobs import Job
-from algorithms.monitor import Monitor
-from algorithms.pool import perform_all
-from algorithms.runs import read_status
+from algorithms.common.atomic_io import write_json
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.jobs import Job
+from algorithms.experiments.run_directory import read_status
+from algorithms.experiments.training import Stopped
+from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.settings import SweepSettings
-from algorithms.training import Stopped
 
 POLL = 5.0  # s between looks at the queue
 ARRAY = 1000  # tasks of an array; Slurm takes no more unless it is told to
@@ -48,7 +48,7 @@ class Chunk:
         sweep: the sweep's directory.
         ids: of the runs.
         side_by_side: how many at a time.
-        retries: as for :func:`algorithms.pool.perform_all`.
+        retries: as for :func:`algorithms.experiments.worker_pool.perform_all`.
     """
 
     sweep: Path

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from algorithms import zoo
-from algorithms.checkpoints import read_checkpoint
-from algorithms.experiment import Experiment
-from algorithms.files import atomic_write, write_json
-from algorithms.front import EVALUATION_FILE, FRONT_FILE, Front
-from algorithms.runs import Run
-from algorithms.training import build
-from algorithms.yaml_files import dump
+from algorithms.common.atomic_io import atomic_write, write_json
+from algorithms.common.checkpoints import read_checkpoint
+from algorithms.common.yaml_io import dump
+from algorithms.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
+from algorithms.experiments.config import Experiment
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import build
 
 ABOUT = "about.json"
 FILES = {zoo.CONFIG, zoo.CHECKPOINT, ABOUT, FRONT_FILE, EVALUATION_FILE}

@@ -11,12 +11,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mo_deepdrive.batch import Simulator
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
-from mo_deepdrive.simulator import Simulator
 
 END_NAMES = np.array(ENDS, dtype=object)
 

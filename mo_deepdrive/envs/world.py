@@ -12,11 +12,11 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from mo_deepdrive.batch import Simulator
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
 from mo_deepdrive.scenarios import DRAWS
-from mo_deepdrive.simulator import Simulator
 
 RENDER_MODES = ["rgb_array", "human"]
 _WORLD = np.zeros(1, dtype=np.int64)

@@ -2,23 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass
-from pathlib import Path
-
 import pytest
 
-sys.path.append(str(Path(__file__).parent.parent))  # short_runs, sweep_files
-
-from sweep_files import LONG, run_sweep, write_sweep
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A sweep's file, and the directory of that sweep as this machine makes it without interruption."""
-
-    file: Path
-    directory: Path
+from tests.helpers.sweep_files import LONG, Reference, run_sweep, write_sweep
 
 
 @pytest.fixture(scope="session")

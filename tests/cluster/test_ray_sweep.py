@@ -13,10 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import Reference
-from short_runs import assert_whole
-from slurm import free_ports
-from sweep_files import (
+
+from tests.helpers.short_runs import assert_whole
+from tests.helpers.slurm import free_ports
+from tests.helpers.sweep_files import (
+    Reference,
     assert_same_sweep,
     begun,
     broken_utility,

@@ -7,7 +7,8 @@ import time
 from pathlib import Path
 
 import pytest
-from slurm import SlurmCluster, slurm_cluster, unavailable
+
+from tests.helpers.slurm import SlurmCluster, slurm_cluster, unavailable
 
 pytestmark = pytest.mark.skipif(bool(unavailable()), reason=unavailable() or "available")
 

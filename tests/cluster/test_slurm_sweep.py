@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import Reference
-from slurm import SlurmCluster, slurm_cluster, unavailable
-from sweep_files import (
+
+from tests.helpers.slurm import SlurmCluster, slurm_cluster, unavailable
+from tests.helpers.sweep_files import (
+    Reference,
     assert_same_sweep,
     begun,
     broken_utility,

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.evaluation import evaluate, evaluate_each
+from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.evaluation.evaluate import evaluate, evaluate_each
 from algorithms.peers import PEERS, Task
 from algorithms.peers.environment import Recorder
 from algorithms.peers.task import Policies
-from algorithms.worlds import Worlds, make_env
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
 

@@ -11,13 +11,13 @@ from typing import Any
 import mo_gymnasium
 import numpy as np
 import pytest
-from faces import ACTION_TYPES, Drive, Episode, Report, assert_same, begin, play_parallel, record
 from gymnasium.error import ResetNeeded
 from mo_gymnasium.wrappers import LinearReward
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.envs.parallel import DrivingParallelEnv
 from mo_deepdrive.utilities import make_utility
+from tests.helpers.interfaces import ACTION_TYPES, Drive, Episode, Report, assert_same, begin, play_parallel, record
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
 

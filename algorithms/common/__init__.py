@@ -1,0 +1,1 @@
+"""What the algorithms share: environment adapter, rollouts, networks, advantages, checkpoints, Pareto indicators."""

@@ -1,0 +1,60 @@
+"""Checkpoints: named tensors and an identity in one safetensors file; no code runs from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as to_safetensors
+
+from algorithms.common.atomic_io import atomic_write
+
+FORMAT = 1
+POLICY_ONLY = "policy_only"  # stated by files that hold the policy alone
+
+
+def below(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """The entries whose names start with ``prefix``, without it."""
+    return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
+
+
+def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], identity: Mapping[str, Any]) -> None:
+    """Write named tensors and the identity of what they belong to, atomically."""
+    plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+    metadata = {"checkpoint": json.dumps({"format": FORMAT, **identity})}
+    atomic_write(Path(path), to_safetensors(plain, metadata=metadata))
+
+
+def read_checkpoint(
+    path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """The tensors of a checkpoint and the identity that it states.
+
+    Args:
+        path: the file.
+        identity: what the reader is; every entry must be the same in the file.
+        may_differ: entries that need not be.
+        whole: refuse a file that holds the policy alone.
+
+    Raises:
+        ValueError: if the file is missing or broken, its identity differs, or it lacks what must be whole.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            found = json.loads((file.metadata() or {}).get("checkpoint", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError, json.JSONDecodeError) as error:
+        raise ValueError(f"checkpoint {path} cannot be read: {error}") from None
+    if whole and found.get(POLICY_ONLY):
+        raise ValueError(
+            f"checkpoint {path} holds the policy alone, as those of the zoo do: it can drive, "
+            "but training cannot be resumed from it"
+        )
+    for key, value in {"format": FORMAT, **identity}.items():
+        if key not in may_differ and found.get(key) != value:
+            raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
+    return tensors, found

@@ -1,0 +1,169 @@
+"""PCN's store of episodes: what it imitates, and where its commands come from (Reymond et al. 2022, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from algorithms.common.pareto import crowding_distances, non_dominated, spread
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of T decisions.
+
+    Attributes:
+        observations: (T, o) what each action was taken on.
+        actions: (T,) or (T, k).
+        returns: (T, d) discounted return from each decision on; the first is the episode's.
+    """
+
+    observations: NDArray[np.float32]
+    actions: NDArray
+    returns: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.returns)
+
+
+def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
+    """(T, d) discounted sums R_t = r_t + gamma R_{t+1} of ``rewards`` (T, d)."""
+    returns = rewards.astype(np.float64)
+    for t in range(len(returns) - 2, -1, -1):
+        returns[t] += gamma * returns[t + 1]
+    return returns.astype(np.float32)
+
+
+class Store:
+    """The best episodes seen: close to the non-dominated ones, and not all alike.
+
+    An episode's score is minus its distance to the nearest non-dominated return, in units of ``scales``. The distance
+    of all but the first of equal returns is a little larger, and it counts twice where the crowding distance is at
+    most ``crowding``. The worst scores leave when there are more than ``capacity`` episodes. Where more than that are
+    not dominated at all, those stay that cover them.
+
+    Args:
+        capacity: episodes kept.
+        scales: (d,) nominal size of each objective's return.
+        crowding: crowding distance below which episodes are too much alike.
+    """
+
+    REPEATED = 1e-5  # units of ``scales``
+
+    def __init__(self, capacity: int, scales: NDArray[np.float32], crowding: float):
+        self.capacity = capacity
+        self.scales = np.asarray(scales, dtype=np.float64)
+        self.crowding = crowding
+        self.episodes: list[Episode] = []
+        self._arrays: dict[str, NDArray] = {}
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    @property
+    def returns(self) -> NDArray[np.float64]:
+        """(E, d) discounted return of every episode."""
+        return np.array([episode.returns[0] for episode in self.episodes], dtype=np.float64)
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """(E,) decisions of every episode."""
+        return np.array([len(episode) for episode in self.episodes], dtype=np.int64)
+
+    def add(self, episodes: list[Episode]) -> None:
+        """Take in ``episodes`` and keep the best."""
+        self.episodes += episodes
+        if len(self.episodes) > self.capacity:
+            kept = self.best()
+            if len(kept) < self.capacity:
+                kept = np.argsort(-self.scores(), kind="stable")[: self.capacity]
+            else:
+                kept = kept[spread(self.returns[kept], self.capacity, self.scales)]
+            self.episodes = [self.episodes[i] for i in kept]
+        self._arrays = {}
+
+    def scores(self) -> NDArray[np.float64]:
+        """(E,) how much each episode is worth keeping; at most 0."""
+        points = self.returns / self.scales
+        best = points[non_dominated(points)]
+        gaps = np.array([np.linalg.norm(best - point, axis=1).min() for point in points])
+        _, first = np.unique(points, axis=0, return_index=True)
+        repeated = np.ones(len(points), dtype=np.bool_)
+        repeated[first] = False
+        gaps[repeated] += self.REPEATED
+        gaps[crowding_distances(points) <= self.crowding] *= 2.0
+        return -gaps
+
+    def best(self) -> NDArray[np.intp]:
+        """Indices of the episodes with non-dominated returns.
+
+        Raises:
+            ValueError: if the store is empty.
+        """
+        if not self.episodes:
+            raise ValueError("the store holds no episode yet: train first, or load a checkpoint")
+        return np.flatnonzero(non_dominated(self.returns))
+
+    def attained(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """(K, d) discounted returns and (K,) decisions of the episodes with non-dominated returns.
+
+        Raises:
+            ValueError: if the store is empty.
+        """
+        best = self.best()
+        return self.returns[best], self.lengths[best]
+
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(d,) least and greatest return from any decision on, which is what a command may ask for."""
+        returns = self._flat()["returns"]
+        return returns.min(axis=0), returns.max(axis=0)
+
+    def sample(self, count: int, generator: torch.Generator) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Observations (n, o), actions, returns from there (n, d) and decisions left (n,) of random decisions.
+
+        Every episode is as likely as every other, whatever its length.
+        """
+        flat = self._flat()
+        lengths = flat["lengths"]
+        chosen = torch.randint(len(lengths), (count,), generator=generator).numpy()
+        t = (torch.rand(count, generator=generator).numpy() * lengths[chosen]).astype(np.int64)
+        rows = flat["starts"][chosen] + t
+        left = (lengths[chosen] - t).astype(np.float32)
+        return flat["observations"][rows], flat["actions"][rows], flat["returns"][rows], left
+
+    def _flat(self) -> dict[str, NDArray]:
+        if not self._arrays:
+            lengths = self.lengths
+            self._arrays = {
+                name: np.concatenate([getattr(episode, name) for episode in self.episodes])
+                for name in ("observations", "actions", "returns")
+            }
+            self._arrays |= {"lengths": lengths, "starts": np.cumsum(lengths) - lengths}
+        return self._arrays
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """All episodes as a few tensors."""
+        if not self.episodes:
+            return {}
+        names = ("observations", "actions", "returns", "lengths")
+        return {name: torch.from_numpy(np.ascontiguousarray(self._flat()[name])) for name in names}
+
+    def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: if a part of the state is missing.
+        """
+        self.episodes, self._arrays = [], {}
+        if state:
+            names = ("observations", "actions", "returns")
+            missing = [name for name in (*names, "lengths") if name not in state]
+            if missing:
+                raise ValueError(f"the state of the store lacks {', '.join(missing)}")
+            ends = np.cumsum(state["lengths"].numpy())[:-1]
+            columns = [np.split(state[name].numpy(), ends) for name in names]
+            self.episodes = [Episode(*parts) for parts in zip(*columns, strict=True)]

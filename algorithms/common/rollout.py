@@ -1,0 +1,199 @@
+"""The one collection loop: per step one forward pass, one sample and one step of all worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from algorithms.common.accrued_reward import History
+from algorithms.common.env_adapter import Worlds
+
+# From observations (N, V, o) and what the episodes have come to, to actions (N, V) or (N, V, k).
+Act = Callable[[NDArray[np.float32], History], NDArray]
+
+
+@dataclass
+class Rollout:
+    """T steps of N worlds with V vehicles, time-major.
+
+    Attributes:
+        observations: (T + 1, N, V, o); the last is what follows the rollout.
+        final: (T, N, V, o) true observations after each step where a vehicle's episode ended there, else undefined.
+        actions: (T, N, V) or (T, N, V, k).
+        rewards: (T, N, V, d).
+        accrued: (T + 1, N, V, d) accrued reward R_t of the running episode (before each step).
+        discounts: (T + 1, N, V) gamma^t of the running episode.
+        terminated, truncated, acted: (T, N, V); samples that did not act carry no information.
+    """
+
+    observations: torch.Tensor
+    final: torch.Tensor
+    actions: torch.Tensor
+    rewards: torch.Tensor
+    accrued: torch.Tensor
+    discounts: torch.Tensor
+    terminated: torch.Tensor
+    truncated: torch.Tensor
+    acted: torch.Tensor
+
+    def of_vehicle(self, v: int, device: torch.device) -> VehicleRollout:
+        """The part of vehicle ``v``: every tensor without the vehicle axis, on ``device``."""
+        own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
+        others = {
+            name: torch.cat([tensor[:, :, :v], tensor[:, :, v + 1 :]], dim=2).flatten(2).to(device)
+            for name, tensor in (("others", self.observations), ("final_others", self.final))
+        }
+        return VehicleRollout(**own, **others)
+
+
+@dataclass
+class VehicleRollout(Rollout):
+    """One vehicle's part of a rollout: the fields of Rollout without the vehicle axis, and what the others see.
+
+    Attributes:
+        others: (T + 1, N, (V - 1) * o) observations of the other vehicles.
+        final_others: (T, N, (V - 1) * o) their true observations where this vehicle's episode ended, else undefined.
+    """
+
+    others: torch.Tensor
+    final_others: torch.Tensor
+
+
+@dataclass
+class Episodes:
+    """Episodes that ended during a rollout, in order of their end: one row each.
+
+    Attributes:
+        vehicles: (E,) which vehicle.
+        returns: (E, d) undiscounted.
+        discounted: (E, d).
+        lengths: (E,) decisions.
+        succeeded: (E,) whether the goal was reached.
+    """
+
+    vehicles: NDArray[np.int64]
+    returns: NDArray[np.float64]
+    discounted: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    succeeded: NDArray[np.bool_]
+
+
+class Collector:
+    """Steps worlds and keeps what runs on between rollouts: observations, histories, returns.
+
+    Args:
+        worlds: where to act.
+        gamma: discount of the accrued reward.
+        steps: T, length of a rollout.
+    """
+
+    def __init__(self, worlds: Worlds, gamma: float, steps: int):
+        n, v, o, d = worlds.num_envs, worlds.vehicles, worlds.observation_size, len(worlds.objectives)
+        self.worlds = worlds
+        self.gamma = gamma
+        self.steps = steps
+        self.observations = np.zeros((n, v, o), dtype=np.float32)
+        self.history = History.begin(n, v, d)
+        self.returns = np.zeros((n, v, d), dtype=np.float64)
+        # Reused by every rollout; final observations are written only in worlds where an episode ends.
+        self._observations = np.zeros((steps + 1, n, v, o), dtype=np.float32)
+        self._final = np.zeros((steps, n, v, o), dtype=np.float32)
+        action_shape = (worlds.actions,) if worlds.continuous else ()
+        self._actions = np.zeros((steps, n, v, *action_shape), dtype=np.float32 if worlds.continuous else np.int64)
+        self._rewards = np.zeros((steps, n, v, d), dtype=np.float32)
+        self._accrued = np.zeros((steps + 1, n, v, d), dtype=np.float32)
+        self._discounts = np.ones((steps + 1, n, v), dtype=np.float32)
+        self._flags = np.zeros((3, steps, n, v), dtype=np.bool_)
+
+    def reset(self, seed: int) -> None:
+        """Start every world anew."""
+        self.observations = self.worlds.reset(seed)
+        self._restart(np.ones(self.returns.shape[:2], dtype=np.bool_))
+
+    def collect(self, act: Act) -> tuple[Rollout, Episodes]:
+        """Run all worlds for T steps."""
+        ended: list[tuple[NDArray, ...]] = []
+        for t in range(self.steps):
+            self._observations[t] = self.observations
+            self._accrued[t] = self.history.accrued
+            self._discounts[t] = self.history.discounts
+            actions = act(self.observations, self.history)
+            step = self.worlds.step(actions)
+            self._actions[t] = actions
+            self._rewards[t] = step.rewards
+            self._flags[0, t] = step.terminated
+            self._flags[1, t] = step.truncated
+            self._flags[2, t] = step.acted
+            self.history.add(step.rewards, self.gamma)
+            self.returns += step.rewards
+            over = (step.terminated | step.truncated) & step.acted
+            if over.any():
+                rows = over.any(axis=1)
+                self._final[t, rows] = step.final[rows]
+                ended.append(
+                    (
+                        np.nonzero(over)[1],
+                        self.returns[over],
+                        self.history.accrued[over],
+                        self.history.decisions[over],
+                        step.succeeded[over],
+                    )
+                )
+                self._restart(over)
+            if not step.acted.all():
+                self._restart(~step.acted)
+            self.observations = step.observations
+        self._observations[-1] = self.observations
+        self._accrued[-1] = self.history.accrued
+        self._discounts[-1] = self.history.discounts
+        rollout = Rollout(
+            observations=torch.from_numpy(self._observations),
+            final=torch.from_numpy(self._final),
+            actions=torch.from_numpy(self._actions),
+            rewards=torch.from_numpy(self._rewards),
+            accrued=torch.from_numpy(self._accrued),
+            discounts=torch.from_numpy(self._discounts),
+            terminated=torch.from_numpy(self._flags[0]),
+            truncated=torch.from_numpy(self._flags[1]),
+            acted=torch.from_numpy(self._flags[2]),
+        )
+        return rollout, self._episodes(ended)
+
+    def _restart(self, where: NDArray[np.bool_]) -> None:
+        self.history.restart(where)
+        self.returns[where] = 0.0
+
+    def _episodes(self, ended: list[tuple[NDArray, ...]]) -> Episodes:
+        if not ended:
+            d = self.returns.shape[-1]
+            nothing = np.zeros(0, dtype=np.int64)
+            return Episodes(nothing, np.zeros((0, d)), np.zeros((0, d)), nothing, np.zeros(0, dtype=np.bool_))
+        columns = [np.concatenate(column) for column in zip(*ended, strict=True)]
+        return Episodes(columns[0], columns[1], columns[2].astype(np.float64), columns[3], columns[4])
+
+    def _own(self) -> dict[str, NDArray]:
+        history = self.history
+        return {
+            "observations": self.observations,
+            "accrued": history.accrued,
+            "discounts": history.discounts,
+            "returns": self.returns,
+            "lengths": history.decisions,
+        }
+
+    def get_state(self) -> dict[str, NDArray]:
+        """What runs on between rollouts, the worlds included."""
+        own = {name: array.copy() for name, array in self._own().items()}
+        return {**own, **{f"worlds.{name}": array for name, array in self.worlds.get_state().items()}}
+
+    def set_state(self, state: dict[str, NDArray]) -> None:
+        """Resume from :meth:`get_state`."""
+        for name, array in self._own().items():
+            array[...] = state[name]
+        worlds = {name.removeprefix("worlds."): array for name, array in state.items() if name.startswith("worlds.")}
+        if worlds:
+            self.worlds.set_state(worlds)

@@ -1,0 +1,223 @@
+"""A front: the policies that a multi-policy algorithm found, as re-evaluation shows them, never as training hoped."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
+from algorithms.common.pareto import non_dominated
+from algorithms.evaluation.statistics import bootstrap
+
+if TYPE_CHECKING:
+    from algorithms.evaluation.evaluate import Evaluation
+
+FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"
+
+
+@dataclass(frozen=True)
+class Front:
+    """K re-evaluated policies, all objectives maximised.
+
+    Attributes:
+        objectives: names of the d components.
+        returns: (K, d) mean undiscounted return of each policy.
+        low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to them where no episode differs.
+        discounted: (K, d) mean return discounted with ``gamma``, which dominance and indicators go by.
+        success: (K,) share of the episodes that reached the goal; NaN where the environment does not say.
+        length: (K,) mean number of decisions.
+        conditions: (K, m) what makes each policy: PCN's command, another algorithm's weights; m may be 0.
+        condition_names: of the m columns.
+        gamma: discount of ``discounted``.
+        episodes: per policy.
+        seed: of the first episode.
+    """
+
+    objectives: tuple[str, ...]
+    returns: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    discounted: NDArray[np.float64]
+    success: NDArray[np.float64]
+    length: NDArray[np.float64]
+    conditions: NDArray[np.float64]
+    condition_names: tuple[str, ...]
+    gamma: float
+    episodes: int
+    seed: int
+
+    @classmethod
+    def of_episodes(
+        cls,
+        objectives: Sequence[str],
+        returns: ArrayLike,
+        discounted: ArrayLike,
+        lengths: ArrayLike,
+        succeeded: ArrayLike | None,
+        conditions: ArrayLike | None = None,
+        condition_names: Sequence[str] = (),
+        *,
+        gamma: float,
+        seed: int,
+    ) -> Front:
+        """The means and intervals of K policies over E episodes each.
+
+        Args:
+            objectives: d names.
+            returns, discounted: (K, E, d).
+            lengths: (K, E) decisions.
+            succeeded: (K, E), or None where the environment does not say.
+            conditions, condition_names: (K, m) and m names; None for none.
+            gamma, seed: of the evaluation.
+
+        Raises:
+            ValueError: if there is no policy or no episode, or a shape does not fit.
+        """
+        returns = np.asarray(returns, dtype=np.float64)
+        discounted, lengths = np.asarray(discounted, dtype=np.float64), np.asarray(lengths, dtype=np.float64)
+        if returns.ndim != 3 or not returns.size or returns.shape[2] != len(objectives):
+            raise ValueError(
+                f"returns have shape {returns.shape}; expected (policies, episodes, {len(objectives)}), none of them 0"
+            )
+        k, e, _ = returns.shape
+        reached = np.full((k, e), np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64)
+        chosen = np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64)
+        shapes = {
+            "discounted": (discounted.shape, returns.shape),
+            "lengths": (lengths.shape, (k, e)),
+            "succeeded": (reached.shape, (k, e)),
+            "conditions": (chosen.shape, (k, len(condition_names))),
+        }
+        for name, (shape, expected) in shapes.items():
+            if shape != expected:
+                raise ValueError(f"{name} has shape {shape}; expected {expected}")
+        mean = returns.mean(axis=1)
+        low, high = bootstrap(returns.swapaxes(0, 1)) if e > 1 else (mean.copy(), mean.copy())
+        return cls(
+            objectives=tuple(objectives),
+            returns=mean,
+            low=low,
+            high=high,
+            discounted=discounted.mean(axis=1),
+            success=reached.mean(axis=1),
+            length=lengths.mean(axis=1),
+            conditions=chosen,
+            condition_names=tuple(condition_names),
+            gamma=gamma,
+            episodes=e,
+            seed=seed,
+        )
+
+    @classmethod
+    def of_evaluations(
+        cls,
+        evaluations: Sequence[Evaluation],
+        conditions: ArrayLike | None = None,
+        condition_names: Sequence[str] = (),
+        *,
+        gamma: float,
+        seed: int,
+    ) -> Front:
+        """The front of K policies of one vehicle, evaluated on the same seeds; arguments as of :meth:`of_episodes`."""
+        returns, discounted, lengths, succeeded, ends = (
+            np.stack([getattr(each, name)[:, 0] for each in evaluations])
+            for name in ("returns", "discounted", "lengths", "succeeded", "ends")
+        )
+        says = any(end is not None for end in ends.flat) or bool(succeeded.any())
+        return cls.of_episodes(
+            evaluations[0].objectives,
+            returns,
+            discounted,
+            lengths,
+            succeeded if says else None,
+            conditions,
+            condition_names,
+            gamma=gamma,
+            seed=seed,
+        )
+
+    def __len__(self) -> int:
+        return len(self.returns)
+
+    def take(self, indices: ArrayLike) -> Front:
+        """The policies at ``indices`` (or under a mask), in this order."""
+        rows = np.asarray(indices)
+        names = ("returns", "low", "high", "discounted", "success", "length", "conditions")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    def non_dominated(self) -> Front:
+        """The policies that no other dominates, by the discounted return of the first objective, least first."""
+        kept = self.take(np.flatnonzero(non_dominated(self.discounted)))
+        return kept.take(np.argsort(kept.discounted[:, 0], kind="stable"))
+
+    def rows(self) -> list[dict[str, float]]:
+        """One mapping per policy, of the columns of ``front.csv``."""
+        return [dict(zip(self._columns(), row, strict=True)) for row in self._table().tolist()]
+
+    def _columns(self) -> list[str]:
+        per_objective = [
+            f"{prefix}/{name}{end}"
+            for prefix, end in (("return", ""), ("return", "/low"), ("return", "/high"), ("discounted_return", ""))
+            for name in self.objectives
+        ]
+        return ["policy", "success", "length", *per_objective, *(f"condition/{name}" for name in self.condition_names)]
+
+    def _table(self) -> NDArray[np.float64]:
+        blocks = (self.returns, self.low, self.high, self.discounted, self.conditions)
+        return np.column_stack([np.arange(len(self)), self.success, self.length, *blocks])
+
+    def write(self, directory: str | Path, about: Mapping[str, Any]) -> None:
+        """Write ``front.csv``, one row per policy, and ``evaluation.json``: what the numbers are of, and ``about``.
+
+        Raises:
+            OSError: if a file cannot be written; each is whole or untouched.
+        """
+        rows: list[list[Any]] = [self._columns(), *([int(row[0]), *row[1:]] for row in self._table().tolist())]
+        atomic_write(Path(directory) / FRONT_FILE, csv_bytes(rows))
+        own = {"gamma": self.gamma, "episodes": self.episodes, "seed": self.seed}
+        write_json(Path(directory) / EVALUATION_FILE, {**about, **own, "objectives": list(self.objectives)})
+
+    @classmethod
+    def read(cls, directory: str | Path) -> Front:
+        """The front that :meth:`write` left in ``directory``.
+
+        Raises:
+            ValueError: if there is none, or it is broken.
+        """
+        path = Path(directory) / FRONT_FILE
+        try:
+            about = json.loads((Path(directory) / EVALUATION_FILE).read_text())
+            with path.open(newline="") as file:
+                header, *rows = csv.reader(file)
+            columns = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), -1).T, strict=True))
+            objectives = tuple(about["objectives"])
+            names = tuple(name.removeprefix("condition/") for name in header if name.startswith("condition/"))
+
+            def block(prefix: str, of: tuple[str, ...], end: str = "") -> NDArray[np.float64]:
+                return np.stack([columns[f"{prefix}/{name}{end}"] for name in of], axis=1)
+
+            return cls(
+                objectives=objectives,
+                returns=block("return", objectives),
+                low=block("return", objectives, "/low"),
+                high=block("return", objectives, "/high"),
+                discounted=block("discounted_return", objectives),
+                success=columns["success"],
+                length=columns["length"],
+                conditions=block("condition", names) if names else np.zeros((len(rows), 0)),
+                condition_names=names,
+                gamma=float(about["gamma"]),
+                episodes=int(about["episodes"]),
+                seed=int(about["seed"]),
+            )
+        except FileNotFoundError as error:
+            raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None

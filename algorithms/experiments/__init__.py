@@ -1,0 +1,1 @@
+"""What is run: configs, run directories, loggers, training, jobs and worker processes."""

@@ -1,0 +1,365 @@
+"""An experiment as data: typed YAML, overrides in the form that sweep agents emit, errors before anything starts."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import gymnasium
+import mo_gymnasium  # noqa: F401  (registers its ids)
+import torch
+from gymnasium.envs.registration import EnvSpec
+from pydantic import BeforeValidator, Field
+
+import mo_deepdrive
+from algorithms import ALGORITHMS
+from algorithms.common.yaml_io import read_mapping, read_value
+from algorithms.peers import PEERS
+from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
+
+SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
+
+
+def _whole(value: Any) -> Any:
+    """1e6 is how people write a million; 1.5 steps stay an error."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Count = Annotated[int, BeforeValidator(_whole), Field(ge=1)]
+
+
+class EnvironmentSettings(Settings):
+    """Where to learn.
+
+    Attributes:
+        id: a registered Gymnasium id with vector rewards; "module:id" imports the module first.
+        arguments: keyword arguments of the environment.
+    """
+
+    id: str
+    arguments: dict[str, Any] = {}
+
+
+class UtilitySettings(UtilityChoice):
+    """What to maximise.
+
+    Attributes:
+        name, arguments: the utility of every vehicle.
+        vehicles: vehicles that have another one, as "vehicle_0" or "vehicle_1".
+    """
+
+    vehicles: dict[str, UtilityChoice] = {}
+
+    def of_vehicle(self, v: int) -> UtilityChoice:
+        """The utility of vehicle ``v``."""
+        return self.vehicles.get(f"vehicle_{v}", self)
+
+
+class TrainingSettings(Settings):
+    """How long and on what.
+
+    Attributes:
+        total_timesteps: environment steps, over all parallel environments together.
+        num_envs: parallel environments.
+        seed: determines everything random in training.
+        device: where the networks live, as torch names it.
+        threads: threads of torch; more than one rarely pays for networks of this size.
+    """
+
+    total_timesteps: Count
+    num_envs: Count
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    device: str = "cpu"
+    threads: int = Field(default=1, ge=1, le=1024)
+
+
+class EvaluationSettings(Settings):
+    """How the policy is measured, apart from how it learns.
+
+    Attributes:
+        interval: environment steps between evaluations during training; None for a twentieth of the training.
+        episodes: episodes of each of these evaluations.
+        final_episodes: episodes of the evaluation at the end.
+        seed: of the first evaluation episode; training draws its own seeds from 2**32 on.
+        gamma: discount of the discounted returns reported.
+        reference_point: of a front's hypervolume, one number per objective; None for the agreed one of our
+            environments, and for none elsewhere.
+    """
+
+    interval: Count | None = None
+    episodes: Count = 100
+    final_episodes: Count = 200
+    seed: int = Field(default=1_000_000, ge=0, lt=2**31)
+    gamma: float = Field(default=0.99, ge=0.0, le=1.0)
+    reference_point: list[float] | None = None
+
+
+class WandbSettings(Settings):
+    """Weights & Biases, for those who ask.
+
+    Attributes:
+        project, entity, group, tags: where the run goes and how it is filed.
+        mode: "online", which falls back to offline where there is no key or network; or "offline".
+    """
+
+    project: str
+    entity: str | None = None
+    group: str | None = None
+    tags: list[str] = []
+    mode: Literal["online", "offline"] = "online"
+
+
+class LoggingSettings(Settings):
+    """What is written while training; metrics.csv and TensorBoard always are.
+
+    Attributes:
+        interval: updates between two rows of training metrics.
+        checkpoint_interval: environment steps between checkpoints; None for a twentieth of the training.
+        pictures: draw the curves and film the policy at the end.
+        wandb: Weights & Biases too; None for not.
+    """
+
+    interval: Count = 10
+    checkpoint_interval: Count | None = None
+    pictures: bool = True
+    wandb: WandbSettings | None = None
+
+
+class Experiment(Settings):
+    """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default.
+
+    Attributes:
+        utility: for algorithms that learn for a known utility; None for those that learn a front.
+        algorithm: "name" (a key of ``algorithms.ALGORITHMS`` or ``algorithms.peers.PEERS``) and that algorithm's
+            hyperparameters.
+    """
+
+    environment: EnvironmentSettings
+    utility: UtilitySettings | None = None
+    algorithm: dict[str, Any]
+    training: TrainingSettings
+    evaluation: EvaluationSettings = EvaluationSettings()
+    logging: LoggingSettings = LoggingSettings()
+
+    @property
+    def known_utility(self) -> bool:
+        """Whether the algorithm learns for a known utility, or a front for every utility."""
+        return bool(_known(self.algorithm["name"]).known_utility)
+
+    @property
+    def hyperparameters(self) -> dict[str, Any]:
+        """The algorithm's settings without its name."""
+        return {key: value for key, value in self.algorithm.items() if key != "name"}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that :func:`make_experiment` turns into an equal experiment."""
+        return self.model_dump(mode="json")
+
+
+def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Read an experiment from a YAML file.
+
+    Args:
+        path: the file.
+        overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
+            ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into what
+            is there. The last of several for the same key counts.
+
+    Raises:
+        ValueError: naming every unknown key with the nearest known one, every value of a wrong type or out of range;
+            or what is wrong with the file or an override.
+    """
+    values = read_mapping(path)
+    for key, value in parse_overrides(overrides):
+        override(values, key, value)
+    return make_experiment(values, f"experiment {str(path)!r}")
+
+
+def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
+    """Validate ``values`` and fill in every default, also the environment's and the algorithm's.
+
+    Args:
+        what: the name of ``values`` in messages.
+        here: whether it is for this machine, which must then have the device.
+
+    Raises:
+        ValueError: as :func:`load_experiment`.
+    """
+    experiment = parse(Experiment, values, what)
+    problems: list[str] = []
+
+    def attempt(check: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        try:
+            return check()
+        except ValueError as error:
+            problems.append(str(error))
+            return {}
+
+    arguments = attempt(lambda: _environment_arguments(experiment.environment))
+    algorithm = attempt(lambda: _algorithm(experiment.algorithm))
+    attempt(lambda: _check_device(experiment.training.device, here))
+    if algorithm:
+        attempt(lambda: _check_utility(experiment))
+    reference: dict[str, Any] = {}
+    if algorithm and arguments and not experiment.known_utility:
+        reference = attempt(lambda: _reference_point(experiment, arguments))
+    if problems:
+        raise ValueError(f"invalid {what}: " + "; ".join(problems))
+    twentieth = max(1, experiment.training.total_timesteps // 20)
+    evaluation, logging = experiment.evaluation, experiment.logging
+    return experiment.model_copy(
+        update={
+            "environment": experiment.environment.model_copy(update={"arguments": arguments}),
+            "algorithm": algorithm,
+            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or twentieth, **reference}),
+            "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or twentieth}),
+        }
+    )
+
+
+def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
+    """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``.
+
+    Raises:
+        ValueError: for an argument of another form.
+    """
+    pairs: list[tuple[str, Any]] = []
+    rest = list(arguments)
+    while rest:
+        argument = rest.pop(0)
+        key, equals, text = argument.removeprefix("--").partition("=")
+        if not argument.startswith("--") or not all(key.split(".")):
+            raise ValueError(f"argument {argument!r} is not of the form --section.key=value")
+        if not equals:
+            if not rest or rest[0].startswith("--"):
+                raise ValueError(f"argument {argument!r} has no value; write {argument}=VALUE")
+            text = rest.pop(0)
+        try:
+            value = read_value(text)
+        except ValueError as error:
+            raise ValueError(f"argument --{key}: {error}") from None
+        pairs.append((SHORT_FORMS.get(key, key), value))
+    return pairs
+
+
+def override(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set ``section.key`` in ``values``; a mapping is merged into what is there.
+
+    Raises:
+        ValueError: if the way to the key leads through something that is not a section.
+    """
+    *sections, last = key.split(".")
+    for depth, name in enumerate(sections):
+        if values.get(name) is None:
+            values[name] = {}
+        values = values[name]
+        if not isinstance(values, dict):
+            raise ValueError(f"argument --{key}: {'.'.join(sections[: depth + 1])} = {values!r} is not a section")
+    if isinstance(value, dict) and isinstance(values.get(last), dict):
+        for name, inner in value.items():
+            override(values[last], str(name), inner)
+    else:
+        values[last] = value
+
+
+def find_environment(env_id: str) -> EnvSpec:
+    """The registered specification of ``env_id``, which may be of the form "module:id".
+
+    Raises:
+        ValueError: if the module cannot be imported, or naming the nearest id.
+    """
+    module, _, name = env_id.rpartition(":")
+    if module:
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise ValueError(f"environment.id = {env_id!r}: cannot import {module!r}: {error}") from None
+    if name not in gymnasium.registry:
+        ours = ("mo_deepdrive.", "mo_gymnasium.")
+        known = [
+            spec.id
+            for spec in gymnasium.registry.values()
+            if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
+        ]
+        raise ValueError(f"environment.id = {env_id!r} is not registered; {nearest(name, known)}")
+    return gymnasium.registry[name]
+
+
+def is_ours(spec: EnvSpec) -> bool:
+    """Whether an environment is one of this package's, configured by EnvConfig."""
+    return str(spec.vector_entry_point).startswith("mo_deepdrive.")
+
+
+def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
+    spec = find_environment(settings.id)
+    if not is_ours(spec):
+        return dict(settings.arguments)
+    what = f"environment.arguments of {settings.id}"
+    if "scenario" in settings.arguments:
+        raise ValueError(f"invalid {what}: 'scenario' is set by the id; choose another id instead")
+    config = parse(EnvConfig, {**spec.kwargs, **settings.arguments}, what)
+    return config.model_dump(mode="json", exclude={"scenario"})
+
+
+def _known(name: Any) -> Any:
+    """The class of an algorithm, or the row of another library's."""
+    known: dict[str, Any] = {**ALGORITHMS, **PEERS}
+    if not isinstance(name, str) or name not in known:
+        raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, known)}")
+    return known[name]
+
+
+def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
+    if "name" not in values:
+        raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
+    name = values["name"]
+    rest = {key: value for key, value in values.items() if key != "name"}
+    config = parse(_known(name).Config, rest, f"hyperparameters of algorithm {name!r}")
+    return {"name": name, **config.model_dump(mode="json")}
+
+
+def _check_utility(experiment: Experiment) -> dict[str, Any]:
+    name = experiment.algorithm["name"]
+    if experiment.known_utility and experiment.utility is None:
+        raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
+    if not experiment.known_utility and experiment.utility is not None:
+        raise ValueError(
+            f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
+            "section out (scripts/choose.py applies a utility to the front)"
+        )
+    return {}
+
+
+def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The reference point of a front's hypervolume: the one given, else the agreed one of our environments."""
+    spec = find_environment(experiment.environment.id)
+    given = experiment.evaluation.reference_point
+    if not is_ours(spec):
+        return {"reference_point": given}
+    config = parse(EnvConfig, {**spec.kwargs, **arguments}, "environment arguments")
+    if config.cost_sign != "maximise":
+        raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
+    if given is not None:
+        return {"reference_point": given}
+    try:
+        point = mo_deepdrive.reference_point(
+            config.scenario, config.action_type, experiment.evaluation.gamma, config.objectives
+        )
+    except ValueError as error:
+        raise ValueError(f"evaluation.reference_point must be given: {error}") from None
+    return {"reference_point": point.values.tolist()}
+
+
+def _check_device(name: str, here: bool) -> dict[str, Any]:
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ValueError(f"training.device = {name!r} is no device; write cpu, cuda or cuda:0") from None
+    count = torch.cuda.device_count()
+    if here and device.type == "cuda" and (device.index or 0) >= count:
+        raise ValueError(f"training.device = {name!r} is not there; torch sees {count} CUDA devices")
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f"training.device = {name!r} is not supported; write cpu, cuda or cuda:0")
+    return {}

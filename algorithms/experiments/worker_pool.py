@@ -1,0 +1,190 @@
+"""Worker processes for many runs on one machine; the death of one costs nothing but its time since the checkpoint."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
+from pathlib import Path
+from typing import Any
+
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.jobs import Failed, Job, Outcome, describe, perform
+from algorithms.experiments.run_directory import InUse, Run
+from algorithms.experiments.training import DiskFull, Stopped
+
+POLL = 0.25  # s
+BUSY = 2.0  # s after which a run that another process holds is tried again
+DIED = "its worker process died (out of memory, or killed)"
+
+
+def _perform(packed: dict[str, Any]) -> Outcome:
+    """:func:`perform` in a worker process; its errors travel."""
+    try:
+        outcome = perform(Job.unpack(packed))
+    except (InUse, Stopped):
+        raise
+    except Exception as error:
+        raise Failed(describe(error)) from None
+    if outcome == "stopped":
+        os._exit(130)  # everything is saved; a worker that lived on would take the next job
+    return outcome
+
+
+def _begin_worker() -> None:
+    """Make a worker obey its parent alone: SIGTERM stops it, and so does the parent's end.
+
+    Batch systems send their signals to every process of a job.
+    """
+    if os.name == "posix":
+        os.setsid()
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Processes that begin in the context never see Ctrl-C; this one sees it afterwards."""
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Workers:
+    """Worker processes that each take one job at a time; the death of one leaves the others alone."""
+
+    def __init__(self, count: int):
+        self._idle = [self._executor() for _ in range(count)]
+        self._busy: dict[Future[Outcome], tuple[ProcessPoolExecutor, Job]] = {}
+
+    @staticmethod
+    def _executor() -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin_worker)
+
+    @property
+    def free(self) -> bool:
+        """Whether a worker waits for a job."""
+        return bool(self._idle)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is going on."""
+        return bool(self._busy)
+
+    def start(self, job: Job) -> None:
+        """Give a job to a free worker."""
+        executor = self._idle.pop()
+        with _interrupts_held():
+            self._busy[executor.submit(_perform, job.packed())] = executor, job
+
+    def ended(self, timeout: float) -> list[tuple[Job, BaseException | None]]:
+        """The jobs that end within ``timeout`` seconds, each with its error."""
+        done, _ = wait(self._busy, timeout, FIRST_COMPLETED)
+        found = []
+        for future in done:
+            executor, job = self._busy.pop(future)
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                executor.shutdown()
+                executor = self._executor()
+            self._idle.append(executor)
+            found.append((job, error))
+        return found
+
+    def close(self) -> None:
+        """Stop what is going on, which saves it, and end the workers."""
+        if self._busy:
+            for process in multiprocessing.active_children():
+                process.terminate()  # SIGTERM, at which training saves
+        for executor in [*self._idle, *(executor for executor, _ in self._busy.values())]:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+def perform_all(
+    jobs: Sequence[Job],
+    workers: int,
+    monitor: Monitor,
+    *,
+    retries: int = 0,
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[Job, str]:
+    """Make the runs that are missing, ``workers`` at a time, each in a worker process.
+
+    Runs that other processes are making are waited for.
+
+    Args:
+        jobs: those that are done are passed over.
+        workers: processes.
+        monitor: shows the progress.
+        retries: how often a run is tried again whose worker died or could not write; other errors would only repeat.
+        stop: asked several times a second; True saves what is going on and returns.
+
+    Returns:
+        The jobs that failed, each with its error.
+
+    Raises:
+        ValueError: before anything starts, if a directory holds another experiment.
+        DiskFull: when there is no space left; what is going on is stopped.
+    """
+    queue = deque(job for job in jobs if not job.done)
+    failed: dict[Job, str] = {}
+    if not queue:
+        return failed
+    attempts: Counter[Path] = Counter()
+    busy: deque[tuple[float, Job]] = deque()
+    pool = _Workers(min(workers, len(queue)))
+    try:
+        while (queue or busy or pool.busy) and not stop():
+            while busy and busy[0][0] <= time.monotonic():
+                queue.append(busy.popleft()[1])
+            while queue and pool.free:
+                pool.start(queue.popleft())
+            if not pool.busy:
+                time.sleep(POLL)
+            for job, error in pool.ended(POLL):
+                if isinstance(error, DiskFull):
+                    raise error
+                if isinstance(error, InUse):
+                    busy.append((time.monotonic() + BUSY, job))
+                elif isinstance(error, (BrokenProcessPool, Stopped, OSError)) and attempts[job.path] < retries:
+                    attempts[job.path] += 1
+                    queue.append(job)
+                elif error is not None:
+                    died = isinstance(error, BrokenProcessPool)
+                    failed[job] = _given_up(job, attempts[job.path] + 1) if died else describe(error)
+                    monitor.failed(job, failed[job])
+            monitor.update()
+    finally:
+        pool.close()
+        monitor.update(now=True)
+    return failed
+
+
+def _given_up(job: Job, attempts: int) -> str:
+    """Note in its directory that a run's worker died; the reason."""
+    reason = DIED + (f", {attempts} times" if attempts > 1 else "")
+    with contextlib.suppress(ValueError, OSError):  # it may have died before there was a directory
+        run = Run.open(job.path)
+        run.set_status("failed", run.status.get("step", 0), reason)
+    return reason

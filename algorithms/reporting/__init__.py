@@ -1,0 +1,1 @@
+"""What is shown: tables, learning curves, figures of fronts, videos."""

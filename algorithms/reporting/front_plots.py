@@ -1,0 +1,309 @@
+"""Pictures of a front: what each policy favours, and how the policies lie to each other."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from algorithms.common.atomic_io import atomic_write
+from algorithms.evaluation.front import Front
+from algorithms.reporting.front_layout import (
+    DIM,
+    FAINT,
+    INK,
+    arrival_names,
+    colour_bar,
+    dot_handles,
+    dots,
+    framed,
+    numbers,
+    what_returns,
+    which_colours,
+    which_policies,
+)
+from algorithms.reporting.front_view import View, apart, label, name_and_unit, principal_components, writer
+from algorithms.reporting.learning_curves import COLOURS, STYLE
+
+BARS = 8  # policies in bars.png
+DPI = 160
+# What the paper calls little of these costs (its figure 7).
+VIRTUES = {"g_force": "comfort", "jerk": "smoothness"}
+
+
+def draw_front(
+    front: Front, directory: str | Path, *, reference_front: NDArray[np.float64] | None = None, title: str = ""
+) -> list[Path]:
+    """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
+
+    Policies carry the same numbers, their rows in ``front.csv``, and the same colours in all of them. Returns are
+    undiscounted, but in scatter.png, which shows what dominance goes by.
+
+    Args:
+        front: K policies of at least two objectives, as written to ``front.csv``.
+        directory: an existing one.
+        reference_front: (k, d) best-known returns, discounted with the front's gamma, to be drawn beneath its own.
+        title: of what the front is, such as the algorithm and the environment.
+
+    Returns:
+        The files, each of which is whole or as it was.
+
+    Raises:
+        ValueError: if there are fewer than two objectives, or the reference front is empty or of another width.
+        OSError: if a file cannot be written.
+    """
+    view = View(front, title)
+    d = len(front.objectives)
+    if reference_front is not None:
+        reference_front = np.asarray(reference_front, dtype=np.float64)
+        if reference_front.ndim != 2 or reference_front.shape[1] != d or not len(reference_front):
+            raise ValueError(f"reference_front has shape {reference_front.shape}; it must be (k, {d}), k at least 1")
+    paths = []
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        pictures = {
+            "importance": _importance(view),
+            "reduction": _reduction(view),
+            "parallel": _parallel(view),
+            "scatter": _scatter(view, reference_front),
+            "bars": _bars(view),
+        }
+        for name, figure in pictures.items():
+            buffer = BytesIO()
+            figure.savefig(buffer, format="png", dpi=DPI)
+            path = Path(directory) / f"{name}.png"
+            atomic_write(path, buffer.getvalue())
+            paths.append(path)
+    return paths
+
+
+def _importance(view: View) -> Figure:
+    """A row of bars per objective: how much of what the front has to offer each policy takes."""
+    front, shown = view.front, view.representatives()
+    notes = (
+        what_returns(view),
+        which_policies(view, shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
+        f"0 and 1: the worst and the best of the {len(front)}" if len(front) > 1 else "",
+        which_colours(view),
+    )
+    d, n = len(front.objectives), len(shown)
+    width = max(8.0, 1.4 + 0.56 * n)
+    figure = framed(view, width, 1.02 * d + 0.5, "importance of the objectives", notes)
+    axes = figure.subplots(d, 1, squeeze=False, sharex=True)[:, 0]
+    for i, (axis, name) in enumerate(zip(axes, front.objectives, strict=True)):
+        values = front.returns[:, i]
+        write = writer(values, name_and_unit(name)[1])
+        axis.set_title(f"{VIRTUES[name]}: {label(name)}" if name in VIRTUES else label(name))
+        axis.set_ylim(0.0, 1.24)
+        axis.grid(visible=False)
+        axis.tick_params(axis="x", length=0)
+        if np.isnan(view.importance[:, i]).any():
+            axis.set_yticks([])
+            same = write(values[0]) + (", the same for every policy" if len(front) > 1 else "")
+            axis.text(0.5, 0.45, same, transform=axis.transAxes, ha="center", va="center", color=DIM)
+            continue
+        heights = view.importance[shown, i]
+        axis.bar(range(n), heights, width=0.74, color=view.colours[shown], zorder=3)
+        for x, height in enumerate(heights):
+            axis.text(x, height + 0.03, f"{height:.2f}", ha="center", va="bottom", fontsize=8)
+        axis.set_yticks([0, 1], [f"{write(values.min())} = 0", f"{write(values.max())} = 1"])
+        axis.axhline(1.0, color="#E4E7EB", linewidth=0.8, zorder=1)
+    ticks = [str(policy) for policy in shown]
+    if view.arrived is not None:
+        ticks = [f"{policy}\n{front.success[policy]:.0%}" for policy in shown]
+    axes[-1].set_xticks(range(n), ticks, color=INK)
+    axes[-1].set_xlim(n / 2 - max(n, 6) / 2 - 0.6, n / 2 + max(n, 6) / 2 - 0.4)
+    axes[-1].set_xlabel("policy" + (", and share of its episodes that arrive" if view.arrived is not None else ""))
+    return figure
+
+
+def _reduction(view: View) -> Figure:
+    """The front in two dimensions, by principal components of the importance of its objectives."""
+    front, shown = view.front, view.representatives()
+    found = principal_components(np.nan_to_num(view.importance))
+    notes = (
+        "principal components of the undiscounted returns, each objective from 0, the front's worst, to 1, its best",
+        which_policies(view, shown),
+    )
+    figure = framed(view, 10.4, 5.2, "the front in two dimensions", notes, dot_handles(view))
+    axis, compass = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
+    dots(axis, view, found.points, 44)
+    if len(shown) < len(front):
+        x, y = found.points[shown].T
+        axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
+    for k, (name, share) in enumerate(zip(("first", "second"), found.explained, strict=True)):
+        text = f"{name} component" + (f" ({share:.0%} of the variance)" if share > 0.0 else " (no variance)")
+        (axis.set_xlabel, axis.set_ylabel)[k](text)
+        low, high = found.points[:, k].min(), found.points[:, k].max()
+        pad = 0.1 * (high - low) if high - low > 1e-9 else 0.5
+        (axis.set_xlim, axis.set_ylim)[k](low - pad, high + pad)
+    colour_bar(figure, view, axis)
+    _loadings(compass, view, found.loadings)
+    figure.draw_without_rendering()  # the layout, which says where things are on paper
+    figure.set_layout_engine("none")
+    numbers(figure, axis, found.points, shown)
+    return figure
+
+
+def _loadings(axis: Axes, view: View, loadings: NDArray[np.float64]) -> None:
+    """An arrow per objective: what the components are made of."""
+    angles = np.linspace(0.0, 2 * np.pi, 181)
+    axis.plot(np.cos(angles), np.sin(angles), color=FAINT, linewidth=0.9, zorder=1)
+    handles = []
+    for i, (name, arrow) in enumerate(zip(view.front.objectives, loadings, strict=True)):
+        colour, text = COLOURS[i % len(COLOURS)], name_and_unit(name)[0]
+        text += " (no variance)" if np.isnan(view.importance[:, i]).any() else ""
+        if np.hypot(*arrow) > 0.01:
+            style = {"arrowstyle": "-|>", "color": colour, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
+            axis.annotate("", xy=(arrow[0], arrow[1]), xytext=(0.0, 0.0), arrowprops=style, zorder=3)
+        handles.append(Line2D([], [], color=colour, linewidth=2.4, label=text))
+    axis.set_title("Loadings of the components")
+    axis.set_aspect("equal")
+    axis.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08), xlabel="first component", ylabel="second component")
+    axis.yaxis.set_label_position("right")
+    axis.set_xticks([-1, 0, 1])
+    axis.set_yticks([-1, 0, 1])
+    axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False, fontsize=9)
+
+
+def _parallel(view: View) -> Figure:
+    """A line per policy across one axis per objective, in real units, better up."""
+    front, shown = view.front, view.representatives()
+    d = len(front.objectives)
+    handles = [
+        Line2D([], [], color=INK, linewidth=1.8, linestyle="-" if there else "--", label=name)
+        for name, there in zip(arrival_names(view), (True, False), strict=True)
+        if view.arrived is not None and there in view.arrived
+    ]
+    notes = (
+        what_returns(view),
+        "better is up",
+        which_policies(view, shown) + (", strong" if len(shown) < len(front) else ""),
+    )
+    figure = framed(view, max(8.0, 2.3 * d + 1.5), 4.6, "policies across objectives", notes, handles)
+    axis = figure.subplots()
+    heights = np.where(np.isnan(view.importance), 0.5, view.importance)
+    for policy in [*np.setdiff1d(np.arange(len(front)), shown), *shown]:
+        strong = policy in shown
+        axis.plot(
+            range(d),
+            heights[policy],
+            "-" if view.arrived is None or view.arrived[policy] else "--",
+            color=view.colours[policy],
+            linewidth=2.1 if strong else 0.9,
+            alpha=1.0 if strong else 0.45,
+            zorder=3 if strong else 2,
+        )
+    style: dict[str, Any] = {"ha": "center", "fontsize": 9.5, "color": INK}
+    for i, name in enumerate(front.objectives):
+        values = front.returns[:, i]
+        write = writer(values, name_and_unit(name)[1])
+        axis.plot((i, i), (-0.02, 1.02), color=DIM, linewidth=1.3, zorder=4)
+        axis.text(i, 1.12, label(name), va="bottom", fontweight="bold", **style)
+        if np.isnan(view.importance[:, i]).any():
+            axis.text(i, 1.045, ("always " if len(front) > 1 else "") + write(values[0]), va="bottom", **style)
+        else:
+            axis.text(i, 1.045, write(values.max()), va="bottom", **style)
+            axis.text(i, -0.045, write(values.min()), va="top", **style)
+    # Numbers go to the end that tells more lines apart.
+    side, out = (0, -1) if len(set(heights[shown, 0])) >= len(set(heights[shown, -1])) else (d - 1, 1)
+    ends = heights[shown, side]
+    style = {"ha": "right" if out < 0 else "left", "va": "center_baseline", "fontsize": 8.5, "fontweight": "bold"}
+    for policy, end, place in zip(shown, ends, apart(ends, 0.052, (0.0, 1.0)), strict=True):
+        axis.plot((side, side + 0.07 * out), (end, place), color=DIM, linewidth=0.7, zorder=2)
+        axis.text(side + 0.09 * out, place, str(policy), **style)
+    axis.set(xlim=(-0.4, d - 0.6), ylim=(-0.12, 1.2))
+    axis.set_axis_off()
+    colour_bar(figure, view, axis)
+    return figure
+
+
+def _scatter(view: View, reference_front: NDArray[np.float64] | None) -> Figure:
+    """Every pair of objectives, by the discounted returns that dominance goes by."""
+    front = view.front
+    d = len(front.objectives)
+    panel = {2: 5.2, 3: 3.4, 4: 2.7}.get(d, 2.3)  # inches
+    handles = dot_handles(view)
+    if reference_front is not None:
+        name = f"best-known front ({len(reference_front)} point{'' if len(reference_front) == 1 else 's'})"
+        handles.append(Line2D([], [], color=FAINT, marker="D", linestyle="", markersize=5, label=name))
+    notes = (
+        f"returns discounted with gamma {front.gamma:g}, by which dominance is judged",
+        f"{len(front)} polic{'y' if len(front) == 1 else 'ies'}",
+        "colour: undiscounted " + view.leading_name if which_colours(view) else "",
+    )
+    width, height = max(panel * (d - 1) + 1.9, 6.6), 0.86 * panel * (d - 1) + 0.4
+    figure = framed(view, width, height, "pairs of objectives", notes, handles)
+    axes: Any = figure.subplots(d - 1, d - 1, squeeze=False, sharex="col", sharey="row")
+    for row, column in np.ndindex(d - 1, d - 1):
+        axis, pair = axes[row, column], [column, row + 1]
+        if column > row:
+            axis.set_visible(False)
+            continue
+        if reference_front is not None:
+            x, y = reference_front[:, pair].T
+            axis.scatter(x, y, s=20, marker="D", c=FAINT, linewidths=0, zorder=2)
+        dots(axis, view, front.discounted[:, pair], 34 if d < 4 else 22)
+        axis.xaxis.set_major_locator(MaxNLocator(4))
+        axis.yaxis.set_major_locator(MaxNLocator(4))
+        axis.margins(0.08)
+        if row == d - 2:
+            axis.set_xlabel(label(front.objectives[pair[0]], "discounted"))
+        if column == 0:
+            axis.set_ylabel(label(front.objectives[pair[1]], "discounted"))
+    colour_bar(figure, view, list(axes.flat))
+    return figure
+
+
+def _bars(view: View) -> Figure:
+    """A panel per objective: the mean returns of a few policies and their intervals."""
+    front, shown = view.front, view.representatives(BARS)
+    n, d = len(shown), len(front.objectives)
+    certain = bool((front.low[shown] == front.high[shown]).all())
+    notes = (
+        what_returns(view),
+        "" if certain else "lines: 95% bootstrap intervals",
+        which_policies(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
+        which_colours(view),
+    )
+    count = d + (view.arrived is not None)
+    columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
+    rows = -(-count // columns)
+    height = rows * (0.27 * max(n, 2) + 0.75)
+    figure = framed(view, max(3.2 * columns, 7.0), height, "policies in numbers", notes)
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for i, axis in enumerate(axes.flat):
+        if i >= count:
+            axis.set_visible(False)
+            continue
+        if i < d:
+            mean = front.returns[shown, i]
+            errors = np.maximum([mean - front.low[shown, i], front.high[shown, i] - mean], 0.0)
+            texts = list(map(writer(mean), mean))
+            axis.set_title(label(front.objectives[i]))
+        else:
+            mean, errors = front.success[shown], np.zeros((2, n))
+            texts = [f"{share:.0%}" for share in mean]
+            axis.set_title("arrival rate")
+        axis.barh(range(n), mean, height=0.7, color=view.colours[shown], zorder=3)
+        if errors.any():
+            axis.errorbar(mean, range(n), xerr=errors, fmt="none", ecolor=INK, elinewidth=1.3, capsize=2.5, zorder=4)
+        for y, text in enumerate(texts):
+            axis.text(1.02, y, text, transform=axis.get_yaxis_transform(), va="center_baseline", fontsize=8.5)
+        axis.axvline(0.0, color=DIM, linewidth=1.0, zorder=5)
+        axis.grid(visible=False, axis="y")
+        axis.tick_params(axis="y", length=0)
+        axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+        if i >= d:
+            axis.set_xlim(0.0, 1.0)
+            axis.xaxis.set_major_formatter(PercentFormatter(1.0))
+        axis.set_yticks(range(n), [f"policy {policy}" for policy in shown], color=INK)
+        axis.set_ylim(n - 0.4, -0.6)
+    return figure

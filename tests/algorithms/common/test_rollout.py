@@ -1,0 +1,607 @@
+"""The collection loop against single environments that replay it, and against plain recurrences."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+
+from algorithms.common.accrued_reward import History
+from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.rollout import Act, Collector, Episodes, Rollout
+from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
+STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
+INTERSECTION = "mo-deepdrive-intersection-v0"
+SEA = "deep-sea-treasure-v0"
+GAMMA = 0.95
+SEED = 2**32 + 17
+DESTINATION = 1  # index of this objective in every scenario of ours
+
+
+def random_policy(worlds: Worlds) -> Act:
+    rng = np.random.default_rng(0)
+    shape = (worlds.num_envs, worlds.vehicles)
+
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
+        if worlds.continuous:
+            return rng.normal(0.0, 1.5, (*shape, worlds.actions)).astype(np.float32)
+        return rng.integers(0, worlds.actions, shape)
+
+    return act
+
+
+def reflex(worlds: Worlds) -> Act:
+    """As good as random, but decided by what the policy is shown."""
+
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
+        seen = np.concatenate([observations, history.accrued, history.discounts[..., None]], axis=-1, dtype=np.float64)
+        noise = np.sin(1e4 * np.abs(seen).sum(-1))
+        if worlds.continuous:
+            return np.stack([noise * (k + 1) % 1.0 for k in range(worlds.actions)], axis=-1).astype(np.float32)
+        return np.floor((noise + 1) / 2.001 * worlds.actions).astype(np.int64)
+
+    return act
+
+
+def half_drive(worlds: Worlds) -> Act:
+    """Every other world drives to its waypoint at walking pace, so that some episodes succeed; the rest is random.
+
+    A driver takes "small steer left", "small steer right" or "decay steer", and "increase speed" below 4 m/s.
+    """
+    at_random = random_policy(worlds)
+
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
+        angle, speed = observations[..., 0], observations[..., 11]
+        group = np.where(angle > 0.05, 2, np.where(angle < -0.05, 1, 0))
+        actions = 1 + 3 * group + np.where(speed < 4.0, 2, 0)
+        actions[1::2] = at_random(observations, history)[1::2]
+        return actions
+
+    return act
+
+
+def one_waits(worlds: Worlds) -> Act:
+    """In Intersection: the vehicle that goes straight on drives off, the other stands still."""
+
+    def act(observations: np.ndarray, history: History) -> np.ndarray:
+        return np.tile([0, 3], (worlds.num_envs, 1))
+
+    return act
+
+
+def copied(rollout: Rollout) -> Rollout:
+    return Rollout(**{name: tensor.clone() for name, tensor in vars(rollout).items()})
+
+
+@dataclass
+class Collected:
+    """Several successive rollouts and the episodes that ended in them."""
+
+    worlds: Worlds
+    rollouts: list[Rollout]
+    parts: list[Episodes]
+
+    def all(self, name: str) -> np.ndarray:
+        """A field over all rollouts, time-major; of the fields with T + 1 rows the first T."""
+        return np.concatenate([getattr(rollout, name)[: len(rollout.rewards)].numpy() for rollout in self.rollouts])
+
+    @property
+    def over(self) -> np.ndarray:
+        return self.all("terminated") | self.all("truncated")
+
+    def episodes(self, name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in self.parts])
+
+
+def collect(
+    env_id: str,
+    *,
+    num_envs: int = 4,
+    steps: int = 40,
+    rollouts: int = 3,
+    policy: Callable[[Worlds], Act] = random_policy,
+    **arguments: Any,
+) -> Collected:
+    worlds = Worlds(make_env(env_id, num_envs, arguments))
+    collector = Collector(worlds, GAMMA, steps)
+    collector.reset(SEED)
+    act = policy(worlds)
+    collected = Collected(worlds, [], [])
+    for _ in range(rollouts):
+        rollout, episodes = collector.collect(act)
+        collected.rollouts.append(copied(rollout))
+        collected.parts.append(episodes)
+    return collected
+
+
+# Short episodes, so that some are cut off by time; where a driver shall arrive they last longer.
+SITUATIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "one_waypoint": (ONE_WAYPOINT, {"time_limit": 11.0, "rollouts": 8}),
+    "one_waypoint, arriving": (ONE_WAYPOINT, {"policy": half_drive, "time_limit": 9.0, "rollouts": 6}),
+    "one_waypoint, continuous": (ONE_WAYPOINT, {"action_type": "continuous", "time_limit": 3.0}),
+    "static_obstacle": (STATIC_OBSTACLE, {"time_limit": 11.0, "rollouts": 8}),
+    "static_obstacle, arriving": (STATIC_OBSTACLE, {"policy": half_drive, "time_limit": 9.0, "rollouts": 6}),
+    "static_obstacle, continuous": (STATIC_OBSTACLE, {"action_type": "continuous", "time_limit": 3.0}),
+    "intersection": (INTERSECTION, {"time_limit": 15.0, "rollouts": 8}),
+    "intersection, arriving": (INTERSECTION, {"policy": one_waits, "time_limit": 10.0, "rollouts": 6}),
+    "intersection, continuous": (INTERSECTION, {"action_type": "continuous", "time_limit": 3.0}),
+    "intersection, together": (INTERSECTION, {"end_together": True, "time_limit": 15.0, "rollouts": 8}),
+    "deep-sea-treasure": (SEA, {"max_episode_steps": 12}),
+    "minecart": ("minecart-deterministic-v0", {"max_episode_steps": 30}),
+}
+ALL = pytest.mark.parametrize("situation", SITUATIONS)
+ONE_VEHICLE = pytest.mark.parametrize("situation", [s for s in SITUATIONS if s.startswith(("one_", "static_"))])
+TWO_VEHICLES = pytest.mark.parametrize("situation", [s for s in SITUATIONS if s.startswith("intersection")])
+FOREIGN = pytest.mark.parametrize("situation", ["deep-sea-treasure", "minecart"])
+
+
+@pytest.fixture(scope="module")
+def collected() -> Callable[[str], Collected]:
+    """What was collected in a situation, once for all tests."""
+    known: dict[str, Collected] = {}
+
+    def get(situation: str) -> Collected:
+        if situation not in known:
+            env_id, arguments = SITUATIONS[situation]
+            known[situation] = collect(env_id, **arguments)
+        return known[situation]
+
+    return get
+
+
+@ALL
+def test_a_rollout_has_the_documented_shapes_and_types(collected: Callable[[str], Collected], situation: str) -> None:
+    c = collected(situation)
+    n, v, d = c.worlds.num_envs, c.worlds.vehicles, len(c.worlds.objectives)
+    assert v == (2 if situation.startswith("intersection") else 1)
+    for rollout in c.rollouts:
+        t = len(rollout.rewards)
+        o = c.worlds.observation_size
+        expected: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
+            "observations": ((t + 1, n, v, o), torch.float32),
+            "final": ((t, n, v, o), torch.float32),
+            "actions": ((t, n, v, 3), torch.float32) if c.worlds.continuous else ((t, n, v), torch.int64),
+            "rewards": ((t, n, v, d), torch.float32),
+            "accrued": ((t + 1, n, v, d), torch.float32),
+            "discounts": ((t + 1, n, v), torch.float32),
+            "terminated": ((t, n, v), torch.bool),
+            "truncated": ((t, n, v), torch.bool),
+            "acted": ((t, n, v), torch.bool),
+        }
+        assert {name: (tuple(x.shape), x.dtype) for name, x in vars(rollout).items()} == expected
+    for part in c.parts:
+        e = len(part.vehicles)
+        shapes = [part.returns.shape, part.discounted.shape, part.lengths.shape, part.succeeded.shape]
+        assert shapes == [(e, d), (e, d), (e,), (e,)]
+        assert part.returns.dtype == part.discounted.dtype == np.float64
+
+
+@ALL
+def test_the_situations_hold_what_the_other_tests_are_about(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    counted = c.over & c.all("acted")
+    assert counted.sum() > 3
+    if situation != "intersection, together":
+        assert c.all("truncated").any()
+    if situation != "minecart":
+        assert (c.all("terminated") & c.all("acted")).any()
+    if "arriving" in situation:
+        arrived = c.all("rewards")[counted][:, DESTINATION]
+        assert 0 < arrived.sum() < len(arrived)
+    if c.worlds.vehicles == 2 and "together" not in situation:
+        assert not c.all("acted").all()
+
+
+@ALL
+def test_accrued_rewards_and_discounts_follow_their_recurrence_and_start_anew_after_every_end(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    rewards, acted, over = c.all("rewards").astype(np.float64), c.all("acted"), c.over
+    accrued, discounts = c.all("accrued"), c.all("discounts")
+    steps, n, v, d = rewards.shape
+    for i in range(n):
+        for k in range(v):
+            total, age = np.zeros(d), 0
+            for t in range(steps):
+                np.testing.assert_allclose(discounts[t, i, k], GAMMA**age, rtol=1e-4)
+                np.testing.assert_allclose(accrued[t, i, k], total, rtol=1e-4, atol=1e-4)
+                if over[t, i, k] or not acted[t, i, k]:
+                    total, age = np.zeros(d), 0
+                else:
+                    total, age = total + GAMMA**age * rewards[t, i, k], age + 1
+
+
+@ALL
+def test_a_rollout_goes_on_where_the_one_before_it_stopped(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    rollouts = collected(situation).rollouts
+    for before, after in itertools.pairwise(rollouts):
+        for name in ("observations", "accrued", "discounts"):
+            assert torch.equal(getattr(before, name)[-1], getattr(after, name)[0])
+
+
+@ONE_VEHICLE
+def test_a_single_environment_that_replays_the_actions_sees_the_same_and_ends_in_the_final_observations(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    env_id, arguments = SITUATIONS[situation]
+    options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
+    single = gymnasium.make(env_id, disable_env_checker=True, **options).unwrapped
+    observations, final = c.all("observations"), c.all("final")
+    actions, rewards = c.all("actions"), c.all("rewards")
+    assert c.all("acted").all()
+    for i in range(c.worlds.num_envs):
+        observation, _ = single.reset(seed=SEED + i)
+        for t in range(len(rewards)):
+            np.testing.assert_array_equal(observations[t, i, 0], observation)
+            observation, reward, terminated, truncated, _ = single.step(actions[t, i, 0])
+            np.testing.assert_array_equal(rewards[t, i, 0], reward)
+            assert (c.all("terminated")[t, i, 0], c.all("truncated")[t, i, 0]) == (terminated, truncated)
+            if terminated or truncated:
+                np.testing.assert_array_equal(final[t, i, 0], observation)
+                observation, _ = single.reset()
+
+
+@FOREIGN
+def test_a_foreign_environment_is_masked_where_it_is_only_being_reset_and_nowhere_else(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    acted, over = c.all("acted"), c.over
+    assert acted[0].all()
+    np.testing.assert_array_equal(acted[1:], ~over[:-1])
+    assert not acted.all()
+    assert not over[~acted].any()
+    assert not c.all("rewards")[~acted].any()
+    assert not c.all("accrued")[~acted].any()
+    assert (c.all("discounts")[~acted] == 1.0).all()
+
+
+@FOREIGN
+def test_a_single_foreign_environment_replays_all_but_the_masked_steps(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    env_id, arguments = SITUATIONS[situation]
+    single = mo_gymnasium.make(env_id, **arguments)
+    acted = c.all("acted")
+    ended = []
+    for i in range(c.worlds.num_envs):
+        observation, _ = single.reset(seed=SEED + i)
+        returns, length = np.zeros(len(c.worlds.objectives)), 0
+        for t in range(len(acted)):
+            if not acted[t, i, 0]:
+                observation, _ = single.reset()
+                continue
+            np.testing.assert_array_equal(c.all("observations")[t, i, 0], observation.astype(np.float32))
+            observation, reward, terminated, truncated, _ = single.step(int(c.all("actions")[t, i, 0]))
+            np.testing.assert_array_equal(c.all("rewards")[t, i, 0], np.float32(reward))
+            assert (c.all("terminated")[t, i, 0], c.all("truncated")[t, i, 0]) == (terminated, truncated)
+            returns, length = returns + reward, length + 1
+            if terminated or truncated:
+                np.testing.assert_array_equal(c.all("final")[t, i, 0], observation.astype(np.float32))
+                ended.append((t, i, returns, length))
+                returns, length = np.zeros(len(c.worlds.objectives)), 0
+    ended.sort(key=lambda episode: episode[:2])
+    np.testing.assert_array_equal(c.episodes("lengths"), [episode[3] for episode in ended])
+    np.testing.assert_allclose(c.episodes("returns"), [episode[2] for episode in ended], rtol=1e-5, atol=1e-5)
+
+
+@TWO_VEHICLES
+def test_a_vehicle_that_has_left_the_road_is_masked_until_its_world_starts_anew(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    acted, over, truncated = c.all("acted"), c.over, c.all("truncated")
+    steps, n, v = acted.shape
+    for i in range(n):
+        on_road = [True] * v
+        for t in range(steps):
+            assert acted[t, i].tolist() == on_road
+            for k in range(v):
+                # An end is reported once, in the step in which it happens.
+                assert not (over[t, i, k] and not on_road[k])
+                on_road[k] = on_road[k] and not over[t, i, k]
+            if not any(on_road):
+                on_road = [True] * v
+    masked = ~acted
+    assert not c.all("rewards")[masked].any()
+    assert not c.all("accrued")[masked].any()
+    assert (c.all("discounts")[masked] == 1.0).all()
+    assert not (truncated & c.all("terminated")).any()
+
+
+@TWO_VEHICLES
+def test_a_world_of_two_vehicles_that_replays_the_actions_ends_in_the_final_observations(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    env_id, arguments = SITUATIONS[situation]
+    options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
+    actions, over = c.all("actions"), c.over
+    for i in range(c.worlds.num_envs):
+        alone = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **options)
+        observation, _ = alone.reset(seed=SEED + i)
+        for t in range(len(actions)):
+            np.testing.assert_array_equal(c.all("observations")[t, i], observation[0])
+            observation, reward, terminated, truncated, _ = alone.step(actions[t, i][None])
+            np.testing.assert_array_equal(c.all("rewards")[t, i], reward[0])
+            for k in np.flatnonzero(over[t, i]):
+                np.testing.assert_array_equal(c.all("final")[t, i, k], observation[0, k])
+            if (terminated | truncated).all():
+                assert over[t, i].any()
+                observation, _ = alone.reset()
+
+
+@dataclass
+class Plain:
+    """One episode, accumulated from the steps of a rollout."""
+
+    vehicle: int
+    returns: np.ndarray
+    discounted: np.ndarray
+    length: int
+    last_reward: np.ndarray
+
+
+def plain_episodes(c: Collected) -> list[Plain]:
+    rewards, acted, over = c.all("rewards").astype(np.float64), c.all("acted"), c.over
+    steps, n, v, d = rewards.shape
+    running: dict[tuple[int, int], list[np.ndarray]] = {}
+    episodes = []
+    for t in range(steps):
+        for i in range(n):
+            for k in range(v):
+                if not acted[t, i, k]:
+                    continue
+                running.setdefault((i, k), []).append(rewards[t, i, k])
+                if over[t, i, k]:
+                    path = np.array(running.pop((i, k)))
+                    discounted = (GAMMA ** np.arange(len(path)) @ path).reshape(d)
+                    episodes.append(Plain(k, path.sum(axis=0), discounted, len(path), path[-1]))
+    return episodes
+
+
+@ALL
+def test_episodes_hold_what_their_steps_add_up_to_in_order_of_their_end(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    c = collected(situation)
+    expected = plain_episodes(c)
+    np.testing.assert_array_equal(c.episodes("vehicles"), [episode.vehicle for episode in expected])
+    np.testing.assert_array_equal(c.episodes("lengths"), [episode.length for episode in expected])
+    for name in ("returns", "discounted"):
+        plain = np.array([getattr(episode, name) for episode in expected])
+        np.testing.assert_allclose(c.episodes(name), plain, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
+def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[str], Collected], situation: str) -> None:
+    c = collected(situation)
+    arrived = [episode.last_reward[DESTINATION] == 1.0 for episode in plain_episodes(c)]
+    np.testing.assert_array_equal(c.episodes("succeeded"), arrived)
+
+
+@FOREIGN
+def test_an_episode_of_an_environment_that_does_not_say_has_not_succeeded(
+    collected: Callable[[str], Collected], situation: str
+) -> None:
+    assert not collected(situation).episodes("succeeded").any()
+
+
+def test_a_rollout_in_which_no_episode_ends_gives_empty_episodes_of_the_right_shape() -> None:
+    (part,) = collect(ONE_WAYPOINT, steps=2, rollouts=1).parts
+    assert part.returns.shape == part.discounted.shape == (0, 4)
+    assert len(part.vehicles) == len(part.lengths) == len(part.succeeded) == 0
+    assert part.succeeded.dtype == np.bool_
+
+
+def started(env_id: str, arguments: dict[str, Any], seed: int = SEED) -> Collector:
+    options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
+    collector = Collector(Worlds(make_env(env_id, 4, options)), GAMMA, 17)
+    collector.reset(seed)
+    return collector
+
+
+OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive" in SITUATIONS[s][0]])
+
+
+def assert_goes_on_alike(first: Collector, second: Collector) -> None:
+    for _ in range(4):
+        one, ended = first.collect(reflex(first.worlds))
+        other, also_ended = second.collect(reflex(second.worlds))
+        counted = (one.terminated | one.truncated) & one.acted
+        for name, tensor in vars(one).items():
+            kept = counted if name == "final" else slice(None)
+            assert torch.equal(tensor[kept], getattr(other, name)[kept]), name
+        for name, array in vars(ended).items():
+            np.testing.assert_array_equal(array, getattr(also_ended, name), err_msg=name)
+
+
+@OURS
+@pytest.mark.parametrize("rollouts", [0, 1, 3])
+def test_a_collector_resumes_exactly_from_the_state_of_another(situation: str, rollouts: int) -> None:
+    first = started(*SITUATIONS[situation])
+    for _ in range(rollouts):
+        first.collect(reflex(first.worlds))
+    state = {name: np.array(array) for name, array in first.get_state().items()}
+    second = started(*SITUATIONS[situation], seed=3)
+    second.collect(random_policy(second.worlds))
+    second.set_state(state)
+    assert_goes_on_alike(first, second)
+
+
+@pytest.mark.parametrize("situation", ["one_waypoint", "intersection, continuous"])
+def test_a_collector_can_be_taken_back_to_an_earlier_state_of_its_own(situation: str) -> None:
+    collector, reference = started(*SITUATIONS[situation]), started(*SITUATIONS[situation])
+    for each in (collector, reference):
+        each.collect(reflex(each.worlds))
+    state = collector.get_state()
+    collector.collect(reflex(collector.worlds))
+    collector.set_state(state)
+    assert_goes_on_alike(collector, reference)
+
+
+def test_the_state_of_a_collector_is_plain_arrays() -> None:
+    for array in started(INTERSECTION, {}).get_state().values():
+        assert isinstance(array, np.ndarray)
+        assert array.dtype != object
+
+
+def test_the_state_of_other_worlds_is_refused() -> None:
+    state = started(ONE_WAYPOINT, {}).get_state()
+    for other in (Worlds(make_env(ONE_WAYPOINT, 3)), Worlds(make_env(STATIC_OBSTACLE, 4))):
+        with pytest.raises(ValueError, match="shape"):
+            Collector(other, GAMMA, 5).set_state(state)
+
+
+# Worlds: foreign spaces in the trainers' shapes.
+
+
+class Toy(gymnasium.Env[Any, Any]):
+    """Ends after three steps, pays for the action it got, and shows how often it was stepped."""
+
+    def __init__(self, action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None):
+        self.action_space = action_space
+        self.observation_space = observation_space or spaces.Box(0.0, 9.0, (2, 2), dtype=np.float32)
+        self.reward_space = spaces.Box(-10.0, 10.0, (2,), dtype=np.float32)
+        self.reward_dim = 2
+        self.count = 0
+
+    def _observed(self) -> Any:
+        if isinstance(self.observation_space, spaces.Discrete):
+            return int(self.observation_space.start) + self.count
+        return np.full(self.observation_space.shape, self.count, dtype=self.observation_space.dtype)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.count = 0
+        return self._observed(), {}
+
+    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action), f"{action!r} is not in {self.action_space}"
+        self.count += 1
+        reward = np.resize(np.asarray(action, dtype=np.float32).reshape(-1), 2)
+        info = {"success": True, "end": "three"} if self.count == 3 else {}
+        return self._observed(), reward, self.count == 3, False, info
+
+
+def toy_worlds(action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None) -> Worlds:
+    return Worlds(MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2)))
+
+
+def test_actions_of_a_foreign_discrete_space_begin_at_its_start() -> None:
+    worlds = toy_worlds(spaces.Discrete(3, start=4))
+    assert (worlds.actions, worlds.continuous) == (3, False)
+    worlds.reset(0)
+    step = worlds.step(np.array([[0], [2]]))
+    assert step.rewards[:, 0, 0].tolist() == [4.0, 6.0]
+
+
+def test_continuous_actions_are_clipped_and_stretched_to_a_foreign_box() -> None:
+    box = spaces.Box(np.float32([2.0, -3.0]), np.float32([6.0, -1.0]))
+    worlds = toy_worlds(box)
+    assert (worlds.actions, worlds.continuous) == (2, True)
+    worlds.reset(0)
+    step = worlds.step(np.array([[[0.0, -1.0]], [[7.0, 0.5]]], dtype=np.float32))
+    np.testing.assert_allclose(step.rewards[:, 0], [[4.0, -3.0], [6.0, -1.5]])
+
+
+def test_foreign_observations_are_flat_and_known_by_their_bounds() -> None:
+    low = np.float32([[-2.0, 0.0], [-np.inf, 0.0]])
+    worlds = toy_worlds(spaces.Discrete(2), spaces.Box(low, np.float32([[1.0, 5.0], [0.0, 1e9]])))
+    assert worlds.observation_size == 4
+    np.testing.assert_array_equal(worlds.observation_scales, [2.0, 5.0, 1.0, 1.0])
+    observations = worlds.reset(0)
+    assert observations.shape == (2, 1, 4)
+    assert observations.dtype == np.float32
+    assert worlds.objectives == ("objective_0", "objective_1")
+    np.testing.assert_array_equal(worlds.objective_scales, [1.0, 1.0])
+
+
+def test_foreign_discrete_observations_become_one_hot() -> None:
+    worlds = toy_worlds(spaces.Discrete(2), spaces.Discrete(5, start=-1))
+    assert worlds.observation_size == 5
+    assert worlds.reset(0)[1, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    step = worlds.step(np.zeros((2, 1), dtype=np.int64))
+    assert step.observations[1, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 0.0]
+
+
+def test_a_foreign_environment_that_says_so_has_succeeded_and_says_why_it_ended() -> None:
+    worlds = toy_worlds(spaces.Discrete(2))
+    collector = Collector(worlds, GAMMA, 8)
+    collector.reset(0)
+    rollout, episodes = collector.collect(random_policy(worlds))
+    assert rollout.acted[:, 0, 0].tolist() == [True, True, True, False, True, True, True, False]
+    assert episodes.succeeded.tolist() == [True] * 4
+    assert episodes.lengths.tolist() == [3] * 4
+    worlds.reset(0)
+    steps = [worlds.step(np.zeros((2, 1), dtype=np.int64)) for _ in range(3)]
+    assert [step.succeeded[:, 0].tolist() for step in steps] == [[False] * 2, [False] * 2, [True] * 2]
+    assert steps[-1].ends is not None
+    assert steps[-1].ends.tolist() == ["three", "three"]
+
+
+def test_a_reset_forgets_that_an_episode_was_over() -> None:
+    worlds = toy_worlds(spaces.Discrete(2))
+    worlds.reset(0)
+    for _ in range(3):
+        step = worlds.step(np.zeros((2, 1), dtype=np.int64))
+    assert step.terminated.all()
+    worlds.reset(0)
+    step = worlds.step(np.zeros((2, 1), dtype=np.int64))
+    assert step.acted.all()
+
+
+@pytest.mark.parametrize(
+    ("action_space", "observation_space", "message"),
+    [
+        (spaces.MultiDiscrete([2, 3]), None, "neither Discrete nor Box"),
+        (spaces.Box(0.0, np.inf, (1,), dtype=np.float32), None, "must be bounded"),
+        (spaces.Discrete(2), spaces.MultiDiscrete([2, 3]), "neither Box nor Discrete"),
+    ],
+)
+def test_spaces_that_the_trainers_do_not_handle_are_refused(
+    action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        toy_worlds(action_space, observation_space)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
+def test_our_worlds_train_under_same_step_alone(mode: AutoresetMode) -> None:
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        Worlds(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, autoreset_mode=mode))
+
+
+@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, f"mo_deepdrive:{ONE_WAYPOINT}", INTERSECTION])
+def test_our_ids_make_native_vector_environments(env_id: str) -> None:
+    env = make_env(env_id, 3, {"time_limit": 5.0})
+    assert isinstance(env.unwrapped, DrivingVectorEnv)
+    assert env.num_envs == 3
+    assert env.unwrapped.autoreset_mode is AutoresetMode.SAME_STEP
+    assert env.unwrapped.config.time_limit == 5.0
+
+
+def test_any_other_id_makes_a_vector_environment_with_vector_rewards() -> None:
+    env = make_env(SEA, 3, {"float_state": True})
+    assert isinstance(env, MOSyncVectorEnv)
+    assert env.single_observation_space.dtype == np.float32
+    assert Worlds(env).objectives == ("objective_0", "objective_1")

@@ -1,0 +1,409 @@
+"""Evaluations against episodes replayed one by one, and their metrics against numbers worked out by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+
+from algorithms import A2C, MOA2C
+from algorithms.actor_critic import ActorCritic
+from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.evaluation.evaluate import Evaluation, evaluate
+from mo_deepdrive.utilities import Utility, make_utility
+
+ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
+STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
+INTERSECTION = "mo-deepdrive-intersection-v0"
+SEA = "deep-sea-treasure-v0"
+OBJECTIVES = ("distance", "destination", "g_force", "jerk")
+NONLINEAR = make_utility("one_waypoint_nonlinear", OBJECTIVES)
+CLASSES = pytest.mark.parametrize("cls", [A2C, MOA2C])
+
+
+def make_agent(
+    cls: type[ActorCritic], env_id: str = ONE_WAYPOINT, utility: Utility | None = None, **settings: Any
+) -> ActorCritic:
+    env = make_env(env_id, settings.pop("num_envs", 4), settings.pop("env", None))
+    objectives = Worlds(env).objectives
+    if utility is None:
+        utility = make_utility("linear", objectives, weights=np.linspace(1.0, 0.1, len(objectives)))
+    return cls(env, utility, **settings)
+
+
+def spread(agent: ActorCritic) -> ActorCritic:
+    """The agent with a policy that differs from state to state, far from uniform, and of ours one that moves.
+
+    Of the 22 discrete actions every third one from 3 on is "increase speed".
+    """
+    with torch.no_grad():
+        for learner in agent.learners:
+            learner.actor.body[-1].weight.mul_(100.0)
+            if agent.worlds.actions == 22:
+                learner.actor.body[-1].bias[3::3] += 10.0
+    return agent
+
+
+def fields(evaluation: Evaluation) -> dict[str, np.ndarray]:
+    return {name: value for name, value in vars(evaluation).items() if isinstance(value, np.ndarray)}
+
+
+def assert_same(first: Evaluation, second: Evaluation) -> None:
+    for name, array in fields(first).items():
+        np.testing.assert_array_equal(array, getattr(second, name), err_msg=name)
+
+
+def differ(first: Evaluation, second: Evaluation) -> bool:
+    return not np.array_equal(first.returns, second.returns)
+
+
+# Apart from learning.
+
+
+@CLASSES
+@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
+def test_training_with_and_without_evaluations_gives_the_same_weights(cls: type[ActorCritic], env_id: str) -> None:
+    plain, watched = make_agent(cls, env_id, steps=8), make_agent(cls, env_id, steps=8)
+    plain.train(256)
+    arguments = {"max_episode_steps": 10}
+    logged = []
+    watched.train(
+        256,
+        make_env(env_id, 3, arguments),
+        eval_interval=64,
+        eval_episodes=5,
+        log=lambda step, metrics: logged.append(metrics),
+    )
+    assert sum(any(name.startswith("eval/stochastic/") for name in metrics) for metrics in logged) == 5
+    for one, other in zip(plain.learners, watched.learners, strict=True):
+        expected, found = one.get_state(), other.get_state()
+        assert expected.keys() == found.keys()
+        assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert torch.equal(plain.generator.get_state(), watched.generator.get_state())
+    for name, array in plain.collector.get_state().items():
+        np.testing.assert_array_equal(array, watched.collector.get_state()[name])
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_evaluating_touches_neither_the_agent_nor_any_global_generator(greedy: bool) -> None:
+    agent = make_agent(MOA2C)
+    agent.train(64)
+    before = {name: tensor.clone() for name, tensor in agent.learners[0].get_state().items()}
+    generators = agent.generator.get_state(), torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    evaluate(agent, make_env(ONE_WAYPOINT, 3, {"time_limit": 1.0}), episodes=4, greedy=greedy)
+    assert all(torch.equal(before[name], tensor) for name, tensor in agent.learners[0].get_state().items())
+    assert torch.equal(agent.generator.get_state(), generators[0])
+    assert torch.equal(torch.get_rng_state(), generators[1])
+    assert np.array_equal(np.random.get_state()[1], generators[2])  # noqa: NPY002
+    assert agent.step == 64
+
+
+@CLASSES
+@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
+@pytest.mark.parametrize("greedy", [True, False])
+def test_the_same_seed_gives_the_same_result(cls: type[ActorCritic], env_id: str, greedy: bool) -> None:
+    agent = spread(make_agent(cls, env_id))
+    env, twin = (make_env(env_id, 3, {"max_episode_steps": 30}) for _ in range(2))
+    first = evaluate(agent, env, episodes=5, seed=7, greedy=greedy)
+    assert_same(first, evaluate(agent, env, episodes=5, seed=7, greedy=greedy))
+    assert_same(first, evaluate(agent, twin, episodes=5, seed=7, greedy=greedy))
+    if env_id != SEA:
+        assert differ(first, evaluate(agent, env, episodes=5, seed=8, greedy=greedy))
+
+
+@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, SEA])
+def test_a_greedy_policy_is_evaluated_apart_from_the_stochastic_one_it_comes_from(env_id: str) -> None:
+    agent = make_agent(A2C, env_id)
+    env = make_env(env_id, 6, {"max_episode_steps": 30})
+    greedy = evaluate(agent, env, episodes=6, seed=7, greedy=True)
+    stochastic = evaluate(agent, env, episodes=6, seed=7, greedy=False)
+    assert differ(greedy, stochastic)
+    if env_id == SEA:  # where every episode begins alike and nothing else is random
+        assert (greedy.returns == greedy.returns[0]).all()
+        assert not (stochastic.returns == stochastic.returns[0]).all()
+
+
+# What an episode is.
+
+SHORT = {"time_limit": 2.5}
+DRIVES = {  # situations in which episodes end in more than one way
+    "one_waypoint": (ONE_WAYPOINT, {"time_limit": 11.0}),
+    "one_waypoint, continuous": (ONE_WAYPOINT, {"action_type": "continuous", "time_limit": 3.0}),
+    "static_obstacle": (STATIC_OBSTACLE, {"time_limit": 5.0}),
+}
+
+
+def replay(agent: ActorCritic, env: Any, seed: int, gamma: float) -> dict[str, Any]:
+    """One greedy episode in a single environment, with everything added up step by step."""
+    observation, _ = env.reset(seed=seed)
+    d = len(agent.worlds.objectives)
+    accrued, returns, discounted, largest = (np.zeros(d) for _ in range(4))
+    t, over, info = 0, False, {}
+    while not over:
+        action = agent.eval(observation, accrued, agent.config.gamma**t)
+        observation, reward, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+        accrued = accrued + agent.config.gamma**t * reward
+        returns = returns + reward
+        discounted = discounted + gamma**t * reward
+        largest = np.maximum(largest, np.abs(reward))
+        t += 1
+    return {
+        "returns": returns,
+        "discounted": discounted,
+        "largest": largest,
+        "lengths": t,
+        "succeeded": info.get("success", False),
+        "ends": info.get("end"),
+    }
+
+
+def assert_replayed(found: Evaluation, agent: ActorCritic, single: Any, seed: int, gamma: float) -> None:
+    for i in range(len(found.returns)):
+        expected = replay(agent, single, seed + i, gamma)
+        for name in ("returns", "discounted", "largest"):
+            np.testing.assert_allclose(getattr(found, name)[i, 0], expected[name], rtol=1e-4, atol=1e-4, err_msg=name)
+        assert found.lengths[i, 0] == expected["lengths"]
+        assert found.succeeded[i, 0] == expected["succeeded"]
+        assert found.ends[i, 0] == expected["ends"]
+
+
+@CLASSES
+@pytest.mark.parametrize("place", DRIVES)
+@pytest.mark.parametrize("num_envs", [1, 4])
+def test_episode_i_is_the_first_one_of_a_single_environment_with_that_seed(
+    cls: type[ActorCritic], place: str, num_envs: int
+) -> None:
+    env_id, arguments = DRIVES[place]
+    agent = spread(make_agent(cls, env_id, env=arguments, gamma=0.97))
+    found = evaluate(agent, make_env(env_id, num_envs, arguments), episodes=6, seed=40, gamma=0.9)
+    single = gymnasium.make(env_id, disable_env_checker=True, **arguments).unwrapped
+    assert found.returns.shape == (6, 1, len(agent.worlds.objectives))
+    assert_replayed(found, agent, single, 40, 0.9)
+
+
+def test_a_trained_policy_that_arrives_is_replayed_with_its_success() -> None:
+    agent = make_agent(A2C, utility=make_utility("one_waypoint_linear", OBJECTIVES), num_envs=64, steps=8)
+    agent.train(60_000)
+    found = evaluate(agent, make_env(ONE_WAYPOINT, 10), episodes=20, seed=40)
+    assert found.succeeded.any()
+    np.testing.assert_array_equal(found.succeeded, found.ends == "arrived")
+    np.testing.assert_array_equal(found.succeeded, found.returns[..., 1] == 1.0)
+    assert_replayed(found, agent, gymnasium.make(ONE_WAYPOINT, disable_env_checker=True).unwrapped, 40, 0.99)
+
+
+@CLASSES
+def test_episodes_of_a_foreign_environment_are_replayed_without_its_resets(cls: type[ActorCritic]) -> None:
+    agent = spread(make_agent(cls, SEA))
+    found = evaluate(agent, make_env(SEA, 3, {"max_episode_steps": 9}), episodes=7, seed=40, gamma=0.5)
+    assert_replayed(found, agent, mo_gymnasium.make(SEA, max_episode_steps=9), 40, 0.5)
+    assert found.end_rates() == {}
+
+
+@CLASSES
+def test_every_world_counts_its_first_episode_alone(cls: type[ActorCritic]) -> None:
+    """In deep-sea-treasure stochastic episodes last between 1 and 40 steps: short ones are over many times."""
+    agent = make_agent(cls, SEA)
+    found = evaluate(agent, make_env(SEA, 8, {"max_episode_steps": 40}), episodes=20, greedy=False)
+    assert found.lengths.min() < 5 < 20 < found.lengths.max()
+    # Time costs 1 per step, and a treasure is found at most once.
+    np.testing.assert_array_equal(found.returns[..., 1], -found.lengths)
+    treasures = {0.0, 0.7, 8.2, 11.5, 14.0, 15.1, 16.1, 19.6, 20.3, 22.4, 23.7}
+    assert {round(float(treasure), 3) for treasure in found.returns[:, 0, 0]} <= treasures
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_vehicles_that_end_apart_are_counted_apart(together: bool) -> None:
+    arguments = {"end_together": together, "time_limit": 20.0}
+    agent = spread(make_agent(A2C, INTERSECTION, env=arguments))
+    found = evaluate(agent, make_env(INTERSECTION, 3, arguments), episodes=5, seed=11, gamma=0.9)
+    assert found.returns.shape == (5, 2, 6)
+    assert (found.lengths[:, 0] == found.lengths[:, 1]).all() == together
+    for i in range(5):
+        env = gymnasium.make_vec(INTERSECTION, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+        observation, _ = env.reset(seed=11 + i)
+        accrued, returns, discounted, largest = (np.zeros((2, 6)) for _ in range(4))
+        lengths, over, t, infos = np.zeros(2, dtype=int), np.zeros(2, dtype=bool), 0, {}
+        while not over.all():
+            action = agent.eval(observation[0], accrued, agent.config.gamma**t)
+            observation, reward, terminated, truncated, infos = env.step(action[None])
+            counted = np.where(over[:, None], 0.0, reward[0])
+            accrued, returns = accrued + agent.config.gamma**t * counted, returns + counted
+            discounted, largest = discounted + 0.9**t * counted, np.maximum(largest, np.abs(counted))
+            lengths, over, t = lengths + ~over, (terminated | truncated)[0], t + 1
+        np.testing.assert_allclose(found.returns[i], returns, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(found.discounted[i], discounted, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(found.largest[i], largest, rtol=1e-4, atol=1e-4)
+        np.testing.assert_array_equal(found.lengths[i], lengths)
+        np.testing.assert_array_equal(found.ends[i], infos["end"][0])
+        np.testing.assert_array_equal(found.succeeded[i], infos["success"][0])
+
+
+def test_a_vehicle_that_arrives_first_has_succeeded() -> None:
+    agent = make_agent(A2C, INTERSECTION)
+    with torch.no_grad():
+        for learner, action in zip(agent.learners, (0, 3), strict=True):  # one waits, the other accelerates
+            learner.actor.body[-1].weight.zero_()
+            learner.actor.body[-1].bias[action] = 1.0
+    found = evaluate(agent, make_env(INTERSECTION, 4, {"time_limit": 15.0}), episodes=4)
+    assert found.ends.tolist() == [["time_limit", "arrived"]] * 4
+    assert found.succeeded.tolist() == [[False, True]] * 4
+    assert (found.lengths[:, 1] < found.lengths[:, 0]).all()
+    metrics = found.metrics()
+    assert metrics["vehicle_1/success"] == metrics["vehicle_1/end/arrived"] == 1.0
+    assert metrics["vehicle_0/success"] == 0.0
+
+
+@pytest.mark.parametrize(("num_envs", "episodes"), [(1, 3), (2, 5), (5, 5), (8, 5), (3, 7)])
+def test_the_number_of_worlds_changes_nothing_for_a_greedy_policy(num_envs: int, episodes: int) -> None:
+    agent = spread(make_agent(MOA2C))
+    found = evaluate(agent, make_env(ONE_WAYPOINT, num_envs, SHORT), episodes=episodes, seed=3)
+    reference = evaluate(agent, make_env(ONE_WAYPOINT, 7, SHORT), episodes=7, seed=3)
+    for name, array in fields(found).items():
+        assert len(array) == episodes
+        np.testing.assert_array_equal(array, getattr(reference, name)[:episodes], err_msg=name)
+
+
+def test_the_discount_of_the_evaluation_does_not_change_what_the_policy_does() -> None:
+    agent = spread(make_agent(MOA2C))
+    env = make_env(ONE_WAYPOINT, 4, SHORT)
+    results = {gamma: evaluate(agent, env, episodes=4, gamma=gamma) for gamma in (0.0, 0.9, 1.0)}
+    for result in results.values():
+        np.testing.assert_array_equal(result.returns, results[1.0].returns)
+    np.testing.assert_allclose(results[1.0].discounted, results[1.0].returns)
+    assert (np.abs(results[0.0].discounted) <= results[0.0].largest).all()
+    assert not np.allclose(results[0.9].discounted, results[0.9].returns)
+
+
+# What is reported.
+
+
+def made(returns: list[list[float]], utility: Utility, **others: Any) -> Evaluation:
+    """An evaluation of one vehicle with these returns."""
+    array = np.array(returns)[:, None]
+    e = len(array)
+    defaults: dict[str, Any] = {
+        "discounted": array / 2,
+        "lengths": np.full((e, 1), 10),
+        "succeeded": np.zeros((e, 1), dtype=np.bool_),
+        "ends": np.full((e, 1), "backwards", dtype=object),
+        "largest": np.abs(array),
+    }
+    return Evaluation(utility.objectives, (utility,), array, **{**defaults, **others})
+
+
+# Distance, destination, minus g-force, minus jerk.
+TWO_RETURNS = [[6.0, 1.0, -2.0, -4.0], [-2.0, 0.0, -10.0, -20.0]]
+
+
+def test_esr_is_the_mean_utility_and_ser_the_utility_of_the_mean() -> None:
+    metrics = made(TWO_RETURNS, NONLINEAR).metrics()
+    # u = 0.5 6 + 6 1 - 0.1 2 - 0.1 4 = 8.4 and 0.5 (-2) + 0 - 1^2 - 2^2 = -6; the mean return is (2, 0.5, -6, -12).
+    assert metrics["utility_esr"] == pytest.approx((8.4 - 6.0) / 2)
+    assert metrics["utility_ser"] == pytest.approx(0.5 * 2 + 0.5 - 0.6**2 - 1.2**2)
+    # Halved: (3, 0.5, -1, -2), (-1, 0, -5, -10), and their mean (1, 0.25, -3, -6).
+    first, second = 0.5 * 3 + 3 * 0.5 - 0.1 - 0.2, -0.5 - 0.5**2 - 1.0**2
+    assert metrics["discounted_utility_esr"] == pytest.approx((first + second) / 2)
+    assert metrics["discounted_utility_ser"] == pytest.approx(0.5 + 0.25 - 0.3**2 - 0.6**2)
+
+
+def test_esr_and_ser_coincide_under_a_linear_utility() -> None:
+    linear = make_utility("one_waypoint_linear", OBJECTIVES)
+    metrics = made(TWO_RETURNS, linear).metrics()
+    expected = (0.5 * 6 + 1 - 0.03 * 2 - 3.3e-5 * 4 + 0.5 * -2 - 0.03 * 10 - 3.3e-5 * 20) / 2
+    assert metrics["utility_esr"] == pytest.approx(expected)
+    assert metrics["utility_ser"] == pytest.approx(expected)
+    assert metrics["discounted_utility_esr"] == pytest.approx(metrics["discounted_utility_ser"])
+    agent = make_agent(A2C, utility=linear)
+    found = evaluate(agent, make_env(ONE_WAYPOINT, 8, SHORT), episodes=8, greedy=False).metrics()
+    assert found["utility_esr"] == pytest.approx(found["utility_ser"])
+
+
+def test_utilities_of_episodes_are_those_of_their_undiscounted_returns() -> None:
+    np.testing.assert_allclose(made(TWO_RETURNS, NONLINEAR).episode_utilities(), [8.4, -6.0])
+
+
+def test_returns_lengths_and_successes_are_reported_as_means() -> None:
+    evaluation = made(
+        TWO_RETURNS,
+        NONLINEAR,
+        lengths=np.array([[4], [10]]),
+        succeeded=np.array([[True], [False]]),
+        ends=np.array([["arrived"], ["time_limit"]], dtype=object),
+    )
+    metrics = evaluation.metrics()
+    assert metrics["return/distance"] == 2.0
+    assert metrics["return/jerk"] == -12.0
+    assert metrics["discounted_return/jerk"] == -6.0
+    assert metrics["length"] == 7.0
+    assert metrics["success"] == 0.5
+    assert metrics["end/arrived"] == metrics["end/time_limit"] == 0.5
+
+
+def test_comfort_is_reported_per_decision_as_mean_and_largest_magnitude() -> None:
+    largest = np.array([[[3.0, 1.0, 0.7, 2.0]], [[1.0, 0.0, 0.9, 1.5]]])
+    metrics = made(TWO_RETURNS, NONLINEAR, lengths=np.array([[4], [10]]), largest=largest).metrics()
+    assert metrics["max_g_force"] == 0.9
+    assert metrics["max_jerk"] == 2.0
+    assert metrics["mean_g_force"] == pytest.approx((2 / 4 + 10 / 10) / 2)
+    assert metrics["mean_jerk"] == pytest.approx((4 / 4 + 20 / 10) / 2)
+    assert "max_distance" not in metrics
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments"),
+    [
+        (ONE_WAYPOINT, {"time_limit": 11.0}),
+        (STATIC_OBSTACLE, {"time_limit": 20.0}),
+        (INTERSECTION, {"action_type": "continuous", "time_limit": 6.0}),
+        (INTERSECTION, {"end_together": True, "time_limit": 15.0}),
+    ],
+)
+def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: dict[str, Any]) -> None:
+    agent = make_agent(A2C, env_id, env=arguments)
+    found = evaluate(agent, make_env(env_id, 8, arguments), episodes=20, greedy=False)
+    metrics = found.metrics()
+    assert len(set(found.ends.ravel())) > 1
+    for v in range(agent.worlds.vehicles):
+        rates = found.end_rates(v)
+        assert sum(rates.values()) == pytest.approx(1.0)
+        prefix = f"vehicle_{v}/end/" if agent.worlds.vehicles > 1 else "end/"
+        assert {prefix + end: rate for end, rate in rates.items()}.items() <= metrics.items()
+        for end, rate in rates.items():
+            assert rate == pytest.approx(np.mean(found.ends[:, v] == end))
+
+
+def test_every_vehicle_has_metrics_and_a_utility_of_its_own() -> None:
+    env = make_env(INTERSECTION, 2, SHORT)
+    objectives = Worlds(env).objectives
+    utilities = [make_utility("intersection_linear", objectives), make_utility("intersection_nonlinear", objectives)]
+    found = evaluate(A2C(env, utilities), make_env(INTERSECTION, 4, SHORT), episodes=4, greedy=False)
+    metrics = found.metrics()
+    assert {name for name in metrics if not name.startswith(("vehicle_0/", "vehicle_1/"))} == {"success"}
+    for v, utility in enumerate(utilities):
+        values = [float(utility(found.returns[i, v])) for i in range(4)]
+        assert metrics[f"vehicle_{v}/utility_esr"] == pytest.approx(np.mean(values))
+        np.testing.assert_allclose(found.episode_utilities(v), values)
+        assert metrics[f"vehicle_{v}/utility_ser"] == pytest.approx(float(utility(found.returns[:, v].mean(axis=0))))
+        assert metrics[f"vehicle_{v}/return/lane_violation"] == pytest.approx(found.returns[:, v, 5].mean())
+
+
+def test_the_success_of_all_is_that_every_vehicle_arrives_in_the_same_episode() -> None:
+    agent = make_agent(A2C, INTERSECTION)
+    found = evaluate(agent, make_env(INTERSECTION, 4, SHORT), episodes=4)
+    found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
+    metrics = found.metrics()
+    assert metrics["success"] == 0.25
+    assert metrics["vehicle_0/success"] == metrics["vehicle_1/success"] == 0.5
+
+
+def test_metrics_are_plain_finite_numbers() -> None:
+    for env_id in (ONE_WAYPOINT, INTERSECTION, SEA):
+        agent = make_agent(A2C, env_id)
+        metrics = evaluate(agent, make_env(env_id, 3, {"max_episode_steps": 12}), episodes=3).metrics()
+        assert all(type(value) is float and np.isfinite(value) for value in metrics.values())

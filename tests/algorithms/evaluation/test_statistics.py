@@ -1,0 +1,69 @@
+"""How runs are compared: interquartile means, their difference, probability of improvement, ratio of spreads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference, spread_ratio
+
+
+def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter() -> None:
+    assert iqm(np.array([-100.0, 1.0, 2.0, 3.0, 1000.0])).value == pytest.approx(2.0)
+    assert iqm(np.array([0.0, 1.0, 3.0, 50.0])).value == pytest.approx(2.0)
+    assert iqm(np.array([1.0, 2.0, 6.0])).value == pytest.approx(3.0)  # three runs have no quarter to lose
+
+
+def test_one_run_has_no_interval() -> None:
+    one, two = np.array([3.0]), np.array([1.0, 2.0])
+    assert iqm(one) == Estimate(3.0)
+    assert iqm_difference(one, two) == Estimate(1.5)
+    assert improvement(one, two) == Estimate(1.0)
+
+
+def test_the_probability_of_improvement_counts_pairs_and_half_of_the_equal_ones() -> None:
+    first, second = np.array([1.0, 2.0, 5.0]), np.array([1.0, 3.0])
+    pairs = [1.0 if x > y else 0.5 if x == y else 0.0 for x in first for y in second]
+    found = improvement(first, second)
+    assert found.value == pytest.approx(np.mean(pairs))
+    assert improvement(second, first).value == pytest.approx(1.0 - found.value)
+    assert found.low is not None
+    assert found.high is not None
+    assert 0.0 <= found.low <= found.value <= found.high <= 1.0
+
+
+def test_the_difference_has_the_sign_of_the_first_and_an_interval_around_it() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(5.0, 1.0, 10), rng.normal(3.0, 1.0, 8)
+    found = iqm_difference(first, second)
+    assert found.value == pytest.approx(iqm(first).value - iqm(second).value)
+    assert found.low is not None
+    assert found.high is not None
+    assert 0.0 < found.low < found.value < found.high
+    back = iqm_difference(second, first)
+    assert back.value == pytest.approx(-found.value)
+
+
+def test_the_interval_of_the_difference_covers_the_truth_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    covered = 0
+    for _ in range(200):
+        found = iqm_difference(rng.normal(2.0, 1.0, 20), rng.normal(1.0, 1.0, 20))
+        assert found.low is not None
+        assert found.high is not None
+        covered += found.low <= 1.0 <= found.high
+    assert 0.88 <= covered / 200 <= 0.99
+
+
+def test_the_ratio_of_spreads_is_that_of_the_standard_deviations() -> None:
+    first, second = np.array([1.0, 2.0, 3.0, 4.0]), np.array([10.0, 20.0, 30.0, 40.0])
+    found = spread_ratio(first, second)
+    assert found.value == pytest.approx(0.1)
+    assert found.low is not None
+    assert found.low < 0.1
+    assert spread_ratio(second, first).value == pytest.approx(10.0)
+    assert spread_ratio(first, np.ones(4)).value == np.inf
+    assert spread_ratio(np.ones(4), np.ones(4)).value == 1.0
+    for found in (spread_ratio(first, np.ones(4)), spread_ratio(first, np.array([1.0, 1.0, 1.0, 1.1]))):
+        assert not np.isnan([found.value, found.low, found.high]).any()
+        assert found.text()

@@ -1,0 +1,349 @@
+"""Experiments: typed YAML, overrides, and errors that name the key, the value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mo_deepdrive
+from algorithms.common.yaml_io import dump, read_mapping, read_value
+from algorithms.experiments.config import load_experiment, make_experiment, parse_overrides
+from algorithms.experiments.training import build
+from algorithms.peers import PEERS
+
+TEXT = """
+environment:
+  id: mo-deepdrive-one-waypoint-v0
+  arguments: {time_limit: 10}
+utility:
+  name: one_waypoint_linear
+algorithm:
+  name: mo_a2c
+  learning_rate: 3e-4
+training:
+  total_timesteps: 1e5
+  num_envs: 8
+"""
+
+FRONT = """
+environment:
+  id: mo-deepdrive-one-waypoint-v0
+algorithm:
+  name: pcn
+training:
+  total_timesteps: 1e5
+  num_envs: 2
+"""
+
+Write = Callable[[str], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write(text: str) -> Path:
+        path = tmp_path / "experiment.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_every_default_is_filled_in(write: Write) -> None:
+    experiment = load_experiment(write(TEXT))
+    assert experiment.training.total_timesteps == 100_000
+    assert experiment.evaluation.interval == 5_000
+    assert experiment.logging.checkpoint_interval == 5_000
+    assert experiment.environment.arguments["time_limit"] == 10.0
+    assert experiment.environment.arguments["decision_frequency"] == 10
+    assert experiment.hyperparameters["learning_rate"] == 3e-4
+    assert experiment.hyperparameters["gamma"] == 0.99
+
+
+def test_a_vehicle_may_have_a_utility_of_its_own(write: Write) -> None:
+    override = "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [1, 0, 0, 0]}}"
+    utility = load_experiment(write(TEXT), [override]).utility
+    assert utility.of_vehicle(0) is utility
+    assert utility.of_vehicle(1).name == "linear"
+    assert utility.of_vehicle(1).arguments == {"weights": [1, 0, 0, 0]}
+    assert load_experiment(write(TEXT)).utility.of_vehicle(1).name == utility.name
+
+
+def test_the_resolved_experiment_reloads_equal(write: Write, tmp_path: Path) -> None:
+    overrides = ["--logging.wandb={project: p, tags: [a, '1e3']}", "--environment.arguments.objectives=[distance]"]
+    experiment = load_experiment(write(TEXT), overrides)
+    path = tmp_path / "resolved.yaml"
+    path.write_text(dump(experiment.to_dict()))
+    assert load_experiment(path) == experiment
+    assert make_experiment(experiment.to_dict()) == experiment
+
+
+def test_the_committed_configs_are_valid(repository: Path) -> None:
+    found = sorted((repository / "configs").rglob("*.yaml"))
+    # The plan of the reproduction is another kind of file; test_reproduction.py reads it.
+    configs = [path for path in found if "sweeps" not in path.parts and path.name != "reproduce.yaml"]
+    assert configs
+    for path in configs:
+        load_experiment(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("3e-4", 3e-4),
+        ("1e6", 1e6),
+        ("-2.5E+3", -2500.0),
+        (".5", 0.5),
+        ("1_000", 1000),
+        ("7", 7),
+        ("true", True),
+        ("None", None),
+        ("null", None),
+        ("[1, 2e-1]", [1, 0.2]),
+        ("{'a': 1}", {"a": 1}),
+        ("'3e-4'", "3e-4"),
+        ("e5", "e5"),
+    ],
+)
+def test_values_are_read_as_people_and_sweep_agents_write_them(text: str, value: Any) -> None:
+    found = read_value(text)
+    assert found == value
+    assert type(found) is type(value)
+
+
+def test_overrides_take_every_form() -> None:
+    arguments = ["--algorithm.learning_rate=3e-4", "--seed", "3", "--device=cpu", "--environment.arguments.a", "-1"]
+    assert parse_overrides(arguments) == [
+        ("algorithm.learning_rate", 3e-4),
+        ("training.seed", 3),
+        ("training.device", "cpu"),
+        ("environment.arguments.a", -1),
+    ]
+
+
+def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -> None:
+    overrides = ["--algorithm.gamma=1", "--seed=3", "--algorithm={'steps': 4, 'hidden': [8]}", "--training.seed=4"]
+    experiment = load_experiment(write(TEXT), overrides)
+    assert experiment.training.seed == 4
+    assert experiment.hyperparameters["gamma"] == 1.0
+    assert experiment.hyperparameters["steps"] == 4
+    assert experiment.hyperparameters["hidden"] == [8]
+    assert experiment.hyperparameters["learning_rate"] == 3e-4
+
+
+@pytest.mark.parametrize(
+    ("override", "messages"),
+    [
+        ("--algorithm.learning_rat=1", ["learning_rat", "did you mean 'learning_rate'"]),
+        ("--algoritm.gamma=1", ["algoritm", "did you mean 'algorithm'"]),
+        ("--training.sed=1", ["training.sed", "did you mean 'seed'"]),
+        ("--environment.arguments.time_limi=1", ["time_limi", "did you mean 'time_limit'"]),
+        ("--environment.arguments.scenario=intersection", ["scenario", "set by the id"]),
+        ("--environment.id=mo-deepdrive-one-waypont-v0", ["did you mean 'mo-deepdrive-one-waypoint-v0'"]),
+        ("--environment.id=no_such_module:x-v0", ["no_such_module", "cannot import"]),
+        ("--algorithm.name=mo_a2d", ["mo_a2d", "did you mean 'mo_a2c'"]),
+        ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, mo_a2c"]),
+        ("--algorithm.gamma=2", ["'gamma' = 2", "less than or equal to 1"]),
+        ("--algorithm.learning_rate=fast", ["'learning_rate' = 'fast'", "number"]),
+        ("--algorithm.learning_rate=.nan", ["learning_rate", "finite"]),
+        ("--training.total_timesteps=0", ["training.total_timesteps", "greater than or equal to 1"]),
+        ("--training.total_timesteps=1.5", ["training.total_timesteps", "1.5", "integer"]),
+        ("--training.num_envs=many", ["training.num_envs", "'many'", "integer"]),
+        ("--training.seed=-1", ["training.seed", "greater than or equal to 0"]),
+        ("--training.seed=true", ["training.seed", "True", "integer"]),
+        ("--training.device=abacus", ["training.device", "abacus", "cpu, cuda"]),
+        ("--training.device=cuda:99", ["training.device", "cuda:99", "not there"]),
+        ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
+        ("--utility=linear", ["utility", "'linear'"]),
+        ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),
+        ("--utility.vehicles.vehicle_1.nam=x", ["utility.vehicles.vehicle_1.nam", "did you mean 'name'"]),
+        ("--utility.vehicles.vehicle_1={arguments: {}}", ["utility.vehicles.vehicle_1.name", "missing"]),
+        ("--utility.vehicles=[a, b]", ["utility.vehicles", "dictionary"]),
+        ("--training.seed.x.y=1", ["training.seed"]),
+    ],
+)
+def test_what_is_wrong_is_named_with_what_is_allowed(write: Write, override: str, messages: list[str]) -> None:
+    path = write(TEXT + "  seed: 1\n")
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        load_experiment(path, [override])
+    for message in messages:
+        assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["seed=3"], "'seed=3' is not of the form"),
+        (["--"], "is not of the form"),
+        (["--a..b=1"], "is not of the form"),
+        (["--seed"], "has no value"),
+        (["--seed", "--device=cpu"], "has no value"),
+        (["--algorithm=[1,"], "--algorithm: '[1,' is not a valid value"),
+    ],
+)
+def test_arguments_of_another_form_are_refused(arguments: list[str], message: str) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        parse_overrides(arguments)
+    assert message in str(caught.value)
+
+
+def test_several_problems_are_named_at_once(write: Write) -> None:
+    with pytest.raises(ValueError, match=r"time_limi.*learning_rat.*abacus"):
+        load_experiment(
+            write(TEXT), ["--environment.arguments.time_limi=1", "--algorithm.learning_rat=1", "--device=abacus"]
+        )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("- a\n- b\n", "holds a list"),
+        ("1: 2\n", "holds a dict"),
+        ("a: [1\n", "is not valid YAML"),
+        ("a: 1\nb: 2\na: 3\n", "'a' stands twice, in lines 1 and 3"),
+        ("training: {seed: 1, seed: 2}\n", "'seed' stands twice"),
+        ("!!python/object/apply:os.getcwd []\n", "is not valid YAML"),
+        ("algorithm: {learning_rate: 1}\n", "'environment' is missing"),
+    ],
+)
+def test_broken_files_are_refused_by_name(write: Write, text: str, message: str) -> None:
+    path = write(text)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        load_experiment(path)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_and_unreadable_files_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nowhere\.yaml' does not exist"):
+        load_experiment(tmp_path / "nowhere.yaml")
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_experiment(tmp_path)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_experiment(tmp_path / "binary.yaml")
+
+
+def test_a_written_mapping_reads_back_equal(tmp_path: Path) -> None:
+    values = {"a": "3e-4", "b": 3e-4, "c": [1, 2.5, "1e3"], "d": {"e": None, "f": {}}, "g": 1e22, "h": "yes", "i": "é"}
+    path = tmp_path / "values.yaml"
+    path.write_text(dump(values))
+    assert read_mapping(path) == values
+
+
+# Algorithms that learn a front.
+
+
+def test_an_algorithm_has_a_utility_where_it_needs_one_and_none_where_it_does_not(write: Write) -> None:
+    assert load_experiment(write(TEXT)).known_utility is True
+    found = load_experiment(write(FRONT))
+    assert found.known_utility is False
+    assert found.utility is None
+    for name in ("a2c", "mo_a2c", "mo_ppo"):
+        with pytest.raises(ValueError, match=f"'utility' is missing: algorithm '{name}' learns for a known utility"):
+            load_experiment(write(FRONT), [f"--algorithm.name={name}"])
+    with pytest.raises(ValueError, match=r"utility = 'one_waypoint_linear': algorithm 'pcn' learns a front"):
+        load_experiment(write(FRONT), ["--utility.name=one_waypoint_linear"])
+
+
+@pytest.mark.parametrize("gamma", [0.99, 1.0])
+@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "intersection"])
+def test_our_environments_have_an_agreed_reference_point(
+    write: Write, scenario: str, action_type: str, gamma: float
+) -> None:
+    overrides = [
+        f"--environment.id=mo-deepdrive-{scenario.replace('_', '-')}-v0",
+        f"--environment.arguments.action_type={action_type}",
+        f"--evaluation.gamma={gamma}",
+    ]
+    found = load_experiment(write(FRONT), overrides).evaluation.reference_point
+    agreed = mo_deepdrive.reference_point(scenario, action_type, gamma)
+    assert found == agreed.values.tolist()
+    assert len(agreed.objectives) == len(found)
+
+
+def test_the_reference_point_has_the_chosen_objectives_in_their_order(write: Write) -> None:
+    override = "--environment.arguments.objectives=[jerk, distance]"
+    found = load_experiment(write(FRONT), [override]).evaluation.reference_point
+    whole = mo_deepdrive.reference_point("one_waypoint")
+    by_name = dict(zip(whole.objectives, whole.values.tolist(), strict=True))
+    assert found == [by_name["jerk"], by_name["distance"]]
+
+
+def test_a_reference_point_that_is_given_is_kept(write: Write) -> None:
+    point = [-3.0, -0.5, -20.0, -900.0]
+    for gamma in (0.99, 0.5):  # for the second none is agreed
+        overrides = [f"--evaluation.reference_point={point}", f"--evaluation.gamma={gamma}"]
+        experiment = load_experiment(write(FRONT), overrides)
+        assert experiment.evaluation.reference_point == point
+        assert make_experiment(experiment.to_dict()) == experiment
+
+
+def test_only_fronts_of_our_environments_get_a_reference_point(write: Write) -> None:
+    assert load_experiment(write(TEXT)).evaluation.reference_point is None
+    sea = "--environment={id: deep-sea-treasure-v0, arguments: {}}"
+    assert load_experiment(write(FRONT), [sea]).evaluation.reference_point is None
+    given = load_experiment(write(FRONT), [sea, "--evaluation.reference_point=[0.0, -25.0]"])
+    assert given.evaluation.reference_point == [0.0, -25.0]
+    assert build(given).worlds.objectives == ("objective_0", "objective_1")
+
+
+@pytest.mark.parametrize("point", [[0.0], [-1.0, -1.0, -1.0], [-1.0] * 5])
+@pytest.mark.parametrize("env_id", ["mo-deepdrive-one-waypoint-v0", "deep-sea-treasure-v0"])
+def test_a_reference_point_of_another_length_is_refused_before_training(
+    write: Write, point: list[float], env_id: str
+) -> None:
+    overrides = [f"--environment.id={env_id}", f"--evaluation.reference_point={point}"]
+    experiment = load_experiment(write(FRONT), overrides)
+    numbers = 4 if "deepdrive" in env_id else 2
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        build(experiment)
+    assert f"evaluation.reference_point = {point} needs {numbers} numbers" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "messages"),
+    [
+        ("--evaluation.gamma=0.5", ["evaluation.reference_point must be given", "gamma = 0.5", "known: 0.99, 1.0"]),
+        ("--environment.arguments.cost_sign=paper", ["environment.arguments.cost_sign = 'paper'", "'maximise'"]),
+        ("--evaluation.reference_point=[1.0, .nan]", ["reference_point", "finite"]),
+        ("--evaluation.reference_point=low", ["reference_point", "'low'", "list"]),
+        ("--algorithm.name=pnc", ["algorithm.name = 'pnc'", "did you mean 'pcn'?"]),
+        ("--algorithm.hidden=[]", ["'hidden' = []"]),
+        ("--algorithm.crowdin=1", ["did you mean 'crowding'?"]),
+    ],
+)
+def test_what_is_wrong_with_the_experiment_of_a_front_is_named(
+    write: Write, override: str, messages: list[str]
+) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
+        load_experiment(write(FRONT), [override])
+    for message in messages:
+        assert message in str(caught.value)
+
+
+def test_a_front_of_costs_as_magnitudes_is_refused_whatever_the_reference_point(write: Write) -> None:
+    overrides = ["--environment.arguments.cost_sign=paper", "--evaluation.reference_point=[1.0, 1.0, 1.0, 1.0]"]
+    with pytest.raises(ValueError, match="a front needs 'maximise'"):
+        load_experiment(write(FRONT), overrides)
+
+
+@pytest.mark.parametrize("name", sorted(PEERS))
+def test_the_peers_are_known_by_name_but_none_of_our_agents(write: Write, name: str) -> None:
+    known = PEERS[name].known_utility
+    overrides = [f"--algorithm.name={name}", *(["--utility.name=one_waypoint_linear"] if known else [])]
+    experiment = load_experiment(write(FRONT), overrides)
+    assert experiment.algorithm["name"] == name
+    assert experiment.known_utility is known
+    reference = mo_deepdrive.reference_point("one_waypoint").values
+    if known:
+        assert experiment.evaluation.reference_point is None
+    else:
+        np.testing.assert_array_equal(experiment.evaluation.reference_point, reference)
+    with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's; scripts/peers.py runs it"):
+        build(experiment)

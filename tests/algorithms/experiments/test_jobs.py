@@ -1,0 +1,73 @@
+"""Jobs: runs are made once, gone on with where they were stopped, and never mixed up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.jobs import Job, differences, perform
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.worker_pool import perform_all
+from tests.helpers.short_runs import job, quiet
+
+
+def test_a_job_is_trained_and_evaluated_without_pictures_and_then_left_alone(tmp_path: Path) -> None:
+    wanted = job(tmp_path)
+    assert not wanted.done
+    assert perform(wanted) == "trained"
+    assert wanted.done
+    names = {path.name for path in wanted.path.iterdir()}
+    assert {"evaluation.json", "metrics.csv", "checkpoint.safetensors", "train.log"} <= names
+    assert not {"video.mp4", "curves.png"} & names
+    before = {path: path.stat().st_mtime_ns for path in wanted.path.rglob("*") if path.is_file()}
+    assert perform(wanted) == "already there"
+    assert before == {path: path.stat().st_mtime_ns for path in wanted.path.rglob("*") if path.is_file()}
+
+
+def test_a_directory_with_another_experiment_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    perform(job(tmp_path))
+    other = Job("other", job(tmp_path, total_timesteps=961).experiment, tmp_path / "seed0")
+    fresh = job(tmp_path, seed=1)
+    with pytest.raises(ValueError, match=r"training.total_timesteps = 960 there, 961 wanted"):
+        perform_all([fresh, other], 1, Monitor([], quiet()))
+    assert not fresh.path.exists()
+
+
+def test_where_a_run_is_made_does_not_make_it_another(tmp_path: Path) -> None:
+    first, second = job(tmp_path, threads=1).experiment.to_dict(), job(tmp_path, threads=2).experiment.to_dict()
+    second["logging"]["interval"] = 77
+    assert differences(first, second) == []
+    second["algorithm"]["gamma"] = 0.5
+    assert differences(first, second) == ["algorithm.gamma = 0.99 there, 0.5 wanted"]
+
+
+def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    values = job(tmp_path).experiment.to_dict()
+    values["logging"]["wandb"] = {"project": "sweeps"}
+    wanted = Job("wanted", make_experiment(values), tmp_path / "run", id="0123456789ab")
+    assert perform(wanted, stop=lambda: True) == "stopped"
+    assert not wanted.done
+    assert perform(wanted) == "trained"
+    begun = [path.name for path in (wanted.path / "wandb").glob("offline-run-*")]
+    assert len(begun) == 2
+    assert all(name.endswith("-0123456789ab") for name in begun)
+    assert (wanted.path / "wandb_id").read_text() == "0123456789ab\n"
+
+
+def test_what_a_killed_process_leaves_half_made_is_made_anew(tmp_path: Path) -> None:
+    wanted = job(tmp_path)
+    wanted.path.mkdir()
+    for name in (".lock", ".config.yaml.abcdefgh.tmp", "versions.json", "status.json"):
+        (wanted.path / name).write_text("{")
+    assert perform(wanted) == "trained"
+    assert not list(wanted.path.glob(".*.tmp"))
+    (wanted.path / ".metrics.csv.abcdefgh.tmp").write_text("torn")
+    Run.open(wanted.path).lock()
+    assert not list(wanted.path.glob(".*.tmp"))

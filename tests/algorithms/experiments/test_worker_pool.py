@@ -1,0 +1,217 @@
+"""Several runs at a time: each once, gone on with after a death, an interrupt or a full disk, and never torn."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.jobs import Job, perform
+from algorithms.experiments.run_directory import Run, read_status
+from algorithms.experiments.training import DiskFull
+from algorithms.experiments.worker_pool import DIED, perform_all
+from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
+
+LONG = {"total_timesteps": 60_000, "num_envs": 32}  # some seconds
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
+
+
+def make(jobs: list[Job], workers: int = 1, **options: object) -> dict[Job, str]:
+    return perform_all(jobs, workers, Monitor(jobs, quiet()), **options)
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 120.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to that"
+        time.sleep(0.02)
+
+
+def saved(wanted: Job) -> bool:
+    return read_status(wanted.path).get("step", 0) > 0
+
+
+def test_several_jobs_give_what_each_alone_gives_and_are_left_alone_afterwards(tmp_path: Path) -> None:
+    together = [job(tmp_path / "together", seed) for seed in (0, 1, 2)]
+    assert make(together, 2) == {}
+    alone = job(tmp_path / "alone", 1)
+    perform(alone)
+    assert_same_run(together[1].path, alone.path)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+    assert make(together, 2) == {}
+    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_a_job_that_fails_is_named_and_the_others_are_made(tmp_path: Path) -> None:
+    good, bad = job(tmp_path, 0), job(tmp_path, 1)
+    bad.path.mkdir()
+    (bad.path / "something").touch()
+    console = quiet()
+    failed = perform_all([bad, good], 1, Monitor([bad, good], console), retries=2)
+    assert "is not empty" in failed.pop(bad)
+    assert not failed
+    assert printed(console).count("FAILED seed 1: ") == 1  # an error that would only repeat itself is not tried again
+    assert good.done
+
+
+def test_a_stop_saves_what_is_going_on_and_begins_nothing_else(tmp_path: Path) -> None:
+    wanted = job(tmp_path / "stopped", **LONG)
+    waiting = [job(tmp_path / "waiting", seed) for seed in (1, 2, 3)]
+    assert make([wanted, *waiting], stop=lambda: saved(wanted)) == {}
+    assert not multiprocessing.active_children()
+    assert not any(other.path.exists() for other in waiting)
+    assert read_status(wanted.path)["state"] == "interrupted"
+    assert make([wanted]) == {}
+    whole = job(tmp_path / "whole", **LONG)
+    perform(whole)
+    assert_same_run(wanted.path, whole.path)
+
+
+def test_a_killed_worker_costs_the_others_nothing_and_its_run_goes_on(tmp_path: Path) -> None:
+    first, second = job(tmp_path, 0, **LONG), job(tmp_path, 1, **LONG)
+    killed: list[int] = []
+
+    def kill_one() -> bool:
+        if not killed and saved(first) and saved(second):
+            killed.append(multiprocessing.active_children()[0].pid or 0)
+            os.kill(killed[0], signal.SIGKILL)
+        return False
+
+    assert make([first, second], 2, retries=1, stop=kill_one) == {}
+    assert killed
+    for wanted in (first, second):
+        whole = job(tmp_path / "whole", wanted.experiment.training.seed, **LONG)
+        perform(whole)
+        assert_same_run(wanted.path, whole.path)
+        assert_whole(wanted.path)
+
+
+def test_a_run_whose_worker_always_dies_is_given_up_with_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "deadly.py").write_text(
+        "import multiprocessing, os, signal\n"
+        "def utility(returns):\n"
+        "    if multiprocessing.parent_process() is not None:\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return returns[..., 0]\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    deadly = Job("deadly", make_experiment({**VALUES, "utility": {"name": "deadly:utility"}}), tmp_path / "deadly")
+    good = job(tmp_path)
+    failed = make([deadly, good], 1, retries=2)
+    assert failed == {deadly: f"{DIED}, 3 times"}
+    assert good.done
+    status = read_status(deadly.path)
+    assert (status["state"], status["reason"]) == ("failed", failed[deadly])
+
+
+def test_a_full_disk_stops_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "filled.py").write_text(
+        "import errno, os\n"
+        "if os.environ.get('DISK') == 'full':\n"
+        "    whole = os.fsync\n"
+        "    def fsync(descriptor):\n"
+        "        if os.fstat(descriptor).st_size > 3000:\n"
+        "            raise OSError(errno.ENOSPC, 'No space left on device')\n"
+        "        whole(descriptor)\n"
+        "    os.fsync = fsync\n"
+        "def utility(returns):\n"
+        "    return returns[..., 0]\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("DISK", "full")
+    experiment = make_experiment({**VALUES, "utility": {"name": "filled:utility"}})
+    jobs = [Job(f"run {n}", experiment, tmp_path / f"run{n}") for n in range(3)]
+    with pytest.raises(DiskFull, match="No space left on device"):
+        make(jobs, retries=3)
+    assert not jobs[1].path.exists()
+    monkeypatch.setenv("DISK", "empty")
+    assert make(jobs) == {}
+    assert all(wanted.done for wanted in jobs)
+
+
+def test_a_run_that_another_process_makes_is_waited_for(tmp_path: Path) -> None:
+    taken, free = job(tmp_path, 0), job(tmp_path, 1)
+    holder = Run.create(taken.experiment, taken.path)
+    seen: list[bool] = []
+
+    def let_go() -> bool:
+        if free.done and not seen:
+            seen.append(taken.done)
+            holder.unlock()
+        return False
+
+    assert make([taken, free], 1, stop=let_go) == {}
+    assert seen == [False]
+    assert taken.done
+
+
+def test_workers_save_and_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    wanted = job(tmp_path, total_timesteps=2_000_000, num_envs=256)
+    context = multiprocessing.get_context("fork")
+    driver = context.Process(target=make, args=([wanted],))
+    driver.start()
+    eventually(lambda: saved(wanted))
+    assert driver.pid is not None
+    os.kill(driver.pid, signal.SIGKILL)
+    driver.join()
+    eventually(lambda: read_status(wanted.path)["state"] == "interrupted", 30)
+    run = Run.open(wanted.path)
+    eventually(lambda: lockable(run), 30)
+
+
+def lockable(run: Run) -> bool:
+    try:
+        run.lock()
+    except ValueError:
+        return False
+    run.unlock()
+    return True
+
+
+def test_workers_killed_at_random_lose_nothing_and_make_nothing_twice(tmp_path: Path) -> None:
+    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(50)]
+    generator = random.Random(0)
+    kills = 0
+    over = threading.Event()
+
+    def killer() -> None:
+        nonlocal kills
+        while not over.is_set():
+            enough = sum(wanted.done for wanted in jobs) + generator.randint(3, 9)
+            while not over.wait(0.05) and sum(wanted.done for wanted in jobs) < enough:
+                pass
+            over.wait(generator.uniform(0.0, 0.5))
+            workers = [child.pid for child in multiprocessing.active_children() if child.pid is not None]
+            if workers and not over.is_set():
+                os.kill(generator.choice(workers), signal.SIGKILL)
+                kills += 1
+
+    thread = threading.Thread(target=killer)
+    thread.start()
+    try:
+        failed = make(jobs, 2, retries=1000)
+    finally:
+        over.set()
+        thread.join()
+    assert failed == {}
+    assert kills >= 5
+    assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == sorted(wanted.path.name for wanted in jobs)
+    for wanted in jobs:
+        assert wanted.done
+        assert_whole(wanted.path)
+    for seed in (0, 17, 49):
+        whole = job(tmp_path / "whole", seed, total_timesteps=8_000, num_envs=8)
+        perform(whole)
+        assert_same_run(jobs[seed].path, whole.path)

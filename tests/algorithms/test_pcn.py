@@ -1,0 +1,765 @@
+"""Pareto Conditioned Networks: commands, episodes, losses and fronts, each against the plainest computation of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from gymnasium.vector import VectorEnv
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+from safetensors.torch import load_file, save_file
+
+from algorithms import MOA2C, PCN
+from algorithms.common.accrued_reward import History
+from algorithms.common.env_adapter import make_env
+from algorithms.common.episode_buffer import Episode
+from algorithms.common.pareto import hypervolume, indicators, non_dominated
+from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.front import Front
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.training import build
+from algorithms.pcn import Commanded
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded
+
+SHORT = {"time_limit": 2, "fixed_destination": True}
+PLACES: dict[str, tuple[str, dict[str, Any]]] = {
+    "one_waypoint": (ONE_WAYPOINT, SHORT),
+    "one_waypoint, continuous": (ONE_WAYPOINT, {**SHORT, **CONTINUOUS}),
+    "static_obstacle": ("mo-deepdrive-static-obstacle-v0", {"time_limit": 2}),
+    "deep-sea-treasure": (SEA, {}),
+}
+EVERYWHERE = pytest.mark.parametrize("place", PLACES)
+SMALL: dict[str, Any] = {"hidden": [16, 16], "batch_size": 32, "updates": 5, "warmup_episodes": 8}
+TOTAL = 600  # environment steps of a small run
+
+
+def make_pcn(env_id: str = ONE_WAYPOINT, *, num_envs: int = 4, env: Any = None, seed: int = 0, **changed: Any) -> PCN:
+    return PCN(make_env(env_id, num_envs, env), seed=seed, **{**SMALL, **changed})
+
+
+def small_pcn(place: str, seed: int = 0, num_envs: int = 4, **changed: Any) -> PCN:
+    env_id, arguments = PLACES[place]
+    return make_pcn(env_id, num_envs=num_envs, env=arguments, seed=seed, **changed)
+
+
+def saved(agent: PCN, folder: Path) -> dict[str, torch.Tensor]:
+    """Everything that determines the future of an agent."""
+    agent.save(folder / "saved.safetensors")
+    return load_file(folder / "saved.safetensors")
+
+
+def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+def scramble(agent: PCN, size: float) -> None:
+    """Take the policies far from their initial, nearly uniform ones."""
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for parameter in agent.network.parameters():
+            parameter.normal_(0.0, size, generator=generator)
+
+
+def collected(agent: PCN, monkeypatch: pytest.MonkeyPatch) -> list[list[Episode]]:
+    """The episodes that go into the store from now on, one list per round."""
+    rounds: list[list[Episode]] = []
+    add = agent.store.add
+
+    def spy(episodes: list[Episode]) -> None:
+        rounds.append(episodes)
+        add(episodes)
+
+    monkeypatch.setattr(agent.store, "add", spy)
+    return rounds
+
+
+class Choices(gymnasium.Env[Any, Any]):
+    """Four decisions, each of which earns 1 of the first objective, 1 of the second, or nothing."""
+
+    def __init__(self, observed: str = "discrete", continuous: bool = False):
+        self.observation_space = (
+            spaces.Discrete(5, start=3) if observed == "discrete" else spaces.Box(0.0, 4.0, (1, 2), dtype=np.float32)
+        )
+        self.action_space = (
+            spaces.Box(np.float32([2.0, -3.0]), np.float32([6.0, -1.0])) if continuous else spaces.Discrete(3, start=5)
+        )
+        self.reward_space = spaces.Box(0.0, 1.0, (2,), dtype=np.float32)
+        self.count = 0
+
+    def _observed(self) -> Any:
+        if isinstance(self.observation_space, spaces.Discrete):
+            return 3 + self.count
+        return np.full((1, 2), self.count, dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.count = 0
+        return self._observed(), {}
+
+    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action)
+        self.count += 1
+        kind = int(action) - 5 if isinstance(self.action_space, spaces.Discrete) else int(action[0] > 4.0)
+        reward = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]][kind], dtype=np.float32)
+        return self._observed(), reward, self.count == 4, False, {}
+
+
+def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
+    return MOSyncVectorEnv(lambda: Choices(**arguments) for _ in range(num_envs))
+
+
+# What is refused.
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"hidden": []}, "'hidden' = []"),
+        ({"hidden": [8, 0]}, "hidden = [8, 0] must be positive layer sizes"),
+        ({"objective_scales": [1.0, 0.0, 1.0, 1.0]}, "objective_scales = [1.0, 0.0, 1.0, 1.0] must be positive"),
+        ({"objective_scales": [1.0, 1.0]}, "objective_scales = [1.0, 1.0] needs 4 numbers: ('distance', "),
+        ({"horizon_scale": 0.0}, "'horizon_scale' = 0.0"),
+        ({"gamma": 0.0}, "'gamma' = 0.0"),
+        ({"persistence": 1.0}, "'persistence' = 1.0"),
+        ({"store_episodes": 1}, "'store_episodes' = 1"),
+        ({"ambition": -1.0}, "'ambition' = -1.0"),
+        ({"haste": -1}, "'haste' = -1"),
+        ({"learning_rat": 1.0}, "did you mean 'learning_rate'?"),
+    ],
+)
+def test_hyperparameters_that_make_no_sense_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make_pcn(**changed)
+
+
+def test_two_vehicles_are_refused() -> None:
+    with pytest.raises(ValueError, match="algorithm 'pcn' drives one vehicle; the environment has 2"):
+        make_pcn(INTERSECTION)
+
+
+def test_an_agent_that_has_seen_nothing_has_no_commands() -> None:
+    agent = small_pcn("deep-sea-treasure")
+    with pytest.raises(ValueError, match="holds no episode yet: train first"):
+        agent.commands()
+
+
+def test_acting_without_a_command_is_refused() -> None:
+    agent = small_pcn("deep-sea-treasure")
+    with pytest.raises(TypeError, match="PCN acts under a command"):
+        agent.act(np.zeros((1, 1, 2), dtype=np.float32), History.begin(1, 1, 2), None)
+
+
+@pytest.fixture(scope="module")
+def seasoned() -> PCN:
+    """An agent that has been trained a little at sea."""
+    agent = small_pcn("deep-sea-treasure")
+    agent.train(TOTAL)
+    return agent
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_command_far_outside_of_what_was_seen_is_refused_by_name(seasoned: PCN, which: int, side: int) -> None:
+    low, high = (bound.astype(np.float64) for bound in seasoned.bounds)
+    edge = (high if side > 0 else low) + side * seasoned.scales
+    command = (low + high) / 2
+    command[which] = edge[which] - 1e-3 * side
+    seasoned.commanded(command[None], [5])
+    command[which] = edge[which] + 1e-3 * side
+    with pytest.raises(ValueError, match=f"desired return of objective_{which} = .* must be between"):
+        seasoned.commanded(command[None], [5])
+    with pytest.raises(ValueError, match=f"desired return of objective_{which} = "):
+        seasoned.policy([*command, 5])
+    command[which] = np.nan
+    with pytest.raises(ValueError, match=f"desired return of objective_{which} = nan"):
+        seasoned.commanded(command[None], [5])
+
+
+@pytest.mark.parametrize(
+    ("desired", "horizon", "message"),
+    [
+        ([[1.0, -1.0]], [0.5], "horizon = 0.5 must be at least 1"),
+        ([[1.0, -1.0]], [np.nan], "horizon = nan must be at least 1"),
+        ([[1.0]], [5], "expected (n, 2) and (n,)"),
+        ([[1.0, -1.0]], [5, 6], "expected (n, 2) and (n,)"),
+    ],
+)
+def test_commands_of_another_form_are_refused(seasoned: PCN, desired: Any, horizon: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        seasoned.commanded(desired, horizon)
+
+
+# What the network is asked.
+
+
+def asked_of(gamma: float, low: Any, high: Any, desired: Any, horizon: Any, rewards: np.ndarray) -> list[Any]:
+    """What a commanded policy asks for before each of ``rewards`` (T, N, d): wanted returns and decisions left."""
+    asked: list[Any] = []
+
+    def choose(observations: Any, wanted: Any, left: Any, generator: Any) -> Any:
+        asked.append((wanted.copy(), left.copy()))
+        return np.zeros(len(wanted), dtype=np.int64)
+
+    bounds = np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
+    agent: Any = SimpleNamespace(gamma=gamma, bounds=bounds, choose=choose, worlds=None, device=None)
+    policy = Commanded(agent, np.array(desired, dtype=np.float32), np.array(horizon, dtype=np.float32))
+    assert policy.gamma == gamma
+    _, n, d = rewards.shape
+    history = History.begin(n, 1, d)
+    for reward in rewards.astype(np.float32):
+        assert policy.act(np.zeros((n, 1, 3), dtype=np.float32), history, None).shape == (n, 1)
+        history.add(reward[:, None], gamma)
+    return asked
+
+
+@pytest.mark.parametrize("gamma", [0.9, 1.0])
+def test_what_is_wanted_after_a_reward_is_the_rest_of_it_one_decision_later(gamma: float) -> None:
+    rewards = np.random.default_rng(0).normal(size=(12, 3, 2))
+    desired, horizon = [[5.0, -3.0], [0.0, 0.0], [-2.0, 9.0]], [20.0, 5.0, 1.0]
+    asked = asked_of(gamma, [-1e6] * 2, [1e6] * 2, desired, horizon, rewards)
+    rest, left = np.array(desired), np.array(horizon)
+    for t, (wanted, remaining) in enumerate(asked):
+        np.testing.assert_allclose(wanted, rest, rtol=1e-4, atol=1e-4)
+        np.testing.assert_array_equal(remaining, left)
+        rest = (rest - rewards[t]) / gamma
+        left = np.maximum(left - 1.0, 1.0)
+    assert asked[-1][1].tolist() == [9.0, 1.0, 1.0]
+
+
+def test_what_is_wanted_stays_within_what_was_seen_and_the_command() -> None:
+    # Per column: the rest falls below the bounds, rises above them, and the same from a command outside of them.
+    gamma, low, high = 0.5, [-1.0] * 4, [2.0] * 4
+    rewards = np.tile([1.0, -1.0, 1.0, -1.0], (6, 1, 1))
+    asked = asked_of(gamma, low, high, [[0.0, 0.0, -3.0, 5.0]], [9.0], rewards)
+    rest = np.array([0.0, 0.0, -3.0, 5.0])
+    for t, (wanted, _) in enumerate(asked):
+        expected = [max(-1.0, rest[0]), min(2.0, rest[1]), max(-3.0, rest[2]), min(5.0, rest[3])]
+        np.testing.assert_allclose(wanted[0], expected, atol=1e-5)
+        rest = (rest - rewards[t, 0]) / gamma
+    np.testing.assert_allclose(asked[-1][0][0], [-1.0, 2.0, -3.0, 5.0], atol=1e-5)
+
+
+def by_hand(agent: PCN, observations: Any, wanted: Any, left: Any) -> np.ndarray:
+    """Outputs of the network for scaled inputs, from its weights alone."""
+    weights = {name: tensor.double().numpy() for name, tensor in agent.network.state_dict().items()}
+
+    def linear(x: np.ndarray, name: str) -> np.ndarray:
+        return x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+
+    def sigmoid(x: np.ndarray) -> np.ndarray:
+        return 1.0 / (1.0 + np.exp(-x))
+
+    command = np.column_stack([np.asarray(wanted) / agent.scales, np.asarray(left) / agent.config.horizon_scale])
+    x = np.asarray(observations, dtype=np.float64) / agent.worlds.observation_scales
+    x = sigmoid(linear(x, "observation.0")) * sigmoid(linear(command, "command.0"))
+    layers = len(agent.config.hidden)
+    for i in range(layers):
+        x = linear(x, f"body.{2 * i}")
+        if i < layers - 1:
+            x = np.maximum(x, 0.0)
+    return np.tanh(x) if agent.worlds.continuous else x
+
+
+def inputs(agent: PCN, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random observations, wanted returns and decisions left."""
+    rng = np.random.default_rng(seed)
+    observations = rng.normal(size=(n, agent.worlds.observation_size)) * agent.worlds.observation_scales
+    wanted = rng.normal(size=(n, len(agent.scales))) * agent.scales
+    left = rng.integers(1, 100, n)
+    return observations.astype(np.float32), wanted.astype(np.float32), left.astype(np.float32)
+
+
+@pytest.mark.parametrize("hidden", [[8], [16, 8, 4]])
+@EVERYWHERE
+def test_the_greedy_action_is_the_best_of_the_network(place: str, hidden: list[int]) -> None:
+    scales = [3.0, 7.0] if place == "deep-sea-treasure" else None
+    agent = small_pcn(place, hidden=hidden, objective_scales=scales, horizon_scale=40.0)
+    scramble(agent, 1.0)
+    given = inputs(agent, 200)
+    outputs, actions = by_hand(agent, *given), agent.choose(*given, None)
+    if agent.worlds.continuous:
+        np.testing.assert_allclose(actions, outputs, atol=2e-3)
+    else:
+        ordered = np.sort(outputs, axis=1)
+        clear = ordered[:, -1] - ordered[:, -2] > 1e-3
+        assert clear.mean() > 0.9
+        np.testing.assert_array_equal(actions[clear], outputs.argmax(axis=1)[clear])
+        assert len(set(actions.tolist())) > 1 or place == "deep-sea-treasure"  # its numbers are all positive
+
+
+def test_exploring_actions_are_as_frequent_as_the_softmax_says() -> None:
+    agent = small_pcn("one_waypoint")
+    scramble(agent, 0.5)
+    n = 20_000
+    given = tuple(np.repeat(array, n, axis=0) for array in inputs(agent, 1))
+    logits = by_hand(agent, *inputs(agent, 1))[0]
+    expected = np.exp(logits) / np.exp(logits).sum()
+    assert expected.max() > 3 * expected.min()
+    actions = agent.choose(*given, torch.Generator().manual_seed(0))
+    found = np.bincount(actions, minlength=len(expected)) / n
+    np.testing.assert_array_less(np.abs(found - expected), 4.5 * np.sqrt(expected * (1.0 - expected) / n))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_exploring_continuous_actions_scatter_around_the_greedy_one_within_the_box(noise: float) -> None:
+    agent = small_pcn("one_waypoint, continuous", action_noise=noise)
+    given = tuple(np.repeat(array, 5000, axis=0) for array in inputs(agent, 1))
+    greedy = agent.choose(*given, None)[0]
+    assert np.abs(greedy).max() < 0.5
+    scattered = agent.choose(*given, torch.Generator().manual_seed(0))
+    np.testing.assert_allclose(scattered.mean(axis=0), greedy, atol=5 * noise / 5000**0.5 + 1e-6)
+    np.testing.assert_allclose(scattered.std(axis=0), noise, rtol=0.06, atol=1e-6)
+    scramble(agent, 10.0)
+    assert np.abs(agent.choose(*given, torch.Generator().manual_seed(0))).max() <= 1.0
+
+
+# Episodes.
+
+
+@EVERYWHERE
+def test_the_store_holds_what_the_actions_do_in_a_world_of_their_own(
+    place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env_id, arguments = PLACES[place]
+    agent = small_pcn(place, gamma=0.9)
+    seeds: list[int] = []
+    reset = agent.worlds.reset
+    monkeypatch.setattr(agent.worlds, "reset", lambda seed: (seeds.append(seed), reset(seed))[1])
+    rounds = collected(agent, monkeypatch)
+    agent.train(TOTAL // 2)
+    assert agent.updates == len(rounds) == len(seeds)
+    assert agent.step == sum(len(episode) for episodes in rounds for episode in episodes)
+    assert len({seed + i for seed in seeds for i in range(4)}) == 4 * len(rounds)  # every episode on a seed of its own
+    assert min(seeds) >= 2**32
+    env = mo_gymnasium.make(env_id, **arguments)
+    for episodes, seed in zip(rounds[:: max(1, len(rounds) // 3)], seeds[:: max(1, len(rounds) // 3)], strict=True):
+        for i, episode in enumerate(episodes):
+            observation, _ = env.reset(seed=(seed + i))
+            rewards: list[Any] = []
+            over = False
+            for t, action in enumerate(episode.actions):
+                assert not over
+                np.testing.assert_allclose(episode.observations[t], np.ravel(observation), rtol=1e-6, atol=1e-6)
+                (taken,) = agent.worlds.environment_actions(action[None, None])
+                observation, reward, terminated, truncated, _ = env.step(taken)
+                rewards.append(reward)
+                over = terminated or truncated
+            assert over
+            for t in (0, len(rewards) // 2, len(rewards) - 1):
+                expected = sum(0.9**k * np.float64(reward) for k, reward in enumerate(rewards[t:]))
+                np.testing.assert_allclose(episode.returns[t], expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("persistence", [0.0, 0.9])
+def test_random_actions_persist_about_as_often_as_asked(persistence: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_pcn(env={"time_limit": 4}, num_envs=64, warmup_episodes=130, persistence=persistence)
+    rounds = collected(agent, monkeypatch)
+    agent.train(1)  # nothing but the warm-up
+    assert len(rounds) == 3  # of 64 episodes each, the first number that is not below 130
+    repeated = np.concatenate([episode.actions[1:] == episode.actions[:-1] for each in rounds for episode in each])
+    assert len(repeated) > 5000
+    k = agent.worlds.actions
+    p = persistence + (1.0 - persistence) / k
+    assert repeated.mean() == pytest.approx(p, abs=4.5 * (p * (1.0 - p) / len(repeated)) ** 0.5)
+    begun = np.bincount([episode.actions[0] for each in rounds for episode in each], minlength=k)
+    assert begun.min() > 0
+
+
+def test_random_continuous_actions_fill_the_box_and_persist(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_pcn(env={"time_limit": 4, **CONTINUOUS}, num_envs=32, warmup_episodes=32, persistence=0.5)
+    rounds = collected(agent, monkeypatch)
+    agent.train(1)
+    (episodes,) = rounds
+    actions = np.concatenate([episode.actions for episode in episodes])
+    assert np.abs(actions).max() <= 1.0
+    np.testing.assert_allclose(actions.mean(axis=0), 0.0, atol=0.15)
+    np.testing.assert_allclose(actions.std(axis=0), 3**-0.5, rtol=0.1)
+    repeated = np.concatenate([(each.actions[1:] == each.actions[:-1]).all(axis=1) for each in episodes])
+    assert repeated.mean() == pytest.approx(0.5, abs=4.5 * (0.25 / len(repeated)) ** 0.5)
+
+
+@pytest.mark.parametrize(("ambition", "haste"), [(0.0, 0), (0.5, 3), (2.0, 1000)])
+def test_ambitious_commands_ask_for_more_of_one_objective_in_less_time(
+    seasoned: PCN, monkeypatch: pytest.MonkeyPatch, ambition: float, haste: int
+) -> None:
+    monkeypatch.setattr(seasoned, "config", seasoned.config.model_copy(update={"ambition": ambition, "haste": haste}))
+    monkeypatch.setattr(seasoned, "_draws", torch.Generator().manual_seed(0))
+    best = seasoned.store.best()
+    returns, lengths = seasoned.store.returns[best], seasoned.store.lengths[best]
+    assert len(best) > 2
+    deviation = [float(np.sqrt(np.mean((column - column.mean()) ** 2))) for column in returns.T]
+    raised: dict[tuple[int, int], list[float]] = {}
+    for _ in range(150):
+        policy = seasoned._ambitious()
+        assert policy.desired.shape == (4, 2)
+        for desired, horizon in zip(policy.desired, policy.horizon, strict=True):
+            possible = []
+            for k, (wanted, length) in enumerate(zip(returns, lengths, strict=True)):
+                if horizon != max(length - haste, 1):
+                    continue
+                for i in range(2):
+                    more = (float(desired[i]) - wanted[i]) / deviation[i]
+                    others = np.delete(desired - wanted, i)
+                    if -1e-6 <= more <= ambition + 1e-6 and (np.abs(others) < 1e-6).all():
+                        possible.append((k, i, more))
+            assert possible, (desired, horizon)
+            k, i, more = possible[0]
+            raised.setdefault((k, i), []).append(more)
+    amounts = np.concatenate(list(raised.values()))
+    if ambition == 0.0:
+        np.testing.assert_allclose(amounts, 0.0, atol=1e-6)
+    elif ambition < 1.0:  # otherwise what is raised from one episode may be taken for another
+        assert {k for k, _ in raised} == set(range(len(best)))
+        assert {i for _, i in raised} == {0, 1}
+        assert amounts.mean() == pytest.approx(ambition / 2, rel=0.15)
+        assert amounts.max() > 0.95 * ambition
+
+
+# Learning.
+
+
+@pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous", "deep-sea-treasure"])
+def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(place: str) -> None:
+    agent = small_pcn(place, batch_size=50)
+    agent.train(1)
+    scramble(agent, 0.5)
+    draws = torch.Generator()
+    draws.set_state(agent._draws.get_state())
+    observations, actions, returns, left = agent.store.sample(50, draws)
+
+    def loss() -> float:
+        total = 0.0
+        for row, action in zip(by_hand(agent, observations, returns, left), actions, strict=True):
+            if agent.worlds.continuous:
+                total += sum((x - a) ** 2 for x, a in zip(row, action, strict=True)) / len(row)
+            else:
+                total += np.log(np.exp(row).sum()) - row[action]
+        return total / 50
+
+    before, weights = loss(), [parameter.detach().clone() for parameter in agent.network.parameters()]
+    assert float(agent._learn()) == pytest.approx(before, rel=1e-4)
+    # The first step of Adam goes as far as the learning rate says, downhill.
+    for old, new in zip(weights, agent.network.parameters(), strict=True):
+        assert float((new.detach() - old).abs().max()) == pytest.approx(agent.config.learning_rate, rel=1e-2)
+    assert loss() < before
+
+
+@pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous"])
+def test_a_network_that_learns_long_enough_repeats_its_episodes_when_told_to(place: str) -> None:
+    agent = small_pcn(place, hidden=[32, 32], store_episodes=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
+    agent.train(1)
+    assert len(agent.store) == 2
+    losses = [float(agent._learn()) for _ in range(600)]
+    assert np.mean(losses[-20:]) < 0.3 * np.mean(losses[:5])
+    if not agent.worlds.continuous:
+        for episode in agent.store.episodes:
+            command = episode.returns, np.arange(len(episode), 0, -1, dtype=np.float32)
+            agreeing = agent.choose(episode.observations, *command, None) == episode.actions
+            assert agreeing.mean() > 0.8
+
+
+@pytest.mark.parametrize("log_interval", [1, 3])
+def test_what_is_logged_is_the_mean_over_the_exploring_episodes(
+    log_interval: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent = small_pcn("deep-sea-treasure", gamma=1.0)
+    rounds, commands = collected(agent, monkeypatch), []
+    ambitious = agent._ambitious
+    monkeypatch.setattr(agent, "_ambitious", lambda: (commands.append(ambitious()), commands[-1])[1])
+    lines = recorded(agent, TOTAL, log_interval=log_interval)
+    assert lines[-1][0] == agent.step
+    warmup = 2
+    ends = [sum(len(episode) for each in rounds[: k + 1] for episode in each) for k in range(len(rounds))]
+    begun = 0
+    for step, metrics in lines:
+        k = ends.index(step)
+        assert (k + 1) % log_interval == 0 or k == len(rounds) - 1
+        episodes = [episode for each in rounds[begun : k + 1] for episode in each]
+        begun = k + 1
+        assert metrics["train/length"] == pytest.approx(np.mean([len(episode) for episode in episodes]))
+        assert metrics["train/success"] == 0.0
+        for i in range(2):
+            expected = np.mean([episode.returns[0, i] for episode in episodes])
+            assert metrics[f"train/return/objective_{i}"] == pytest.approx(expected, rel=1e-5)
+        attained = np.array([episode.returns[0] for episode in rounds[k]])
+        error = np.abs(attained - commands[k - warmup].desired) / agent.scales
+        assert metrics["policy/command_error"] == pytest.approx(error.mean(), rel=1e-5)
+        assert np.isfinite(metrics["loss/policy"])
+    assert begun == len(rounds)
+    assert lines[-1][1]["policy/non_dominated"] == len(agent.store.best())
+
+
+@EVERYWHERE
+def test_a_seed_determines_everything_and_another_seed_gives_another_run(place: str, tmp_path: Path) -> None:
+    runs = []
+    for attempt, seed in enumerate((5, 5, 6)):
+        torch.manual_seed(attempt)
+        agent = small_pcn(place, seed)
+        runs.append((recorded(agent, TOTAL // 2), saved(agent, tmp_path)))
+    assert runs[0][0] == runs[1][0]
+    assert same(runs[0][1], runs[1][1])
+    assert not any(torch.equal(runs[0][1][name], runs[2][1][name]) for name in runs[0][1] if name.endswith(".weight"))
+    assert runs[0][0] != runs[2][0]
+
+
+def test_training_does_not_touch_the_global_generators() -> None:
+    before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    small_pcn("one_waypoint").train(TOTAL // 2)
+    assert torch.equal(torch.get_rng_state(), before[0])
+    assert np.array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
+
+
+@pytest.mark.parametrize("place", ["one_waypoint", "deep-sea-treasure"])
+def test_evaluations_do_not_disturb_training(place: str, tmp_path: Path) -> None:
+    states, lines = [], []
+    for watched in (False, True):
+        agent = small_pcn(place)
+        env = make_env(*PLACES[place][:1], 3, PLACES[place][1]) if watched else None
+        lines.append(recorded(agent, TOTAL, eval_env=env, eval_interval=TOTAL // 5, eval_episodes=1))
+        states.append(saved(agent, tmp_path))
+    assert same(*states)
+    evaluated = [step for step, metrics in lines[1] if "eval/front/cardinality" in metrics]
+    assert len(evaluated) >= 5
+    assert evaluated[-1] == lines[1][-1][0]
+    assert [line for line in lines[1] if "train/length" in line[1]] == lines[0]
+
+
+def test_logged_fronts_have_the_logged_indicators() -> None:
+    agent, env = small_pcn("deep-sea-treasure"), make_env(SEA, 3)
+    known = np.array(env.envs[0].unwrapped.pareto_front(0.99))
+    fronts: list[tuple[int, Front]] = []
+    lines = recorded(
+        agent,
+        TOTAL,
+        eval_env=env,
+        eval_episodes=2,
+        eval_gamma=0.99,
+        eval_seed=7,
+        reference_point=[0.0, -25.0],
+        reference_front=known,
+        log_front=lambda step, front: fronts.append((step, front)),
+    )
+    evaluated = [(step, metrics) for step, metrics in lines if "eval/front/hypervolume" in metrics]
+    assert [step for step, _ in fronts] == [step for step, _ in evaluated]
+    for (_, metrics), (_, front) in zip(evaluated, fronts, strict=True):
+        assert (front.gamma, front.episodes, front.seed) == (0.99, 2, 7)
+        expected = indicators(front.discounted, reference_point=[0.0, -25.0], reference_front=known, scales=[1.0, 1.0])
+        expected |= {f"return/objective_{i}": front.returns[:, i].max() for i in range(2)}
+        assert metrics == {f"eval/front/{name}": pytest.approx(value) for name, value in expected.items()}
+
+
+# Checkpoints.
+
+
+@EVERYWHERE
+def test_a_resumed_run_is_the_uninterrupted_run(place: str, tmp_path: Path) -> None:
+    whole = small_pcn(place)
+    lines = recorded(whole, TOTAL, log_interval=3)
+    first = small_pcn(place)
+    before = recorded(first, TOTAL, log_interval=3, after_update=lambda agent: agent.updates == 4)
+    assert 0 < first.step < whole.step
+    first.save(tmp_path / "middle.safetensors")
+    second = small_pcn(place, seed=99)  # nothing of its own is left after loading
+    second.load(tmp_path / "middle.safetensors")
+    assert (second.step, second.updates) == (first.step, 4)
+    after = recorded(second, TOTAL, log_interval=3)
+    assert before + after == lines
+    assert same(saved(second, tmp_path), saved(whole, tmp_path))
+    assert second.updates == whole.updates > 5
+
+
+@pytest.mark.parametrize("place", ["one_waypoint", "deep-sea-treasure"])
+def test_the_policies_of_a_checkpoint_do_not_depend_on_the_number_of_worlds(place: str, tmp_path: Path) -> None:
+    agent = small_pcn(place)
+    agent.train(TOTAL)
+    agent.save(tmp_path / "c.safetensors")
+    other = small_pcn(place, seed=3, num_envs=1)
+    other.load(tmp_path / "c.safetensors", policy_only=True)
+    assert other.step == 0
+    fronts = [
+        each.front(make_env(*PLACES[place][:1], n, PLACES[place][1]), episodes=2, seed=4, gamma=0.99)
+        for each, n in ((agent, 5), (other, 2))
+    ]
+    assert len(fronts[0]) == len(fronts[1])
+    for name in ("returns", "discounted", "conditions", "length", "success"):
+        np.testing.assert_array_equal(getattr(fronts[0], name), getattr(fronts[1], name))
+    with pytest.raises(ValueError, match="num_envs = 4; this agent has 1"):
+        other.load(tmp_path / "c.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (lambda: make_agent(MOA2C, env=SHORT), "algorithm = 'pcn'; this agent has 'mo_a2c'"),
+        (lambda: small_pcn("one_waypoint", hidden=[8]), "hidden = [16, 16]; this agent has [8]"),
+        (lambda: small_pcn("static_obstacle"), "environment = 'mo-deepdrive-one-waypoint-v0'"),
+        (lambda: small_pcn("one_waypoint, continuous"), "actions = [22, False]; this agent has [3, True]"),
+        (lambda: make_pcn(env={**SHORT, "objectives": ["distance"]}), "objectives = ['distance', "),
+    ],
+    ids=["algorithm", "hidden", "environment", "actions", "objectives"],
+)
+def test_foreign_checkpoints_are_refused(tmp_path: Path, other: Callable[[], Any], message: str) -> None:
+    agent = small_pcn("one_waypoint")
+    agent.train(1)
+    agent.save(tmp_path / "c.safetensors")
+    for policy_only in (False, True):
+        with pytest.raises(ValueError, match=re.escape(message)):
+            other().load(tmp_path / "c.safetensors", policy_only=policy_only)
+
+
+def test_broken_and_incomplete_checkpoints_are_refused(tmp_path: Path) -> None:
+    agent, path = small_pcn("one_waypoint"), tmp_path / "c.safetensors"
+    agent.train(1)
+    agent.save(path)
+    with pytest.raises(ValueError, match=re.escape("cannot be read")):
+        agent.load(tmp_path / "nowhere.safetensors")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(ValueError, match=re.escape("cannot be read")):
+        agent.load(path)
+    path.write_bytes(content)
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    for name in ("bounds", "network.body.0.weight", "generator", "counts"):
+        save_file({key: tensor for key, tensor in tensors.items() if key != name}, path, metadata)
+        with pytest.raises(ValueError, match=re.escape(f"has {name!r} of shape None")):
+            small_pcn("one_waypoint").load(path)
+
+
+# Fronts.
+
+
+def drive(agent: PCN, env: Any, condition: np.ndarray, seed: int, gamma: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return, discounted return and length of an episode under a command, with the bookkeeping written out."""
+    observation, _ = env.reset(seed=seed)
+    command, left = condition[:-1].astype(np.float64), float(condition[-1])
+    low, high = np.minimum(agent.bounds[0], command), np.maximum(agent.bounds[1], command)
+    wanted, total, discounted, length, over = command, np.zeros(len(command)), np.zeros(len(command)), 0, False
+    while not over:
+        action = agent.eval(observation, np.clip(wanted, low, high), left)
+        assert env.action_space.contains(action)
+        observation, reward, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+        total += reward
+        discounted += gamma**length * np.asarray(reward)
+        wanted, left, length = (wanted - reward) / agent.gamma, max(left - 1.0, 1.0), length + 1
+    return total, discounted, length
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments"),
+    [(ONE_WAYPOINT, {"time_limit": 2}), (ONE_WAYPOINT, {"time_limit": 2, **CONTINUOUS}), (SEA, {})],
+    ids=["discrete", "continuous", "deep-sea-treasure"],
+)
+def test_a_front_is_what_episodes_driven_by_hand_give(env_id: str, arguments: dict[str, Any]) -> None:
+    agent = make_pcn(env_id, env=arguments, gamma=0.95, max_policies=8)
+    agent.train(2 * TOTAL)
+    env, seeds = mo_gymnasium.make(env_id, **arguments), (40, 41)
+    front = agent.front(make_env(env_id, 3, arguments), episodes=2, seed=40, gamma=0.99)
+    assert (front.gamma, front.episodes, front.seed) == (0.99, 2, 40)
+    assert front.condition_names == (*agent.worlds.objectives, "horizon")
+    desired, horizon = agent.commands()
+    commands = np.column_stack([desired, horizon])
+    driven = []
+    for command in commands:
+        total, discounted, lengths = (
+            np.mean(each, axis=0)
+            for each in zip(*(drive(agent, env, command, seed, 0.99) for seed in seeds), strict=True)
+        )
+        driven.append((discounted, total, lengths, command))
+    points = np.array([each[0] for each in driven])
+    kept = sorted((driven[k] for k in np.flatnonzero(non_dominated(points))), key=lambda each: each[0][0])
+    assert len(front) == len(kept)
+    for k, (discounted, total, length, command) in enumerate(kept):
+        np.testing.assert_allclose(front.discounted[k], discounted, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(front.returns[k], total, rtol=1e-4, atol=1e-4)
+        assert front.length[k] == length
+        np.testing.assert_array_equal(front.conditions[k], command)
+    assert np.isnan(front.success).all() == (env_id == SEA)
+
+
+def test_the_commands_of_a_front_are_what_the_best_episodes_got(seasoned: PCN) -> None:
+    desired, horizon = seasoned.commands()
+    found = {(*row, length) for row, length in zip(desired.tolist(), horizon.tolist(), strict=True)}
+    best = seasoned.store.best()
+    assert found == {(*seasoned.store.returns[k].tolist(), float(seasoned.store.lengths[k])) for k in best}
+
+
+def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
+    seasoned: PCN, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, _ = seasoned.commands()
+    assert len(whole) > 3
+    monkeypatch.setattr(seasoned, "config", seasoned.config.model_copy(update={"max_policies": 3}))
+    part, _ = seasoned.commands()
+    assert len(part) == 3
+    np.testing.assert_array_equal(part.max(axis=0), whole.max(axis=0))
+
+
+def test_policies_side_by_side_do_what_each_does_alone() -> None:
+    agent = make_pcn(env={"time_limit": 2})
+    agent.train(TOTAL)
+    conditions = np.column_stack(agent.commands())[:4]
+    assert len(conditions) == 4
+    settings: dict[str, Any] = {"episodes": 3, "seed": 11, "gamma": 0.9}
+    together = agent.evaluate_policies(conditions, make_env(ONE_WAYPOINT, 5, {"time_limit": 2}), **settings)
+    for condition, found in zip(conditions, together, strict=True):
+        alone = evaluate(agent.policy(condition), make_env(ONE_WAYPOINT, 2, {"time_limit": 2}), **settings)
+        for name in ("returns", "discounted", "lengths", "succeeded", "ends", "largest"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), err_msg=name)
+        assert found.returns.shape == (3, 1, 4)
+
+
+# Other environments.
+
+
+@pytest.mark.parametrize("observed", ["discrete", "box"])
+@pytest.mark.parametrize("continuous", [False, True])
+def test_every_trade_off_of_a_toy_is_found(observed: str, continuous: bool) -> None:
+    settings = {"observed": observed, "continuous": continuous}
+    agent = PCN(
+        choices(**settings),
+        seed=1,
+        hidden=[32, 32],
+        gamma=1.0,
+        learning_rate=1e-2,
+        updates=20,
+        warmup_episodes=16,
+        store_episodes=20,
+        haste=0,
+        objective_scales=[4.0, 4.0],
+        horizon_scale=4.0,
+    )
+    agent.train(1600)
+    front = agent.front(choices(3, **settings), episodes=1, seed=0, gamma=1.0)
+    np.testing.assert_array_equal(front.discounted, [[i, 4 - i] for i in range(5)])
+    np.testing.assert_array_equal(front.length, 4)
+    assert agent.step == 1600
+    env = Choices(**settings)
+    observation, _ = env.reset()
+    assert env.action_space.contains(agent.eval(observation, [2.0, 2.0], 4))
+
+
+def test_the_whole_known_front_of_the_deep_sea_is_found(repository: Path) -> None:
+    experiment = load_experiment(repository / "configs" / "deep_sea_treasure" / "pcn.yaml", ["--seed=10"])
+    agent = build(experiment)
+    agent.train(experiment.training.total_timesteps)
+    env = make_env(SEA, 8)
+    front = agent.front(env, episodes=1, seed=experiment.evaluation.seed, gamma=0.99)
+    known = np.array(env.envs[0].unwrapped.pareto_front(0.99))
+    reference = experiment.evaluation.reference_point
+    assert reference == [0.0, -25.0]
+    assert hypervolume(front.discounted, reference) == pytest.approx(hypervolume(known, reference), rel=1e-6)
+    assert len(front) == len(known) == 10

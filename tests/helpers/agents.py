@@ -1,0 +1,170 @@
+"""What the tests of the agents share: small agents on every environment, and rollouts made by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic
+from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.rollout import VehicleRollout
+from algorithms.learner import Learner
+from mo_deepdrive.utilities import Utility, make_utility
+
+ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
+STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"
+INTERSECTION = "mo-deepdrive-intersection-v0"
+SEA = "deep-sea-treasure-v0"
+MINECART = "minecart-v0"
+CONTINUOUS = {"action_type": "continuous"}
+
+CLASSES = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO])
+# Every algorithm in every form of its advantage.
+FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
+    "a2c": (A2C, {}),
+    "utility_difference": (MOA2C, {}),
+    "as_printed": (MOA2C, {"advantage": "as_printed"}),
+    "utility_gradient": (MOA2C, {"advantage": "utility_gradient"}),
+    "without discount": (MOA2C, {"observe_discount": False}),
+}
+ALL_FORMS = pytest.mark.parametrize("form", FORMS)
+
+
+def plain_utility(worlds: Worlds) -> Utility:
+    """The linear utility of our scenarios, or the sum of the objectives elsewhere."""
+    for name in ("one_waypoint_linear", "static_obstacle_linear", "intersection_linear"):
+        try:
+            return make_utility(name, worlds.objectives)
+        except ValueError:
+            continue
+    return make_utility("linear", worlds.objectives, weights=[1.0] * len(worlds.objectives))
+
+
+def make_agent(
+    cls: type[ActorCritic],
+    env_id: str = ONE_WAYPOINT,
+    *,
+    num_envs: int = 4,
+    env: dict[str, Any] | None = None,
+    utility: Any = None,
+    seed: int = 0,
+    **hyperparameters: Any,
+) -> Any:
+    made = make_env(env_id, num_envs, env)
+    return cls(made, utility or plain_utility(Worlds(made)), seed=seed, **hyperparameters)
+
+
+def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
+    """Weights and the optimiser's state of every learner."""
+    return {
+        f"{v}.{name}": tensor.clone()
+        for v, learner in enumerate(agent.learners)
+        for name, tensor in learner.get_state().items()
+    }
+
+
+def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
+    """Equal bit for bit."""
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+def exaggerate(agent: ActorCritic, factor: float = 300.0) -> None:
+    """Take the policies far from their initial, nearly uniform ones."""
+    with torch.no_grad():
+        for learner in agent.learners:
+            learner.actor.body[-1].weight.mul_(factor)
+
+
+def recorded(agent: ActorCritic, total: int, **arguments: Any) -> list[tuple[int, dict[str, float]]]:
+    """Train and return what was logged, without the times."""
+    lines: list[tuple[int, dict[str, float]]] = []
+
+    def log(step: int, metrics: dict[str, float]) -> None:
+        lines.append((step, {name: value for name, value in metrics.items() if not name.startswith("time/")}))
+
+    agent.train(total, log=log, **arguments)
+    return lines
+
+
+def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: int = 0) -> VehicleRollout:
+    """A rollout of one vehicle with random content and ends of every kind.
+
+    With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
+    """
+    worlds, gamma = agent.worlds, agent.gamma
+    n, o, d = worlds.num_envs, worlds.observation_size, len(worlds.objectives)
+    rng = np.random.default_rng(seed)
+    scales = worlds.observation_scales, worlds.objective_scales
+    observations = rng.normal(size=(steps + 1, n, o)) * scales[0]
+    rewards = rng.normal(size=(steps, n, d)) * scales[1] / 10
+    terminated, truncated, acted = np.zeros((3, steps, n), dtype=np.bool_)
+    accrued, discounts = np.zeros((steps + 1, n, d)), np.ones((steps + 1, n))
+    for i in range(n):
+        absent = 0
+        for t in range(steps):
+            acted[t, i] = absent == 0
+            kind = rng.integers(0, 8) if acted[t, i] else 7
+            # The first world ends in every way, whatever the dice say.
+            if i == 0 and t < 6:
+                kind = (0, 7, 1, 7, 2, 7)[t] if not masked else kind
+            terminated[t, i], truncated[t, i] = kind in (0, 2), kind in (1, 2)
+            if kind <= 2 or not acted[t, i]:
+                accrued[t + 1, i], discounts[t + 1, i] = 0.0, 1.0
+            else:
+                accrued[t + 1, i] = accrued[t, i] + discounts[t, i] * rewards[t, i]
+                discounts[t + 1, i] = gamma * discounts[t, i]
+            if masked:
+                absent = int(rng.integers(1, 4)) if kind <= 2 else max(0, absent - 1)
+    if worlds.continuous:
+        actions = torch.tensor(rng.normal(size=(steps, n, worlds.actions)), dtype=torch.float32)
+    else:
+        actions = torch.tensor(rng.integers(0, worlds.actions, (steps, n)))
+    arrays = {
+        "observations": observations,
+        "final": rng.normal(size=(steps, n, o)) * scales[0],
+        "rewards": rewards,
+        "accrued": accrued,
+        "discounts": discounts,
+    }
+    flags = {"terminated": terminated, "truncated": truncated, "acted": acted}
+    nobody = np.zeros((steps + 1, n, 0), dtype=np.float32)
+    return VehicleRollout(
+        others=torch.from_numpy(nobody),
+        final_others=torch.from_numpy(nobody[1:]),
+        actions=actions,
+        **{name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()},
+        **{name: torch.tensor(array) for name, array in flags.items()},
+    )
+
+
+NONLINEAR = make_utility("one_waypoint_nonlinear", ("distance", "destination", "g_force", "jerk"))
+EXPECTED_RETURN = [12.0, 0.9, -4.0, -30.0]
+
+
+def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
+    """An agent on OneWaypoint with a non-linear utility, and its learner with larger weights in the actor."""
+    cls, settings = FORMS[form]
+    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, gamma=0.9, **{**settings, **hyperparameters})
+    exaggerate(agent)
+    learner = agent.learners[0]
+    learner.finished(np.array([EXPECTED_RETURN]))
+    return agent, learner
+
+
+def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discount: Any) -> torch.Tensor:
+    """What the networks see, written out."""
+    parts = [observation / learner.observation_scales]
+    if form != "a2c":
+        parts.append(accrued / learner.objective_scales)
+        if form != "without discount":
+            parts.append(torch.as_tensor(discount).reshape(1))
+    return torch.cat(parts)
+
+
+def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
+    scale = learner.config.value_scale if form == "a2c" else learner.objective_scales
+    return (scale * learner.critic(seen_by(learner, form, *what))).detach()

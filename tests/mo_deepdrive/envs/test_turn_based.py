@@ -1,0 +1,255 @@
+"""The intersection as one Gymnasium environment: whose turn it is, what each turn shows, and how it ends.
+
+``test_envs.py`` holds it to what every environment must do, ``test_faces.py`` to the other faces.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
+
+STARTS = {"starts": ((27.077, 10.0, 0.0), (24.039, 40.0, math.pi))}
+Turn = tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]
+
+
+@pytest.fixture
+def env(make_single: Callable[..., Any]) -> Any:
+    return make_single("intersection")
+
+
+def play(make_single: Callable[..., Any], plan: str, action_type: str = "continuous", together: bool = False) -> Any:
+    """All turns of a recorded episode, and its joint actions."""
+    drive = record(action_type, together)
+    number = list(PLANS).index(plan)
+    env = make_single("intersection", **drive.arguments)
+    turns: list[Turn] = []
+    for reset, joint in drive.resets()[: number + 1]:  # an episode draws where those before it have stopped
+        turns, chosen = [], [0, 0]
+        info = env.reset(**reset)[1]
+        while not turns or not (turns[-1][2] or turns[-1][3]):
+            vehicle = info["vehicle"]
+            turns.append(env.step(joint[min(chosen[vehicle], len(joint) - 1)][vehicle]))
+            chosen[vehicle] += 1
+            info = turns[-1][4]
+    return turns, drive.actions[number]
+
+
+# ------------------------------------------------------------------------------------------------------------- turns
+
+
+def test_the_vehicles_take_turns_and_the_info_names_whose_it_is(env: Any) -> None:
+    assert env.reset(seed=0)[1] == {"vehicle": 0}
+    for turn in range(1, 11):
+        assert env.step(3)[4] == {"vehicle": turn % 2}
+
+
+def test_the_world_moves_when_both_have_chosen_so_that_none_sees_the_others_choice(make_single: Any) -> None:
+    observations, telemetry = [], []
+    for choice in (0, 3, 6):
+        env = make_single("intersection")
+        env.reset(seed=0)
+        before = env.telemetry()
+        observation, reward, *_ = env.step(choice)
+        observations.append(observation.tobytes())
+        assert env.telemetry() == before, "one has chosen, and nothing has moved"
+        assert not reward.any(), "its first turn: it has earned nothing yet"
+        env.step(3)
+        assert env.telemetry() != before
+        telemetry.append(env.telemetry())
+    assert len(set(observations)) == 1
+    assert len({car[0]["speed"] for car in telemetry}) == 2, "idle, or one of two ways to speed up"
+    assert len({car[1]["speed"] for car in telemetry}) == 1
+
+
+def test_a_turn_shows_what_its_vehicle_observes_and_what_its_own_last_decision_earned(
+    make_single: Any, make_vector: Any
+) -> None:
+    env, vector = make_single("intersection"), make_vector("intersection", 1, autoreset_mode="Disabled")
+    observation, _ = env.reset(seed=3)
+    observations, _ = vector.reset(seed=3)
+    np.testing.assert_array_equal(observation, observations[0, 0])
+    rewards = np.zeros((1, 2, env.reward_dim), dtype=np.float32)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        joint = rng.integers(1, 7, size=2)
+        observation, reward, *_ = env.step(joint[0])
+        np.testing.assert_array_equal(observation, observations[0, 1])
+        np.testing.assert_array_equal(reward, rewards[0, 1])
+        observations, rewards, *_ = vector.step(joint[None])
+        observation, reward, *_ = env.step(joint[1])
+        np.testing.assert_array_equal(observation, observations[0, 0])
+        np.testing.assert_array_equal(reward, rewards[0, 0])
+
+
+def test_the_first_turns_of_a_later_episode_have_earned_nothing_either(env: Any) -> None:
+    env.reset(seed=0)
+    for _ in range(9):
+        env.step(3)
+    assert env.reset()[1] == {"vehicle": 0}
+    assert not env.step(3)[1].any()
+    assert env.step(3)[1].any()
+
+
+# --------------------------------------------------------------------------------------------------------------- ends
+
+
+@pytest.mark.parametrize("action_type", ACTION_TYPES)
+@pytest.mark.parametrize(
+    ("plan", "first", "last"),
+    [("both arrive", 1, 0), ("the straight one fails", 1, 0), ("the left turn fails", 0, 1)],
+)
+def test_who_ends_first_has_one_last_turn_and_then_only_the_other_has_turns(
+    make_single: Any, plan: str, first: int, last: int, action_type: str
+) -> None:
+    turns, _ = play(make_single, plan, action_type)
+    ended = [(k, info) for k, (*_, info) in enumerate(turns) if "end" in info]
+    assert [info["vehicle"] for _, info in ended] == [first, last]
+    for _, info in ended:
+        end = PLANS[plan].ends[info["vehicle"]]
+        assert info == {"vehicle": info["vehicle"], "end": end, "success": end == "arrived"}
+    assert {info["vehicle"] for *_, info in turns[ended[0][0] + 1 :]} == {last}
+    assert ended[1][0] == len(turns) - 1
+    assert not any(terminated or truncated for _, _, terminated, truncated, _ in turns[:-1])
+    assert turns[-1][2:4] == (True, False)
+
+
+@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("plan", ["they collide", "both fail in the same decision", "both stand"])
+def test_where_both_end_at_once_vehicle_0_has_its_last_turn_before_vehicle_1(
+    make_single: Any, plan: str, together: bool
+) -> None:
+    turns, actions = play(make_single, plan, together=together)
+    assert len(turns) == 2 * len(actions) + 1
+    left, straight = turns[-2:]
+    ends = PLANS[plan].ends
+    assert left[4] == {"vehicle": 0, "end": ends[0], "success": False}
+    assert straight[4] == {"vehicle": 1, "end": ends[1], "success": False}
+    assert left[2:4] == (False, False)
+    assert straight[2:4] == ((False, True) if plan == "both stand" else (True, False))
+
+
+def test_the_episodes_flag_is_that_of_the_vehicle_whose_turn_is_last(make_single: Any) -> None:
+    turns, _ = play(make_single, "one arrives, one stands")
+    assert turns[-1][4] == {"vehicle": 1, "end": "time_limit", "success": False}
+    assert turns[-1][2:4] == (False, True)
+    turns, _ = play(make_single, "one arrives, one stands", together=True)
+    assert turns[-1][4] == {"vehicle": 1, "end": "other_vehicle", "success": False}
+    assert turns[-1][2:4] == (True, False)
+
+
+def test_the_answer_to_a_last_turn_is_ignored_but_must_be_an_action(make_single: Any) -> None:
+    drive = record("discrete", False)
+    actions = drive.actions[0]
+    env = make_single("intersection", **drive.arguments)
+    info = env.reset(**drive.resets()[0][0])[1]
+    chosen = [0, 0]
+    while "end" not in info:
+        vehicle = info["vehicle"]
+        info = env.step(actions[chosen[vehicle]][vehicle])[4]
+        chosen[vehicle] += 1
+    assert info["vehicle"] == 1
+    with pytest.raises(ValueError, match="vehicle 1"):
+        env.step(22)
+    told = [copy.deepcopy(env).step(answer) for answer in range(22)]
+    assert {observation.tobytes() for observation, *_ in told} == {told[0][0].tobytes()}
+    assert {reward.tobytes() for _, reward, *_ in told} == {told[0][1].tobytes()}
+    assert told[0][4] == {"vehicle": 0}
+
+
+# ---------------------------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize("choices", [1, 2])
+def test_a_bad_action_leaves_the_turn_and_the_choice_that_waits(make_single: Any, choices: int) -> None:
+    env = make_single("intersection", action_type="continuous")
+    env.reset(seed=0)
+    for _ in range(choices):
+        env.step(np.array([0.1, 1.0, -1.0]))
+    before = copy.deepcopy(env)
+    with pytest.raises(ValueError, match=rf"nan.* of vehicle {choices % 2} is not allowed"):
+        env.step(np.array([0.0, math.nan, 0.0]))
+    for _ in range(3):
+        told, expected = env.step(np.zeros(3)), before.step(np.zeros(3))
+        assert told[4] == expected[4]
+        assert told[0].tobytes() == expected[0].tobytes()
+        assert told[1].tobytes() == expected[1].tobytes()
+    assert env.simulator.state.tobytes() == before.simulator.state.tobytes()
+
+
+def test_after_the_end_nothing_moves_until_a_reset(make_single: Any) -> None:
+    env = make_single("intersection", time_limit=0.1)
+    env.reset(seed=0)
+    assert [env.step(3)[3] for _ in range(3)] == [False, False, True]
+    before = env.simulator.state.tobytes()
+    with pytest.raises(ResetNeeded):
+        env.step(3)
+    assert env.simulator.state.tobytes() == before
+    assert env.reset()[1] == {"vehicle": 0}
+
+
+def test_starts_pin_both_vehicles_for_one_episode(env: Any) -> None:
+    env.reset(seed=0, options=STARTS)
+    for car, (x, y, heading) in zip(env.telemetry(), STARTS["starts"], strict=True):
+        assert (car["x"], car["y"], car["heading"]) == (x, y, heading)
+    env.reset()
+    assert [car["y"] for car in env.telemetry()] != [10.0, 40.0]
+
+
+BAD_OPTIONS = {
+    "one start": ({"starts": ((27.0, 10.0, 0.0),)}, r"'starts'.*\(x, y, heading\), \(x, y, heading\)"),
+    "a NaN": ({"starts": ((27.0, math.nan, 0.0), (24.0, 40.0, 3.1))}, "'starts'.*finite"),
+    "a start far away": ({"starts": ((27.0, 1e4, 0.0), (24.0, 40.0, 3.1))}, "'starts'.*250 m"),
+    "the option of another scenario": ({"start": (27.0, 10.0, 0.0)}, "'start' in Intersection; did you mean 'starts'"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_OPTIONS)
+def test_reset_options_that_make_no_scenario_are_refused(env: Any, what: str) -> None:
+    options, message = BAD_OPTIONS[what]
+    env.reset(seed=0)
+    env.step(3)
+    before = copy.deepcopy(env)
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=5, options=options)
+    assert env.np_random_seed == 0
+    told, expected = env.step(3), before.step(3)
+    assert told[4] == expected[4] == {"vehicle": 0}
+    assert told[0].tobytes() == expected[0].tobytes()
+    assert env.reset()[0].tobytes() == before.reset()[0].tobytes()
+
+
+# ---------------------------------------------------------------------------------------------------------- rendering
+
+
+def test_a_picture_changes_when_the_world_moves_and_a_video_of_turns_plays_at_the_speed_of_life(
+    make_single: Any,
+) -> None:
+    env = make_single("intersection", render_mode="rgb_array")
+    assert env.metadata["render_fps"] == 20
+    env.reset(seed=0)
+    frames = [env.render()]
+    for _ in range(10):
+        env.step(3)
+        frames.append(env.render())
+    assert frames[0].shape == (*frames[0].shape[:2], 3)
+    assert frames[0].dtype == np.uint8
+    assert (frames[1] == frames[0]).all(), "one has chosen"
+    assert (frames[-1] != frames[0]).any()
+    env.close()
+    assert make_single("intersection").render() is None
+
+
+def test_the_id_makes_the_turn_based_environment() -> None:
+    from mo_deepdrive.envs.turn_based import TurnBasedEnv
+
+    env = gymnasium.make("mo-deepdrive-intersection-v0", disable_env_checker=True)
+    assert type(env.unwrapped) is TurnBasedEnv

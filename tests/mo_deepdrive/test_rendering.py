@@ -1,0 +1,375 @@
+"""Pictures: their form, what they show where, and that drawing never disturbs or is disturbed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pygame
+import pytest
+from gymnasium.wrappers import RecordVideo
+from numpy.typing import NDArray
+
+import mo_deepdrive  # noqa: F401  (registers the ids)
+from mo_deepdrive.batch import Simulator
+from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.rendering import Episode, Viewer
+from mo_deepdrive.scenarios import DRAWS, MAP_SIZE
+from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+
+SCENARIOS = ("one_waypoint", "static_obstacle", "intersection")
+SINGLE_IDS = ("mo-deepdrive-one-waypoint-v0", "mo-deepdrive-static-obstacle-v0")
+INTERSECTION_ID = "mo-deepdrive-intersection-v0"
+MAP_PIXELS = 720
+SPEED_UP = 3
+BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (255, 36, 40)
+LABELS = ((84, 1030), (406, 1030))  # row and column in the frame, where it says why each of two vehicles ended
+
+
+def start(scenario: str) -> tuple[Simulator, Viewer]:
+    """A world at the start of an episode and a viewer for it."""
+    config = parse(EnvConfig, {"scenario": scenario, "harmful_g_force": None}, "settings")
+    simulator = Simulator(config, 1)
+    simulator.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.5))
+    return simulator, Viewer(config, "rgb_array")
+
+
+def drive(simulator: Simulator, decisions: int = 1) -> None:
+    for _ in range(decisions):
+        simulator.step(np.full(simulator.terminated.shape, SPEED_UP))
+
+
+def colour_at(frame: NDArray[np.uint8], x: float, y: float) -> NDArray[np.int64]:
+    """Mean colour of the 3 x 3 pixels around a point of the world (m)."""
+    column, row = round(x / MAP_SIZE * MAP_PIXELS), round((1 - y / MAP_SIZE) * MAP_PIXELS)
+    return np.asarray(frame[row - 1 : row + 2, column - 1 : column + 2].mean(axis=(0, 1)), dtype=np.int64)
+
+
+def resembles(colour: NDArray[np.int64], expected: tuple[int, ...], tolerance: int = 70) -> bool:
+    return bool(np.abs(colour - expected).max() < tolerance)
+
+
+def ahead_of(vehicle: Any, ahead: float, right: float = 0.0) -> tuple[float, float]:
+    """The point of the world that lies so many metres ahead and to the right of a vehicle's centre."""
+    cos, sin = np.cos(vehicle.heading), np.sin(vehicle.heading)
+    return vehicle.x - sin * ahead + cos * right, vehicle.y + cos * ahead + sin * right
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_frame_is_a_fresh_writable_rgb_array_that_video_encoders_accept(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    first, second = viewer.draw(simulator.state[0]), viewer.draw(simulator.state[0])
+    assert first.dtype == np.uint8
+    height, width, channels = first.shape
+    assert (height % 16, width % 16, channels) == (0, 0, 3)
+    assert first.flags.c_contiguous
+    assert first.flags.writeable
+    first[:] = 0
+    assert second.any()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_same_state_drawn_again_gives_the_same_picture(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    viewer.draw(simulator.state[0])
+    for _ in range(5):
+        drive(simulator)
+        first = viewer.draw(simulator.state[0])
+        assert np.array_equal(first, viewer.draw(simulator.state[0]))
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_drawing_leaves_the_state_alone(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    drive(simulator, 3)
+    before = simulator.state.tobytes()
+    viewer.draw(simulator.state[0])
+    assert simulator.state.tobytes() == before
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_frames_differ_on_the_map_when_the_car_moves(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    before = viewer.draw(simulator.state[0])
+    drive(simulator, 10)
+    after = viewer.draw(simulator.state[0])
+    assert (before[:, :MAP_PIXELS] != after[:, :MAP_PIXELS]).any()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_each_car_shows_in_its_colour_where_it_is(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    drive(simulator, 20)
+    frame = viewer.draw(simulator.state[0])
+    for vehicle, colour in zip(simulator.state[0], (BLUE, ORANGE), strict=False):
+        assert resembles(colour_at(frame, *ahead_of(vehicle, 1.8)), colour)
+        assert not resembles(colour_at(frame, *ahead_of(vehicle, LENGTH)), colour)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, -np.pi / 2, 3.0])
+def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading: float) -> None:
+    simulator, viewer = start("one_waypoint")
+    vehicle = simulator.state[0, 0]
+    vehicle.x, vehicle.y, vehicle.heading = 20.0, 12.0, heading
+    coasting = viewer.draw(simulator.state[0])
+    vehicle.brake = 1.0
+    braking = viewer.draw(simulator.state[0])
+    for side in (-0.75, 0.75):
+        front, rear = ahead_of(vehicle, 2.3, side), ahead_of(vehicle, -2.4, side)
+        assert resembles(colour_at(coasting, *front), YELLOW)
+        assert not resembles(colour_at(coasting, *rear), RED)
+        assert resembles(colour_at(braking, *rear), RED)
+
+
+def test_the_front_wheels_turn_with_the_steer_angle() -> None:
+    simulator, viewer = start("one_waypoint")
+    straight = viewer.draw(simulator.state[0])
+    simulator.state[0, 0].steer = 0.4
+    assert (viewer.draw(simulator.state[0]) != straight).any()
+
+
+def test_a_car_whose_episode_has_ended_is_pale() -> None:
+    simulator, viewer = start("intersection")
+    simulator.state[0, 0].end = 1
+    frame = viewer.draw(simulator.state[0])
+    assert not resembles(colour_at(frame, *ahead_of(simulator.state[0, 0], 1.8)), BLUE)
+    assert resembles(colour_at(frame, *ahead_of(simulator.state[0, 1], 1.8)), ORANGE)
+
+
+def test_each_of_two_cars_wears_its_number() -> None:
+    simulator, viewer = start("intersection")
+    darkest = {}
+    for name, heading in (("ahead", 0.0), ("askew", 0.8)):
+        simulator.state[0, 0].heading = heading
+        frame = viewer.draw(simulator.state[0])
+        for v, vehicle in enumerate(simulator.state[0]):
+            points = [ahead_of(vehicle, -0.5 + 0.15 * k, 0.15 * j) for k in range(-2, 3) for j in range(-2, 3)]
+            darkest[name, v] = min(colour_at(frame, *point).sum() for point in points)
+    assert max(darkest.values()) < 200
+    alone, viewer = start("one_waypoint")
+    assert resembles(colour_at(viewer.draw(alone.state[0]), *ahead_of(alone.state[0, 0], -0.5)), BLUE)
+
+
+def test_waypoints_are_ticked_once_they_are_reached() -> None:
+    simulator, viewer = start("intersection")
+    turning = simulator.state[0, 0]
+    first, last = turning.waypoints[0], turning.waypoints[2]
+    stroke = (0.22, 0.04)  # m, from the middle of a waypoint to the middle of its tick's longer stroke
+    before = viewer.draw(simulator.state[0])
+    turning.next_waypoint = 1
+    reached = viewer.draw(simulator.state[0])
+    assert not resembles(colour_at(before, *(first + stroke)), BLUE, 30)
+    assert resembles(colour_at(reached, *(first + stroke)), BLUE, 30)
+    turning.next_waypoint = 2
+    assert not resembles(colour_at(viewer.draw(simulator.state[0]), *(last + stroke)), BLUE, 30)
+    turning.end = ARRIVED
+    assert resembles(colour_at(viewer.draw(simulator.state[0]), *(last + stroke)), BLUE, 30)
+
+
+def test_the_panel_says_in_colour_how_each_vehicle_ended() -> None:
+    simulator, viewer = start("intersection")
+    colours = {}
+    for end in (RUNNING, ARRIVED, COLLISION, TIME_LIMIT, OTHER_VEHICLE):
+        simulator.state[0, 0].end, simulator.state[0, 1].end = end, RUNNING
+        frame = viewer.draw(simulator.state[0])
+        colours[end] = tuple(frame[LABELS[0]].tolist())
+        assert tuple(frame[LABELS[1]].tolist()) == colours[RUNNING]
+    assert len(set(colours.values())) == 5
+    red, green, blue = colours[COLLISION]
+    assert red > 2 * green > blue
+    red, green, blue = colours[ARRIVED]
+    assert green > 1.5 * max(red, blue)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_view_that_was_widened_returns_to_what_it_was(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    vehicle = simulator.state[0, 0]
+    before = viewer.draw(simulator.state[0])
+    x, vehicle.x = vehicle.x, -60.0
+    assert (viewer.draw(simulator.state[0]) != before).any()
+    vehicle.x = x
+    assert np.array_equal(viewer.draw(simulator.state[0]), before)
+
+
+def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
+    simulator, viewer = start("static_obstacle")
+    vehicle = simulator.state[0, 0]
+    frame = viewer.draw(simulator.state[0])
+    goal_x, goal_y = vehicle.waypoints[0]
+    ground = colour_at(frame, goal_x + 6.0, goal_y)
+    assert resembles(colour_at(frame, goal_x, goal_y), BLUE)
+    assert resembles(colour_at(frame, goal_x + 1.65, goal_y), BLUE)
+    assert np.abs(colour_at(frame, *vehicle.obstacle.mean(axis=0)) - ground).max() > 30
+
+
+def test_a_car_beyond_the_map_stays_in_the_picture() -> None:
+    simulator, viewer = start("one_waypoint")
+    vehicle = simulator.state[0, 0]
+    inside = viewer.draw(simulator.state[0])
+    vehicle.x, vehicle.y = -80.0, 150.0
+    outside = viewer.draw(simulator.state[0])
+    assert outside.shape == inside.shape
+    # Of the two blue things in view, the destination is close to the middle; the car is up and to the left.
+    corner = outside[: MAP_PIXELS // 4, : MAP_PIXELS // 4].astype(np.int64)
+    assert (np.abs(corner - BLUE).max(axis=2) < 70).any()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_trail_and_the_sums_are_cleared_at_reset(scenario: str) -> None:
+    simulator, viewer = start(scenario)
+    beginning = simulator.state.copy()
+    fresh = viewer.draw(simulator.state[0])
+    for _ in range(20):
+        drive(simulator)
+        viewer.draw(simulator.state[0])
+    simulator.state[:] = beginning
+    assert np.array_equal(viewer.draw(simulator.state[0]), fresh)
+
+
+def test_the_trail_shows_where_the_car_has_been() -> None:
+    simulator, viewer = start("one_waypoint")
+    viewer.draw(simulator.state[0])
+    for _ in range(45):
+        drive(simulator)
+        trailing = viewer.draw(simulator.state[0])
+    without = Viewer(viewer.config, "rgb_array").draw(simulator.state[0])
+    behind = ahead_of(simulator.state[0, 0], -LENGTH)
+    assert colour_at(trailing, *behind)[0] < colour_at(without, *behind)[0] - 20
+
+
+def test_sums_add_every_decision_once_and_say_when_one_is_missing() -> None:
+    simulator, _ = start("intersection")
+    episode = Episode(2, 10)
+    expected = np.zeros_like(episode.sums)
+    episode.follow(simulator.state[0])
+    for _ in range(15):
+        drive(simulator)
+        expected += simulator.state[0]["objectives"]
+        episode.follow(simulator.state[0])
+        episode.follow(simulator.state[0])
+    assert episode.complete.all()
+    np.testing.assert_allclose(episode.sums, expected)
+    assert [len(trail) for trail in episode.trails] == [10, 10]
+    drive(simulator, 2)
+    episode.follow(simulator.state[0])
+    assert not episode.complete.any()
+
+
+def test_a_new_episode_is_noticed_even_if_it_is_first_shown_later_than_the_last_one() -> None:
+    simulator, _ = start("one_waypoint")
+    episode = Episode(1, 10)
+    for _ in range(5):
+        drive(simulator)
+        episode.follow(simulator.state[0])
+    simulator.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.9))
+    drive(simulator, 8)
+    episode.follow(simulator.state[0])
+    assert not episode.complete.any()
+    assert len(episode.trails[0]) == 1
+
+
+@pytest.mark.parametrize("mode", ["ansi", "", None])
+def test_an_unknown_render_mode_is_an_error_that_names_the_allowed_ones(mode: Any) -> None:
+    with pytest.raises(ValueError, match=r"render_mode = .*rgb_array.*human"):
+        Viewer(EnvConfig(scenario="one_waypoint"), mode)
+
+
+def test_rgb_array_needs_no_display_and_survives_others_shutting_pygame_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("rgb_array must not touch the display")
+
+    monkeypatch.setattr(pygame.display, "set_mode", refuse)
+    monkeypatch.setattr(pygame.display, "init", refuse)
+    simulator, viewer = start("intersection")
+    before = viewer.draw(simulator.state[0])
+    pygame.quit()
+    assert np.array_equal(viewer.draw(simulator.state[0]), before)
+    viewer.close()
+
+
+@pytest.mark.parametrize("name", SINGLE_IDS)
+def test_single_environments_render(name: str) -> None:
+    env = gymnasium.make(name, render_mode="rgb_array", disable_env_checker=True)
+    env.reset(seed=1)
+    first: Any = env.render()
+    for _ in range(5):
+        env.step(SPEED_UP)
+    second: Any = env.render()
+    env.close()
+    assert first.shape == second.shape
+    assert (first != second).any()
+
+
+def test_vector_environments_render_one_frame_per_world() -> None:
+    envs = gymnasium.make_vec(INTERSECTION_ID, num_envs=2, render_mode="rgb_array")
+    envs.reset(seed=1)
+    for _ in range(5):
+        envs.step(np.full((2, 2), SPEED_UP))
+    frames: Any = envs.render()
+    envs.close()
+    assert len(frames) == 2
+    assert frames[0].shape == frames[1].shape
+    assert (frames[0] != frames[1]).any()
+
+
+def test_record_video_writes_a_video(tmp_path: Path) -> None:
+    env = gymnasium.make(SINGLE_IDS[1], render_mode="rgb_array", time_limit=0.5, disable_env_checker=True)
+    recorder: Any = RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
+    recorder.reset(seed=1)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = recorder.step(SPEED_UP)
+        over = terminated or truncated
+    recorder.close()
+    (video,) = tmp_path.glob("videos/*.mp4")
+    assert video.stat().st_size > 0
+
+
+@pytest.fixture
+def human_env(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """An environment with a window on a display that does not exist, at a rate that does not slow the test."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame.display.quit()
+    env = gymnasium.make(SINGLE_IDS[0], render_mode="human", decision_frequency=60, disable_env_checker=True)
+    yield env
+    env.close()
+
+
+def test_human_mode_shows_every_step_in_a_window(human_env: Any) -> None:
+    human_env.reset(seed=1)
+    window = pygame.display.get_surface()
+    assert window is not None
+    before = pygame.surfarray.array3d(window)
+    for _ in range(30):
+        human_env.step(SPEED_UP)
+    assert human_env.render() is None
+    assert (pygame.surfarray.array3d(pygame.display.get_surface()) != before).any()
+    human_env.close()
+    assert not pygame.display.get_init()
+
+
+def test_closing_the_window_ends_the_showing_but_not_the_episode(human_env: Any) -> None:
+    human_env.reset(seed=1)
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    human_env.step(SPEED_UP)
+    assert not pygame.display.get_init()
+    human_env.step(SPEED_UP)
+    assert not pygame.display.get_init()
+
+
+def test_human_mode_reopens_its_window_when_others_shut_pygame_down(human_env: Any) -> None:
+    human_env.reset(seed=1)
+    pygame.quit()
+    human_env.step(SPEED_UP)
+    assert pygame.display.get_surface() is not None
+
+
+def test_importing_the_module_prints_nothing_and_leaves_the_process_environment_alone(
+    run_python: Callable[[str], str],
+) -> None:
+    lines = "import os", "before = {**os.environ}", "import mo_deepdrive.rendering", "assert before == {**os.environ}"
+    assert run_python("\n".join(lines)) == ""

@@ -1,0 +1,272 @@
+"""Choosing a policy of a front through the command line, against a plain computation over the policies' episodes."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from algorithms.common.env_adapter import make_env
+from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.front import Front
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import build, evaluate_front
+from mo_deepdrive.utilities import make_utility
+from tests.helpers.paths import REPOSITORY
+
+EPISODES, SEED = 3, 21
+ARGUMENTS = {"time_limit": 3}
+DRIVING = f"""
+environment: {{id: mo-deepdrive-one-waypoint-v0, arguments: {ARGUMENTS}}}
+algorithm:
+  name: pcn
+  learning_rate: 1e-2
+  hidden: [32, 32]
+  batch_size: 128
+  updates: 100
+  warmup_episodes: 64
+  persistence: 0.95
+  store_episodes: 100
+  haste: 0
+  horizon_scale: 20.0
+training: {{total_timesteps: 3000, num_envs: 16, seed: 3}}
+evaluation: {{episodes: 1, final_episodes: 2}}
+"""
+
+Done = tuple[int, str, str]  # exit code, standard output, standard error
+Choose = Callable[..., Done]
+
+
+@pytest.fixture(scope="module")
+def script() -> Any:
+    """scripts/choose.py as a module: ``main`` is what the command line runs."""
+    spec = importlib.util.spec_from_file_location("choose", REPOSITORY / "scripts" / "choose.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def choose(script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Choose:
+    """Run the script in the test's folder, on lines long enough for its table."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(script, "make_console", lambda: Console(width=250))
+
+    def call(*arguments: Any) -> Done:
+        capfd.readouterr()
+        code = script.main([str(argument) for argument in arguments])
+        said = capfd.readouterr()
+        return code, said.out, said.err
+
+    return call
+
+
+def refused(done: Done, *messages: str) -> None:
+    """It ended with code 2 and one message on standard error."""
+    code, out, error = done
+    assert code == 2, out + error
+    assert "Traceback" not in error
+    message = error[error.index("error: ") :]
+    for part in messages:
+        assert part in message
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that learnt a front, as far as choosing needs it."""
+    folder = tmp_path_factory.mktemp("front")
+    (folder / "driving.yaml").write_text(DRIVING)
+    experiment = load_experiment(folder / "driving.yaml")
+    run = Run.create(experiment, folder / "run")
+    run.unlock()
+    agent = build(experiment)
+    agent.train(experiment.training.total_timesteps)
+    agent.save(run.checkpoint)
+    front = evaluate_front(agent, experiment, episodes=2, seed=experiment.evaluation.seed)
+    assert len(front) > 3
+    front.write(run.path, {"step": agent.step})
+    return run.path
+
+
+@pytest.fixture(scope="module")
+def returns(folder: Path) -> np.ndarray:
+    """(K, E, d) returns of every policy, each driven alone."""
+    experiment = Run.open(folder).experiment
+    agent = build(experiment, num_envs=1)
+    agent.load(folder / "checkpoint.safetensors", policy_only=True)
+    env = make_env("mo-deepdrive-one-waypoint-v0", 1, ARGUMENTS)
+    found = [
+        evaluate(agent.policy(condition), env, episodes=EPISODES, seed=SEED, gamma=0.99).returns[:, 0]
+        for condition in Front.read(folder).conditions
+    ]
+    return np.array(found)
+
+
+def chosen(done: Done, folder: Path) -> int:
+    """The policy that the last line names."""
+    code, out, error = done
+    assert code == 0, out + error
+    (number,) = re.findall(rf"policy (\d+) of {re.escape(str(folder / 'front.csv'))}", out.replace("\n", ""))
+    assert f"policy {number}: chosen" in out
+    return int(number)
+
+
+def numbers_of(out: str, row: str) -> list[float]:
+    """The first number of every cell of a row of the table."""
+    (line,) = [line for line in out.splitlines() if line.strip().startswith(row)]
+    cells = re.split(r" {2,}", line.strip().removeprefix(row).strip())
+    return [float(cell.split()[0].rstrip("%")) for cell in cells]
+
+
+SETTINGS = ["--episodes", EPISODES, "--seed", SEED]
+NAMES = ("distance", "destination", "g_force", "jerk")
+
+
+@pytest.mark.parametrize(
+    "weights", [{"distance": 1.0}, {"jerk": 1.0}, {"distance": 1.0, "g_force": 0.3, "jerk": 0.004}]
+)
+def test_weights_choose_the_greatest_weighted_sum(
+    folder: Path, returns: np.ndarray, choose: Choose, weights: dict[str, float]
+) -> None:
+    done = choose(folder, *SETTINGS, "--weights", *(f"{name}={w}" for name, w in weights.items()))
+    k = chosen(done, folder)
+    worth = [
+        sum(w * episode[NAMES.index(name)] for episode in policy for name, w in weights.items()) / EPISODES
+        for policy in returns
+    ]
+    assert worth[k] == pytest.approx(max(worth), abs=1e-6)
+    assert numbers_of(done[1], "weighted sum")[0] == pytest.approx(max(worth), rel=1e-3)
+    for i, name in enumerate(NAMES):
+        assert numbers_of(done[1], name)[0] == pytest.approx(returns[k, :, i].mean(), rel=0.02, abs=1e-3)
+
+
+def test_the_chosen_policy_stands_beside_the_next_best(folder: Path, returns: np.ndarray, choose: Choose) -> None:
+    done = choose(folder, *SETTINGS, "--weights", "distance=1", "jerk=0.01")
+    worth = (returns @ [1.0, 0.0, 0.0, 0.01]).mean(axis=1)
+    others = numbers_of(done[1], "weighted sum")
+    assert len(others) == min(5, len(worth))
+    np.testing.assert_allclose(others, np.sort(worth)[::-1][:5], rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["one_waypoint_linear", "one_waypoint_nonlinear"])
+def test_a_utility_chooses_the_greatest_expected_utility(
+    folder: Path, returns: np.ndarray, choose: Choose, name: str
+) -> None:
+    done = choose(folder, *SETTINGS, "--utility", name)
+    utility = make_utility(name, NAMES)
+    worth = [sum(float(utility(episode)) for episode in policy) / EPISODES for policy in returns]
+    assert worth[chosen(done, folder)] == pytest.approx(max(worth), abs=1e-6)
+    assert numbers_of(done[1], f"expected {name}")[0] == pytest.approx(max(worth), rel=1e-3)
+
+
+def test_a_utility_is_expected_over_the_episodes_and_not_taken_of_their_mean(script: Any) -> None:
+    made = np.random.default_rng(0).normal(0.0, [20.0, 1.0, 5.0, 500.0], (6, 8, 4))
+    utility = make_utility("one_waypoint_nonlinear", NAMES)
+    options = script.parse_arguments(["run", "--utility", "one_waypoint_nonlinear"])
+    _, worth_of = script.preference(options, NAMES, np.ones(4))
+    expected = [sum(float(utility(episode)) for episode in policy) / 8 for policy in made]
+    np.testing.assert_allclose(worth_of(made), expected)
+    assert not np.allclose(utility(made.mean(axis=1)), expected)
+
+
+def test_a_utility_may_have_arguments_or_be_the_users_own(
+    folder: Path, returns: np.ndarray, choose: Choose, tmp_path: Path
+) -> None:
+    options = ["--utility", "linear", "--arguments", "{weights: [0, 0, 1, 0]}"]
+    k = chosen(choose(folder, *SETTINGS, *options), folder)
+    means = returns.mean(axis=1)
+    assert means[k, 2] == pytest.approx(means[:, 2].max(), abs=1e-6)
+    (tmp_path / "wishes.py").write_text("def squared(returns):\n    return -((returns[..., 0] - 0.2) ** 2)\n")
+    k = chosen(choose(folder, *SETTINGS, "--utility", "wishes:squared"), folder)
+    worth = -((returns[..., 0] - 0.2) ** 2).mean(axis=1)
+    assert worth[k] == pytest.approx(worth.max(), abs=1e-6)
+
+
+@pytest.mark.parametrize("fraction", [0.25, 0.5, 0.75])
+def test_a_target_chooses_what_falls_least_short_of_it(
+    folder: Path, returns: np.ndarray, choose: Choose, fraction: float
+) -> None:
+    means = returns.mean(axis=1)
+    wanted = {i: float(np.quantile(means[:, i], fraction)) + 0.1 for i in (0, 3)}
+    done = choose(folder, *SETTINGS, "--target", *(f"{NAMES[i]}={value!r}" for i, value in wanted.items()))
+    scales = build(Run.open(folder).experiment, num_envs=1).scales
+    distances = [
+        sum((max(0.0, value - row[i]) / float(scales[i])) ** 2 for i, value in wanted.items()) ** 0.5 for row in means
+    ]
+    assert distances[chosen(done, folder)] == pytest.approx(min(distances), abs=1e-6)
+    assert numbers_of(done[1], "minus the distance to the target")[0] == pytest.approx(-min(distances), rel=1e-3)
+
+
+def test_of_policies_that_all_reach_the_target_the_best_overall_is_chosen(
+    folder: Path, returns: np.ndarray, choose: Choose
+) -> None:
+    k = chosen(choose(folder, *SETTINGS, "--target", "jerk=-1e6"), folder)
+    scales = build(Run.open(folder).experiment, num_envs=1).scales
+    overall = (returns.mean(axis=1) / scales).sum(axis=1)
+    assert overall[k] == pytest.approx(overall.max(), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "messages"),
+    [
+        (["--weights", "distanc=1"], ["--weights 'distanc=1'", "did you mean 'distance'?"]),
+        (["--target", "speed=1"], ["--target 'speed=1': 'speed' is no objective; ", "distance, g_force"]),
+        (["--weights", "distance=far"], ["'distance=far' must be of the form distance=NUMBER"]),
+        (["--weights", "distance=nan"], ["'distance=nan' must be of the form distance=NUMBER"]),
+        (["--weights", "distance"], ["'distance' must be of the form distance=NUMBER"]),
+        (["--weights", "distance=1", "distance=2"], ["--weights names 'distance' twice"]),
+        (["--target", "jerk=1", "jerk=1"], ["--target names 'jerk' twice"]),
+        (["--weights", "distance=1", "jerk=-1"], ["--weights distance=1 jerk=-1", "weights are not negative"]),
+        (["--weights", "jerk=1", "--arguments", "{a: 1}"], ["--arguments belong to a --utility"]),
+        (["--target", "jerk=1", "--arguments", "{a: 1}"], ["--arguments belong to a --utility"]),
+        (["--utility", "linear", "--arguments", "[1]"], ["--arguments '[1]' must be a mapping"]),
+        (["--utility", "linear", "--arguments", "{weights: [1]}"], ["weights"]),
+        (["--utility", "one_waypoint_liner"], ["one_waypoint_linear"]),
+        (["--utility", "intersection_linear"], ["intersection_linear"]),
+        (["--weights", "jerk=1", "--episodes", "0"], ["--episodes 0 must be at least 1"]),
+        (["--weights", "jerk=1", "--seed", "-1"], ["--seed -1 must be between 0 and 2147483647"]),
+        (["--weights", "jerk=1", "--seed", str(2**31)], ["--seed 2147483648"]),
+        (["--weights", "jerk=1", "--video", "nowhere/drive.mp4"], ["--video 'nowhere/drive.mp4'", "is no directory"]),
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(
+    folder: Path, choose: Choose, options: list[str], messages: list[str]
+) -> None:
+    refused(choose(folder, *options), *messages)
+
+
+@pytest.mark.parametrize("options", [[], ["--weights", "jerk=1", "--target", "jerk=1"]])
+def test_exactly_one_preference_is_needed(folder: Path, choose: Choose, options: list[str]) -> None:
+    with pytest.raises(SystemExit):
+        choose(folder, *options)
+
+
+def test_runs_without_a_front_are_refused(folder: Path, choose: Choose, tmp_path: Path) -> None:
+    refused(choose("nowhere", "--weights", "jerk=1"), "'nowhere' is not a run directory")
+    config = REPOSITORY / "configs" / "one_waypoint" / "a2c_linear.yaml"
+    Run.create(load_experiment(config), tmp_path / "single").unlock()
+    refused(choose("single", "--weights", "jerk=1"), "'single' learnt one policy", "scripts/evaluate.py")
+    unfinished = tmp_path / "unfinished"
+    unfinished.mkdir()
+    (unfinished / "config.yaml").write_bytes((folder / "config.yaml").read_bytes())
+    refused(choose("unfinished", "--weights", "jerk=1"), "'unfinished' holds no front")
+    for name in ("front.csv", "evaluation.json"):
+        (unfinished / name).write_bytes((folder / name).read_bytes())
+    refused(choose("unfinished", "--weights", "jerk=1"), "checkpoint.safetensors", "cannot be read")
+
+
+def test_the_chosen_policy_is_filmed(folder: Path, choose: Choose, tmp_path: Path) -> None:
+    chosen(choose(folder, *SETTINGS, "--weights", "distance=1", "--video", "drive.mp4"), folder)
+    content = (tmp_path / "drive.mp4").read_bytes()
+    assert content[4:8] == b"ftyp"
+    assert len(content) > 1000

@@ -1,0 +1,478 @@
+"""The command line of sweeps on this machine: made once, gone on with after whatever ended them, equal in the end."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.jobs import Job, perform
+from algorithms.experiments.run_directory import InUse, Run
+from tests.helpers.short_runs import assert_same_run, job
+from tests.helpers.sweep_files import (
+    assert_same_sweep,
+    enlarge_disk,
+    eventually,
+    forked_workers,
+    interrupt,
+    load_script,
+    run_sweep,
+    runs,
+    small_disk,
+    start_sweep,
+    status,
+    write_sweep,
+)
+
+Done = tuple[int, str, str]  # exit code, standard output, standard error
+Call = Callable[..., Done]
+
+RATE = "algorithm.learning_rate"
+SECONDS = {"training.total_timesteps": 200_000, "training.num_envs": 64}  # two, after the first half
+PAGE = 4096
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The command line, whose workers are forks: this process has done what they do, so that they begin at once."""
+    perform(job(tmp_path_factory.mktemp("warm")))
+    with forked_workers():
+        yield load_script()
+
+
+@pytest.fixture
+def call(script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
+    """Run the command line in the test's folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def call(file: Path, *options: str | Path) -> Done:
+        capfd.readouterr()
+        code = script.main(["--config", str(file), *map(str, options)])
+        said = capfd.readouterr()
+        print(said.out, said.err)
+        return code, said.out, said.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def whole(script: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sweep of two learning rates and two seeds, undisturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert script.main(["--config", str(write_sweep(folder, seeds=2)), "--output", str(folder / "whole")]) == 0
+    return folder / "whole"
+
+
+def times(sweep: Path) -> dict[Path, int]:
+    """When each file of the runs was written."""
+    return {path: path.stat().st_mtime_ns for path in (sweep / "runs").rglob("*") if path.is_file()}
+
+
+def states(sweep: Path) -> list[str | None]:
+    """The states of the runs, in the order of the manifest."""
+    return [status(run).get("state") for run in runs(sweep)]
+
+
+# ------------------------------------------------------------------------------------------------------ made, and again
+
+
+def test_a_sweep_is_made_left_alone_and_added_to(call: Call, tmp_path: Path, whole: Path) -> None:
+    sweep = tmp_path / "sweep"
+    file = write_sweep(tmp_path, seeds=2)
+    code, out, _ = call(file, "--on", "manifest", "--output", sweep)
+    assert (code, out) == (0, f"{sweep / 'manifest.jsonl'}: 4 runs\n")
+    assert [path.name for path in sweep.iterdir()] == ["manifest.jsonl"]
+    code, out, _ = call(file, "--status", "--output", sweep)
+    assert (code, out) == (0, "0 done, 0 running, 0 failed, 4 waiting of 4\n")
+
+    code, out, error = call(file, "--output", sweep, "--workers", "2")
+    assert (code, error) == (0, "")
+    assert out.startswith(f"4 runs, 0 of them done, in {sweep}\n")
+    assert out.endswith("4 done, 0 running, 0 failed, 0 waiting of 4\n")
+    assert_same_sweep(sweep, whole)
+
+    before, manifest = times(sweep), (sweep / "manifest.jsonl").read_bytes()
+    code, out, _ = call(file, "--output", sweep)
+    assert (code, out) == (0, "4 done, 0 running, 0 failed, 0 waiting of 4\n")
+    assert (times(sweep), (sweep / "manifest.jsonl").read_bytes()) == (before, manifest)
+
+    code, out, _ = call(write_sweep(tmp_path, seeds=3), "--output", sweep)
+    assert code == 0
+    assert out.startswith(f"6 runs, 4 of them done, in {sweep}\n")
+    after = times(sweep)
+    assert {path: after[path] for path in before} == before
+    assert {path.relative_to(sweep / "runs").parts[0] for path in after.keys() - before.keys()} == {
+        run.name for run in runs(sweep) if "-seed2-" in run.name
+    }
+    assert states(sweep) == ["finished"] * 6
+
+
+def test_runs_that_are_no_longer_wanted_are_counted_and_stay(
+    call: Call, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(script, "perform_all", lambda *arguments, **options: {})
+    assert call(write_sweep(tmp_path, seeds=3), "--output", "sweep")[0] == 0
+    made = runs(tmp_path / "sweep")[-1]
+    made.mkdir(parents=True)
+    code, out, _ = call(write_sweep(tmp_path, seeds=2), "--output", "sweep")
+    assert code == 0
+    assert out.startswith("2 runs of an earlier manifest are not in the sweep any more")
+    assert made.is_dir()
+    assert len(runs(tmp_path / "sweep")) == 4
+    assert "any more" not in call(write_sweep(tmp_path, seeds=4), "--output", "sweep")[1]
+
+
+def test_the_directory_is_named_after_the_file_unless_told_otherwise(call: Call, tmp_path: Path) -> None:
+    code, out, _ = call(write_sweep(tmp_path), "--on", "manifest")
+    assert code == 0
+    assert out == f"{Path('runs') / 'sweeps' / 'short' / 'manifest.jsonl'}: 2 runs\n"
+    assert len(runs(tmp_path / "runs" / "sweeps" / "short")) == 2
+
+
+def test_any_name_of_a_directory_is_shown_as_it_is(
+    call: Call, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that looks like markup."""
+    monkeypatch.setattr(script, "perform_all", lambda *arguments, **options: {})
+    code, out, _ = call(write_sweep(tmp_path), "--output", Path("[bold]sweep [/x]"))
+    assert code == 0
+    assert "2 runs, 0 of them done, in [bold]sweep [/x]\n" in out
+
+
+# -------------------------------------------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--workers", "0"], "--workers 0 must be at least 1"),
+        (["--workers", "-3"], "--workers -3 must be at least 1"),
+        (["--workers", "2", "--on", "manifest"], "--workers is for --on local and ray, not manifest"),
+        (["--workers", "2", "--on", "slurm"], "--workers is for --on local and ray, not slurm"),
+        (["--address", "auto"], "--address is for --on ray, not local"),
+        (["--address", "auto", "--on", "slurm"], "--address is for --on ray, not slurm"),
+        (["--dry-run"], "--dry-run is for --on slurm, not local"),
+        (["--dry-run", "--on", "ray"], "--dry-run is for --on slurm, not ray"),
+        (["--no-wait"], "--no-wait is for --on slurm, not local"),
+        (["--no-wait", "--on", "manifest"], "--no-wait is for --on slurm, not manifest"),
+        (["--status"], "is not a sweep: it has no manifest.jsonl"),
+    ],
+)
+def test_an_option_of_another_engine_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
+    code, out, error = call(write_sweep(tmp_path), *options)
+    assert (code, out) == (2, "")
+    assert error.startswith("error: ")
+    assert message in error
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(("engine", "module"), [("ray", "ray"), ("slurm", "submitit")])
+def test_an_engine_that_is_not_installed_is_refused_with_what_to_install(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str, module: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    code, out, error = call(write_sweep(tmp_path), "--on", engine)
+    assert (code, out) == (2, "")
+    assert f"--on {engine} needs {module}: pip install 'mo-deepdrive[sweep]'" in error
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("options", [["--on", "moon"], ["--work", "2"], ["--workers", "two"], ["--seeds", "3"]])
+def test_an_option_that_is_none_is_refused(call: Call, tmp_path: Path, options: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        call(write_sweep(tmp_path), *options)
+    assert ended.value.code == 2
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("engine", ["local", "manifest"])
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"grid": {"algorithm.learning_rat": [0.1]}}, "did you mean 'learning_rate'?"),
+        (
+            {"grid": {"utility.name": ["one_waypoint_linear", "intersection_linear"]}},
+            "utility.name=intersection_linear",
+        ),
+        ({"grid": {"training.threads": [1, 2]}}, "have the same run"),
+        ({"seedz": 1}, "did you mean 'seeds'?"),
+    ],
+)
+def test_a_sweep_that_is_wrong_is_refused_before_anything_is_written(
+    call: Call, tmp_path: Path, engine: str, settings: dict[str, Any], message: str
+) -> None:
+    code, out, error = call(write_sweep(tmp_path, **settings), "--on", engine, "--output", "sweep")
+    assert (code, out) == (2, "")
+    assert message in error
+    assert "Traceback" not in error
+    assert {path.name for path in tmp_path.iterdir()} == {"base.yaml", "short.yaml"}
+
+
+def test_an_output_that_is_a_file_is_refused(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "taken").touch()
+    code, _, error = call(write_sweep(tmp_path), "--output", "taken")
+    assert code == 2
+    assert "taken" in error
+    assert "Traceback" not in error
+
+
+# --------------------------------------------------------------------------------------------------------------- failed
+
+
+def failures(out: str) -> str:
+    """What is listed after the last summary."""
+    lines = out.splitlines()
+    last = max(number for number, line in enumerate(lines) if " done, " in line)
+    return "\n".join(lines[last + 1 :])
+
+
+def test_a_run_that_fails_is_listed_with_its_reason_and_made_when_that_is_mended(call: Call, tmp_path: Path) -> None:
+    """The utility is in a module beside the sweep's file, in the folder that the command runs in."""
+    utility = "def utility(returns):\n{}    return returns[..., 0]\n"
+    module = tmp_path / "careless.py"
+    module.write_text(utility.format("    if returns.any():\n        raise RuntimeError('no [red] licence')\n"))
+    file = write_sweep(tmp_path, grid={"utility.name": ["careless:utility", "one_waypoint_linear"]})
+    done = run_sweep(file, "--output", "sweep", "--workers", "1")
+    assert done.returncode == 1
+    assert states(tmp_path / "sweep") == ["failed", "finished"]
+    bad = runs(tmp_path / "sweep")[0]
+    (name,) = (json.loads(line)["id"] for line in (tmp_path / "sweep" / "manifest.jsonl").open() if "careless" in line)
+    assert "1 done, 0 running, 1 failed, 0 waiting of 2" in done.stdout
+    assert failures(done.stdout) == (
+        f"FAILED utility.name=careless:utility seed 0 ({name}): RuntimeError: no [red] licence\n"
+        f"  {bad.relative_to(tmp_path)}"
+    )
+    assert "no [red] licence" in status(bad)["reason"]
+    module.write_text(utility.format(""))
+    before = times(tmp_path / "sweep")
+    code, out, _ = call(file, "--output", "sweep")
+    assert (code, failures(out)) == (0, "")
+    assert states(tmp_path / "sweep") == ["finished", "finished"]
+    after = times(tmp_path / "sweep")
+    assert all(after[path] == before[path] for path in before if bad not in path.parents)
+
+
+def test_the_reason_of_a_failure_is_told_whatever_kind_of_error_it_is(call: Call, tmp_path: Path) -> None:
+    """Also if it cannot travel between processes, as many libraries' errors."""
+    (tmp_path / "fussy.py").write_text(
+        "class Refused(Exception):\n"
+        "    def __init__(self, code, text):\n"
+        "        super().__init__(f'{text} ({code})')\n"
+        "def utility(returns):\n"
+        "    if returns.any():\n"
+        "        raise Refused(403, 'no licence')\n"
+        "    return returns[..., 0]\n"
+    )
+    file = write_sweep(tmp_path, grid={"utility.name": ["fussy:utility"]}, retries=2)
+    code, out, _ = call(file, "--output", "sweep")
+    assert code == 1
+    assert "Refused: no licence (403)" in failures(out)
+    assert "no licence (403)" in status(runs(tmp_path / "sweep")[0])["reason"]
+
+
+def test_a_device_that_is_not_here_fails_the_runs_and_says_so(call: Call, tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, grid={}, overrides={"training.device": "cuda:99"})
+    code, out, _ = call(file, "--output", "sweep")
+    assert code == 1
+    assert "training.device = 'cuda:99' is not there" in failures(out)
+    assert not (tmp_path / "sweep" / "runs").exists()
+
+
+# ---------------------------------------------------------------------------------------------------------- interrupted
+
+
+def begun(run: Path) -> bool:
+    """Whether a run is going on and has a checkpoint."""
+    return status(run).get("state") == "running" and status(run)["step"] > 0
+
+
+def test_signals_save_what_is_going_on_and_the_same_command_ends_as_without_them(call: Call, tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, overrides=SECONDS)
+    sweep = tmp_path / "sweep"
+    options = ("--output", sweep, "--workers", "1")
+    with start_sweep(file, *options) as process:
+        eventually(lambda: (sweep / "manifest.jsonl").exists() and begun(runs(sweep)[0]))
+        os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C, to all processes of the command
+        out, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, out
+    assert states(sweep) == ["interrupted", None]
+    assert "interrupted; what was being trained is saved: the same command goes on" in out
+    assert "Traceback" not in out
+    with start_sweep(file, *options) as process:
+        eventually(lambda: begun(runs(sweep)[1]))
+        code, out = interrupt(process, signal.SIGTERM)
+    assert code == 143
+    assert states(sweep) == ["finished", "interrupted"]
+    assert "the same command goes on" in out
+    assert "Traceback" not in out
+    assert call(file, *options)[0] == 0
+    assert call(file, "--output", "whole")[0] == 0
+    assert_same_sweep(sweep, tmp_path / "whole")
+
+
+def test_a_signal_while_the_workers_start_ends_the_command_without_a_trace(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    with start_sweep(write_sweep(tmp_path), "--output", sweep, "--workers", "1") as process:
+        eventually((sweep / "manifest.jsonl").exists)
+        time.sleep(0.7)
+        os.killpg(process.pid, signal.SIGINT)
+        out, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert states(sweep) == [None, None]
+    assert "Traceback" not in out
+
+
+# --------------------------------------------------------------------------------------------------------------- search
+
+
+def test_a_search_goes_on_batch_by_batch_and_ends_the_same_after_an_interrupt(
+    call: Call, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = {RATE: {"low": 1e-4, "high": 1e-1, "log": True}, "algorithm.steps": {"low": 4, "high": 16}}
+    metric = "stochastic/return/distance"
+    file = write_sweep(tmp_path, search={"space": space, "metric": metric, "trials": 12, "batch": 6})
+    code, out, _ = call(file, "--output", "first", "--workers", "1")
+    assert code == 0
+    assert [line for line in out.splitlines() if line.endswith("in first")] == [
+        "6 runs, 0 of them done, in first",
+        "12 runs, 6 of them done, in first",
+    ]
+    first = tmp_path / "first"
+    made = runs(first)
+    assert len(made) == 12
+    ended = max((run / "status.json").stat().st_mtime_ns for run in made[:6])
+    assert all((run / "config.yaml").stat().st_mtime_ns > ended for run in made[6:])
+
+    perform_all = script.perform_all
+
+    def interrupted(jobs: Sequence[Job], workers: int, monitor: Monitor, **options: Any) -> dict[Job, str]:
+        def stop() -> bool:
+            if not sent and len(jobs) == 12 and sum(each.done for each in jobs) >= 8:
+                sent.append(signal.SIGINT)
+                os.kill(os.getpid(), signal.SIGINT)
+            return bool(given())
+
+        sent: list[int] = []
+        given = options.pop("stop")
+        return perform_all(jobs, workers, monitor, stop=stop, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(script, "perform_all", interrupted)
+        assert call(file, "--output", "second", "--workers", "2")[0] == 130
+    assert states(tmp_path / "second").count("finished") < 12
+    assert call(file, "--output", "second", "--workers", "2")[0] == 0
+    assert_same_sweep(first, tmp_path / "second")
+
+    before = times(first)
+    code, out, _ = call(file, "--output", "first")
+    assert (code, out) == (0, "12 done, 0 running, 0 failed, 0 waiting of 12\n")
+    assert times(first) == before
+
+
+def test_a_search_whose_metric_is_unknown_says_which_there_are(call: Call, tmp_path: Path) -> None:
+    search = {"space": {RATE: [0.001]}, "metric": "greedy/utility", "trials": 1}
+    code, _, error = call(write_sweep(tmp_path, search=search), "--output", "sweep")
+    assert code == 2
+    assert "metric 'greedy/utility' is not among those of the runs; did you mean" in error
+
+
+# ----------------------------------------------------------------------------------------------------- several at once
+
+
+def drive(script: Any, arguments: list[str]) -> None:
+    """The command line in a process of its own."""
+    sys.exit(script.main(arguments))
+
+
+def test_two_drivers_at_once_make_every_run_once(script: Any, tmp_path: Path, whole: Path) -> None:
+    file = write_sweep(tmp_path, seeds=2)
+    context = multiprocessing.get_context("fork")
+    for number in range(2):
+        sweep = tmp_path / f"sweep{number}"
+        arguments = ["--config", str(file), "--output", str(sweep), "--workers", str(number + 1)]
+        drivers = [context.Process(target=drive, args=(script, arguments)) for _ in range(2)]
+        for driver in drivers:
+            driver.start()
+        for driver in drivers:
+            driver.join(120)
+        assert [driver.exitcode for driver in drivers] == [0, 0]
+        assert_same_sweep(sweep, whole)
+        for run in runs(sweep):
+            assert len(list((run / "tensorboard").iterdir())) == 1  # one for each time that it was begun
+
+
+@pytest.mark.parametrize("other", ["trains", "has trained"])
+def test_a_run_that_another_driver_begins_in_the_same_moment_is_no_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str
+) -> None:
+    wanted = job(tmp_path)
+    make = Run.make
+    held: list[Run] = []
+
+    def too_late(*arguments: Any) -> Run:
+        monkeypatch.setattr(Run, "make", make)
+        if other == "trains":
+            held.append(Run.make(wanted.experiment, wanted.path))
+        else:
+            perform(wanted)
+        return make(*arguments)
+
+    monkeypatch.setattr(Run, "make", too_late)
+    if other == "trains":
+        with pytest.raises(InUse):
+            perform(wanted)
+        held[0].unlock()
+    else:
+        assert perform(wanted) == "already there"
+        perform(job(tmp_path / "alone"))
+        assert_same_run(wanted.path, tmp_path / "alone" / "seed0")
+
+
+# ------------------------------------------------------------------------------------------------------------ full disk
+
+
+def pages(path: Path) -> int:
+    """Pages that a file or all files in a folder take."""
+    files = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
+    return sum(math.ceil(each.stat().st_size / PAGE) for each in files)
+
+
+@pytest.mark.parametrize("room", ["not for the manifest", "for the manifest alone", "for half of the runs"])
+def test_a_full_disk_stops_the_sweep_with_one_message_and_with_more_room_it_goes_on(
+    call: Call, tmp_path: Path, whole: Path, room: str
+) -> None:
+    manifest = pages(whole / "manifest.jsonl")
+    sizes = {
+        "not for the manifest": manifest - 1,
+        "for the manifest alone": manifest,
+        "for half of the runs": manifest + pages(whole / "runs") // 2,
+    }
+    file = write_sweep(tmp_path, seeds=2)
+    disk = tmp_path / "disk"
+    sweep = disk / "sweep"
+    with small_disk(disk, sizes[room] * PAGE // 1024):
+        code, out, error = call(file, "--output", sweep, "--workers", "1")
+        found = states(sweep) if (sweep / "manifest.jsonl").exists() else []
+        enlarge_disk(disk, 20_000)
+        assert call(file, "--output", sweep)[0] == 0
+        assert_same_sweep(sweep, whole)
+    assert code == 1
+    assert error.count("error: ") == 1
+    assert "No space left on device" in error
+    assert "Traceback" not in error
+    assert "FAILED" not in out
+    assert "finished" in found or room != "for half of the runs"
+    assert None in found or room == "not for the manifest"  # nothing else is begun

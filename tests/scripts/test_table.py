@@ -1,0 +1,187 @@
+"""The table of final scores over seeds, through its command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.paths import REPOSITORY
+
+ROOT = REPOSITORY
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import table  # noqa: E402  (a script)
+
+from algorithms.experiments.config import load_experiment  # noqa: E402
+from algorithms.experiments.run_directory import Run  # noqa: E402
+
+
+def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> Path:
+    """A run directory with a final evaluation in which every number is ``utility``; None for none."""
+    experiment = load_experiment(ROOT / f"configs/one_waypoint/{algorithm}_linear.yaml", [f"--seed={seed}"])
+    path = folder / f"{algorithm}-{seed}"
+    run = Run.create(experiment, path)
+    run.unlock()
+    if utility is not None:
+        estimate = {"value": utility, "low": None, "high": None}
+        policies = {policy: dict.fromkeys(table.METRICS, estimate) for policy in ("greedy", "stochastic")}
+        (path / "evaluation.json").write_text(json.dumps({"policies": policies}))
+    return path
+
+
+def run_table(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> int:
+    monkeypatch.setattr(sys, "argv", ["table.py", *(str(argument) for argument in arguments)])
+    return table.main()
+
+
+def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = {"a2c": [1.0, 2.0, 6.0], "mo_a2c": [11.0, 12.0, 16.0]}
+    for algorithm, utilities in scores.items():
+        for seed, utility in enumerate(utilities):
+            make_run(tmp_path, algorithm, seed, utility)
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    header, *groups = rows[: rows.index([])]
+    assert [(row[2], row[4], row[5]) for row in groups] == [
+        (algorithm, policy, "0 1 2") for algorithm in scores for policy in ("greedy", "stochastic")
+    ]
+    utility = groups[0][header.index("utility_esr")]
+    assert float(utility.split()[0]) == pytest.approx(3.0, abs=0.05)
+    assert "[" in utility
+    compared = rows[rows.index([]) + 2]
+    assert compared[3:5] == ["mo_a2c - a2c", "utility_esr"]
+    assert float(compared[5]) == pytest.approx(10.0)
+    assert float(compared[6]) < 10.0 < float(compared[7])
+    assert float(compared[8]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
+
+
+def test_vehicles_have_rows_of_their_own_and_one_for_all_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
+        for seed in (0, 1):
+            config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
+            path = tmp_path / f"{algorithm}-{seed}"
+            Run.create(load_experiment(config, [f"--seed={seed}"]), path).unlock()
+            numbers = {"success": 0.5, "end/collision": 0.25}
+            for v in (0, 1):
+                numbers[f"vehicle_{v}/utility_esr"] = utility + v
+                numbers[f"vehicle_{v}/return/lane_violation"] = -2.0
+            estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
+            content = {"policies": dict.fromkeys(("greedy", "stochastic"), estimates)}
+            (path / "evaluation.json").write_text(json.dumps(content))
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    end = rows.index([])
+    found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
+    assert [(row["algorithm"], row["policy"], row["vehicle"]) for row in found] == [
+        (algorithm, policy, vehicle)
+        for algorithm in ("a2c", "mo_a2c")
+        for policy in ("greedy", "stochastic")
+        for vehicle in ("", "vehicle_0", "vehicle_1")
+    ]
+    assert found[0]["environment"] == "mo-deepdrive-intersection-v0 end_together=True"
+    assert found[0]["success"].startswith("0.5")
+    assert found[0]["utility_esr"] == ""
+    assert found[2]["utility_esr"].startswith("2")
+    assert found[2]["return/lane_violation"].startswith("-2")
+    compared = [dict(zip(rows[end + 1], row, strict=True)) for row in rows[end + 2 :]]
+    assert [(row["vehicle"], float(row["value"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)] * 2
+
+
+def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
+    sample = np.array([1.0, 2.0, 3.0, 4.0])
+    value, low, high, p = table.difference(sample, sample)
+    assert value == 0.0
+    assert low < 0.0 < high
+    assert p > 0.9
+
+
+def test_a_run_without_a_final_evaluation_is_named_and_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_run(tmp_path, "a2c", 0, 1.0)
+    unfinished = make_run(tmp_path, "a2c", 1, None)
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert f"left out: {unfinished}" in capsys.readouterr().err
+    assert list(csv.reader(output.read_text().splitlines()))[1][5] == "0"
+
+
+def test_folders_without_runs_and_repeated_seeds_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert run_table(monkeypatch, empty) == 2
+    assert "holds no run" in capsys.readouterr().err
+    make_run(tmp_path / "first", "a2c", 0, 1.0)
+    make_run(tmp_path / "second", "a2c", 0, 1.0)
+    assert run_table(monkeypatch, tmp_path / "first", tmp_path / "second") == 2
+    assert "repeats seed 0" in capsys.readouterr().err
+
+
+def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, float], *overrides: str) -> None:
+    """A run directory with the final evaluation of a front."""
+    experiment = load_experiment(ROOT / f"configs/{config}.yaml", [f"--seed={seed}", *overrides])
+    path = folder / f"{config.replace('/', '-')}-{seed}"
+    Run.create(experiment, path).unlock()
+    estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
+    (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
+
+
+def test_fronts_have_their_indicators_and_are_compared_by_their_hypervolume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
+        for seed, more in enumerate((1.0, 2.0, 6.0)):
+            numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}
+            make_front_run(tmp_path, config, seed, numbers)
+    make_run(tmp_path, "a2c", 0, 5.0)
+    make_run(tmp_path, "a2c", 1, 6.0)
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    end = rows.index([])
+    found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
+    fronts = [row for row in found if row["policy"] == "front"]
+    assert [(row["algorithm"], row["utility"], row["seeds"]) for row in fronts] == [
+        ("morl_baselines.pcn", "", "0 1 2"),
+        ("pcn", "", "0 1 2"),
+    ]
+    for row, base in zip(fronts, (40.0, 100.0), strict=True):
+        assert float(row["hypervolume"].split()[0]) == pytest.approx(base + 3.0, abs=0.5)
+        assert "[" in row["hypervolume"]
+        assert float(row["cardinality"]) == base
+        assert float(row["igd_plus"]) == 0.5
+        assert row["utility_esr"] == row["utility_esr_iqm"] == ""
+    assert [row["policy"] for row in found if row["algorithm"] == "a2c"] == ["greedy", "stochastic"]
+    (compared,) = [dict(zip(rows[end + 1], row, strict=True)) for row in rows[end + 2 :]]
+    assert (compared["difference"], compared["of"], compared["policy"]) == (
+        "pcn - morl_baselines.pcn",
+        "hypervolume",
+        "front",
+    )
+    assert float(compared["value"]) == pytest.approx(60.0)
+    assert float(compared["low"]) < 60.0 < float(compared["high"])
+
+
+def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for config in ("one_waypoint/pcn", "peers/pcn"):
+        make_front_run(tmp_path, config, 0, {"hypervolume": 7.5, "cardinality": 3.0})
+    output = tmp_path / "scores.csv"
+    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    rows = list(csv.reader(output.read_text().splitlines()))
+    end = rows.index([])
+    assert rows[0] == ["environment", "algorithm", "steps", "policy", "seeds", "hypervolume", "cardinality"]
+    assert [row[5:] for row in rows[1:end]] == [["7.5", "3"]] * 2
+    assert len(rows) == end + 2  # the header of the comparisons
