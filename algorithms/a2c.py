@@ -11,7 +11,7 @@ from pydantic import Field
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.common.advantages import discounted_sum
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import ActorCriticConfig, Learner
 
@@ -31,10 +31,10 @@ class A2CLearner(Learner):
 
     config: A2CConfig
 
-    def input_size(self, worlds: Worlds) -> int:
+    def input_size(self, worlds: EnvAdapter) -> int:
         return worlds.observation_size
 
-    def value_size(self, worlds: Worlds) -> int:
+    def value_size(self, worlds: EnvAdapter) -> int:
         return 1
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:

@@ -11,7 +11,7 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from algorithms.agent import Agent, EvaluationPlan
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import below
 from algorithms.common.rollout import Collector, Episodes, Rollout
 from algorithms.evaluation.evaluate import evaluate
@@ -47,25 +47,24 @@ class ActorCritic(Agent):
         **hyperparameters: Any,
     ):
         super().__init__(env, seed=seed, device=device, hyperparameters=hyperparameters)
-        utilities = [utility] * self.worlds.vehicles if isinstance(utility, Utility) else list(utility)
-        if len(utilities) != self.worlds.vehicles:
-            raise ValueError(f"{len(utilities)} utilities for {self.worlds.vehicles} vehicles")
+        utilities = [utility] * self.env.vehicles if isinstance(utility, Utility) else list(utility)
+        if len(utilities) != self.env.vehicles:
+            raise ValueError(f"{len(utilities)} utilities for {self.env.vehicles} vehicles")
         for each in utilities:
-            if len(each.objectives) != len(self.worlds.objectives):
+            if len(each.objectives) != len(self.env.objectives):
                 raise ValueError(
-                    f"utility {each.name!r} reads {each.objectives}; the environment emits {self.worlds.objectives}"
+                    f"utility {each.name!r} reads {each.objectives}; the environment emits {self.env.objectives}"
                 )
-            if self.worlds.native and each.objectives != self.worlds.objectives:
+            if self.env.native and each.objectives != self.env.objectives:
                 raise ValueError(
                     f"utility {each.name!r} reads {each.objectives} in this order; "
-                    f"the environment emits {self.worlds.objectives}"
+                    f"the environment emits {self.env.objectives}"
                 )
         self.utilities = utilities
         self.learners = [
-            self.learner(self.worlds, v, each, self.config, self._initial, self.device)
-            for v, each in enumerate(utilities)
+            self.learner(self.env, v, each, self.config, self._initial, self.device) for v, each in enumerate(utilities)
         ]
-        self.collector = Collector(self.worlds, self.config.accrual, self.config.steps)
+        self.collector = Collector(self.env, self.config.accrual, self.config.steps)
         self._unlogged: list[Episodes] = []
 
     @property
@@ -76,13 +75,13 @@ class ActorCritic(Agent):
     @property
     def updates(self) -> int:
         """Updates made so far."""
-        return self.step // (self.config.steps * self.worlds.num_envs)
+        return self.step // (self.config.steps * self.env.num_envs)
 
     @torch.inference_mode()
     def act(
-        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) in episodes that have come to ``history``.
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) in episodes that have come to ``accrued_reward``.
 
         ``generator`` None acts greedily.
         """
@@ -90,8 +89,8 @@ class ActorCritic(Agent):
         for v, learner in enumerate(self.learners):
             x = learner.inputs(
                 torch.from_numpy(observations[:, v]).to(self.device),
-                torch.from_numpy(history.accrued[:, v]).to(self.device),
-                torch.from_numpy(history.discounts[:, v]).to(self.device),
+                torch.from_numpy(accrued_reward.value[:, v]).to(self.device),
+                torch.from_numpy(accrued_reward.discounts[:, v]).to(self.device),
             )
             action = learner.actor.greedy(x) if generator is None else learner.actor.sample(x, generator)
             chosen.append(action.cpu().numpy())
@@ -108,22 +107,22 @@ class ActorCritic(Agent):
         Returns:
             An action as the environment takes it; one per vehicle with several.
         """
-        history = History.begin(1, self.worlds.vehicles, len(self.worlds.objectives))
+        so_far = AccruedReward.begin(1, self.env.vehicles, len(self.env.objectives))
         if accrued_reward is not None:
-            history.accrued[:] = np.reshape(accrued_reward, history.accrued.shape)
-        history.discounts[:] = discount
-        observations = self.worlds.policy_observations(np.asarray(obs)[None]).astype(np.float32)
-        return self.worlds.environment_actions(self.act(observations, history, None))[0]
+            so_far.value[:] = np.reshape(accrued_reward, so_far.value.shape)
+        so_far.discounts[:] = discount
+        observations = self.env.policy_observations(np.asarray(obs)[None]).astype(np.float32)
+        return self.env.environment_actions(self.act(observations, so_far, None))[0]
 
-    def _explore(self, observations: NDArray[np.float32], history: History) -> NDArray[Any]:
-        return self.act(observations, history, self.generator)
+    def _explore(self, observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
+        return self.act(observations, accrued_reward, self.generator)
 
     def _begin(self) -> None:
         self.collector.reset(self._worlds_seed)
 
     def _update(self, progress: float) -> dict[str, float]:
         rollout, episodes = self.collector.collect(self._explore)
-        self.step += self.config.steps * self.worlds.num_envs
+        self.step += self.config.steps * self.env.num_envs
         return self._learn(rollout, episodes, progress)
 
     def _learn(self, rollout: Rollout, episodes: Episodes, progress: float) -> dict[str, float]:
@@ -150,7 +149,7 @@ class ActorCritic(Agent):
             metrics[prefix + "utility"] = float(np.mean(utility(returns)))
             metrics[prefix + "success"] = float(np.mean(np.concatenate([e.succeeded[mine] for e, mine in parts])))
             metrics[prefix + "length"] = float(np.mean(np.concatenate([e.lengths[mine] for e, mine in parts])))
-            for objective, mean in zip(self.worlds.objectives, returns.mean(axis=0), strict=True):
+            for objective, mean in zip(self.env.objectives, returns.mean(axis=0), strict=True):
                 metrics[f"{prefix}return/{objective}"] = float(mean)
         self._unlogged = []
         return metrics
@@ -193,7 +192,7 @@ class ActorCritic(Agent):
         return {
             **super()._identity(),
             "centralised_critic": self.config.centralised_critic,
-            "inputs": self.learners[0].input_size(self.worlds),
+            "inputs": self.learners[0].input_size(self.env),
         }
 
     def _get_policy(self) -> dict[str, torch.Tensor]:
@@ -220,6 +219,6 @@ class ActorCritic(Agent):
         self._unlogged = [Episodes(**unlogged)] if unlogged else []
 
     def _resumed(self) -> None:
-        if not self.worlds.native:
+        if not self.env.native:
             # Other environments cannot give their state: their episodes begin anew, on other seeds.
             self.collector.reset(self._worlds_seed + self.step)

@@ -14,14 +14,14 @@ import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import POLICY_ONLY, read_checkpoint, write_checkpoint
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings, parse
 from mo_deepdrive.utilities import Utility
 
-# Worlds are trained on seeds from here on; evaluation uses smaller ones.
+# EnvAdapter are trained on seeds from here on; evaluation uses smaller ones.
 FIRST_TRAINING_SEED = 2**32
 EVALUATION_INTERVALS = 20
 
@@ -75,7 +75,7 @@ class Agent(ABC):
 
     def __init__(self, env: VectorEnv, *, seed: int, device: str, hyperparameters: Mapping[str, Any]):
         self.config = parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
-        self.worlds = Worlds(env)
+        self.env = EnvAdapter(env)
         self.seed = seed
         self.device = torch.device(device)
         self.utilities: list[Utility] = []
@@ -182,9 +182,9 @@ class Agent(ABC):
 
     @abstractmethod
     def act(
-        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) in episodes that have come to ``history``.
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) in episodes that have come to ``accrued_reward``.
 
         ``generator`` None acts greedily.
         """
@@ -229,13 +229,13 @@ class Agent(ABC):
         """What a checkpoint must share with the agent that reads it."""
         return {
             "algorithm": self.name,
-            "environment": self.worlds.name,
-            "observation_size": self.worlds.observation_size,
-            "objectives": list(self.worlds.objectives),
-            "cost_sign": self.worlds.cost_sign,
-            "actions": [self.worlds.actions, self.worlds.continuous],
+            "environment": self.env.name,
+            "observation_size": self.env.observation_size,
+            "objectives": list(self.env.objectives),
+            "cost_sign": self.env.cost_sign,
+            "actions": [self.env.actions, self.env.continuous],
             "hidden": list(self.config.hidden),
-            "num_envs": self.worlds.num_envs,
+            "num_envs": self.env.num_envs,
         }
 
     @abstractmethod

@@ -1,6 +1,6 @@
 """People at the wheel: one world as an environment whose action is which keys are down.
 
-Gymnasium's play utility takes one step per picture and resets the moment an episode ends. A :class:`Cockpit` takes
+Gymnasium's play utility takes one step per picture and resets the moment an episode ends. A :class:`HumanPlayEnv` takes
 several pictures per decision, so that a short press of a key is not lost, and stands still for a moment at the end.
 """
 
@@ -17,7 +17,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from algorithms.agent import Agent
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
@@ -88,7 +88,7 @@ class Outcome:
     returns: NDArray[np.float64]
 
 
-class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
+class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     """One world with people at the wheel of some of its vehicles.
 
     An action says which keys are down: the :class:`Keys` of every seat, then whether to start the episode again. A
@@ -130,7 +130,7 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         self._agent = agent
         self._generator = generator
         self._film = film
-        self._action_type = "discrete" if env.simulator.continuous else env.config.action_type
+        self._action_type = "discrete" if env.batch.continuous else env.config.action_type
         self._table = action_sets.action_table(self._action_type)
         self._first: int | None = None
         self._finished = 0
@@ -147,7 +147,7 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         self._observations, _ = self.world.reset(seed=self._seed, options=options)
         shape = (self.world.vehicles, self.world.reward_dim)
         self._returns = np.zeros(shape)
-        self._history = History.begin(1, *shape)
+        self._accrued_reward = AccruedReward.begin(1, *shape)
         self._down = np.zeros(self._keys, dtype=np.bool_)
         self._pictures = 0
         self._over = False
@@ -181,17 +181,17 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
         world, agent = self.world, self._agent
         chosen = np.zeros((1, world.vehicles), dtype=np.int64)
         for v, held in zip(self._seats, keys, strict=True):
-            chosen[0, v] = choose_action(held, world.simulator.state[0, v], self._action_type)
-        joint = self._continuous(chosen) if world.simulator.continuous else chosen
+            chosen[0, v] = choose_action(held, world.batch.state[0, v], self._action_type)
+        joint = self._continuous(chosen) if world.batch.continuous else chosen
         if agent is not None:
             observations = self._observations.reshape(1, world.vehicles, -1)
-            theirs = agent.act(observations, self._history, self._generator)
+            theirs = agent.act(observations, self._accrued_reward, self._generator)
             others = [v for v in range(world.vehicles) if v not in self._seats]
-            joint[:, others] = agent.worlds.environment_actions(theirs)[:, others]
+            joint[:, others] = agent.env.environment_actions(theirs)[:, others]
         self._observations, raw, terminated, truncated, _ = world.step(joint.reshape(world.action_space.shape))
         rewards = raw.reshape(self._returns.shape)
         self._returns += rewards
-        self._history.add(rewards[None], 1.0 if agent is None else agent.gamma)
+        self._accrued_reward.add(rewards[None], 1.0 if agent is None else agent.gamma)
         self._over = bool((terminated | truncated).all())
         self._picture = None
         return rewards
@@ -199,16 +199,16 @@ class Cockpit(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     def _continuous(self, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
         """The continuous actions (1, V, 3) with the same target controls as the discrete ones ``chosen`` (1, V)."""
         controls = np.zeros((*chosen.shape, len(action_sets.CONTINUOUS_NAMES)))
-        action_sets.decode_discrete(self.world.simulator.state, chosen, self._table, controls)
+        action_sets.decode_discrete(self.world.batch.state, chosen, self._table, controls)
         scaled = controls / (STEER_RANGE, MAX_ACCELERATION, MAX_ACCELERATION / 2) - (0.0, 0.0, 1.0)
         return scaled.astype(np.float32)
 
     def _outcome(self) -> Outcome:
-        decisions = self.world.simulator.state["decisions"][0]
+        decisions = self.world.batch.state["decisions"][0]
         return Outcome(
             episode=self._finished + 1,
             seed=self._seed,
-            ends=self.world.simulator.end_names(0),
+            ends=self.world.batch.end_names(0),
             seconds=tuple((decisions / self.world.config.decision_frequency).tolist()),
             returns=self._returns.copy(),
         )

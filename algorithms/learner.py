@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from algorithms.common.checkpoints import below
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.networks import CategoricalActor, GaussianActor, mlp
 from algorithms.common.optimisers import linear, optimiser_state, set_optimiser_state
 from algorithms.common.rollout import Rollout, VehicleRollout
@@ -108,7 +108,7 @@ class Learner(ABC):
 
     def __init__(
         self,
-        worlds: Worlds,
+        worlds: EnvAdapter,
         vehicle: int,
         utility: Utility,
         config: Any,
@@ -138,11 +138,11 @@ class Learner(ABC):
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
 
     @abstractmethod
-    def input_size(self, worlds: Worlds) -> int:
+    def input_size(self, worlds: EnvAdapter) -> int:
         """Width of what the networks see."""
 
     @abstractmethod
-    def value_size(self, worlds: Worlds) -> int:
+    def value_size(self, worlds: EnvAdapter) -> int:
         """Width of what the critic predicts."""
 
     @abstractmethod

@@ -28,7 +28,7 @@ from pydantic import Field
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.common.advantages import AdvantageForm, discounted_sum, utility_differences, utility_gradient
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import ActorCriticConfig, Learner
 from mo_deepdrive.utilities import Utility
@@ -65,7 +65,7 @@ class MOA2CLearner(Learner):
 
     def __init__(
         self,
-        worlds: Worlds,
+        worlds: EnvAdapter,
         vehicle: int,
         utility: Utility,
         config: MOA2CConfig,
@@ -77,11 +77,11 @@ class MOA2CLearner(Learner):
         self._expected_return = torch.zeros(len(worlds.objectives), device=device)
         self._episodes = 0
 
-    def input_size(self, worlds: Worlds) -> int:
+    def input_size(self, worlds: EnvAdapter) -> int:
         accrued = len(worlds.objectives) if self.config.observe_accrued else 0
         return worlds.observation_size + accrued + self.config.observe_discount
 
-    def value_size(self, worlds: Worlds) -> int:
+    def value_size(self, worlds: EnvAdapter) -> int:
         return len(worlds.objectives)
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:

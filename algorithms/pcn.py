@@ -21,11 +21,11 @@ from pydantic import Field, model_validator
 from torch import nn
 
 from algorithms.agent import Agent, EvaluationPlan
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import below
-from algorithms.common.env_adapter import Worlds
-from algorithms.common.episode_buffer import Episode, Store, returns_to_go
-from algorithms.common.networks import CommandedNetwork
+from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
+from algorithms.common.networks import CommandNetwork
 from algorithms.common.optimisers import linear, optimiser_state, set_optimiser_state
 from algorithms.common.pareto import indicators, spread
 from algorithms.evaluation.evaluate import Evaluation, evaluate_each
@@ -44,32 +44,39 @@ class PCNConfig(Settings):
         gamma: discount of the returns that commands ask for.
         hidden: width of the two embeddings, then of the layers after them.
         batch_size: decisions of a gradient step.
-        updates: gradient steps after every round of episodes, one episode per world.
+        gradient_steps: gradient steps after every round of episodes, one episode per world.
         warmup_episodes: episodes of random actions at the beginning.
         persistence: chance that a random action is the one before once more.
-        store_episodes: episodes kept.
+        buffer_size: episodes kept.
         crowding: crowding distance below which episodes of the store are too much alike.
-        ambition: how much more a command asks for in one objective, in standard deviations over the non-dominated
+        return_noise: how much more a command asks for in one objective, in standard deviations over the non-dominated
             episodes: uniform between 0 and this.
-        haste: how many decisions fewer a command leaves than its episode took.
+        horizon_reduction: how many decisions fewer a command leaves than its episode took.
         action_noise: deviation of exploring actions, continuous ones only; discrete ones are sampled.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         horizon_scale: nominal number of decisions of an episode.
         max_policies: the policies of a front at most; where the store knows more, those that cover them.
     """
 
+    renamed = {
+        "haste": "horizon_reduction",
+        "ambition": "return_noise",
+        "store_episodes": "buffer_size",
+        "updates": "gradient_steps",
+    }
+
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
     learning_rate_end: float | None = Field(default=None, ge=0.0, le=1.0)
     gamma: float = Field(default=0.99, gt=0.0, le=1.0)
     hidden: list[int] = Field(default=[64, 64], min_length=1)
     batch_size: int = Field(default=256, ge=1)
-    updates: int = Field(default=50, ge=1)
+    gradient_steps: int = Field(default=50, ge=1)
     warmup_episodes: int = Field(default=64, ge=1)
     persistence: float = Field(default=0.0, ge=0.0, lt=1.0)
-    store_episodes: int = Field(default=256, ge=2)
+    buffer_size: int = Field(default=256, ge=2)
     crowding: float = Field(default=0.2, ge=0.0)
-    ambition: float = Field(default=1.0, ge=0.0)
-    haste: int = Field(default=2, ge=0)
+    return_noise: float = Field(default=1.0, ge=0.0)
+    horizon_reduction: int = Field(default=2, ge=0)
     action_noise: float = Field(default=0.1, ge=0.0)
     objective_scales: list[float] | None = None
     horizon_scale: float = Field(default=100.0, gt=0.0)
@@ -85,7 +92,7 @@ class PCNConfig(Settings):
 
 
 @dataclass(frozen=True)
-class Commanded:
+class CommandPolicy:
     """The agent under one command per world: a policy that can be evaluated.
 
     Attributes:
@@ -99,8 +106,8 @@ class Commanded:
     horizon: NDArray[np.float32]
 
     @property
-    def worlds(self) -> Worlds:
-        return self.agent.worlds
+    def env(self) -> EnvAdapter:
+        return self.agent.env
 
     @property
     def gamma(self) -> float:
@@ -115,14 +122,14 @@ class Commanded:
         return ()
 
     def act(
-        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
-        wanted = (self.desired - history.accrued[:, 0]) / history.discounts
+        wanted = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
         low, high = self.agent.bounds
         # What no decision was ever worth means nothing to the network, except that the command itself may ask for it.
         wanted = np.clip(wanted, np.minimum(low, self.desired), np.maximum(high, self.desired))
-        left = np.maximum(self.horizon - history.decisions[:, 0], 1.0)
+        left = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
         return self.agent.choose(observations[:, 0], wanted, left, generator)[:, None]
 
 
@@ -148,18 +155,18 @@ class PCN(Agent):
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, hyperparameters=hyperparameters)
-        if self.worlds.vehicles != 1:
-            raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.worlds.vehicles}")
-        d = len(self.worlds.objectives)
-        scales = self.worlds.objective_scales if self.config.objective_scales is None else self.config.objective_scales
+        if self.env.vehicles != 1:
+            raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
+        d = len(self.env.objectives)
+        scales = self.env.objective_scales if self.config.objective_scales is None else self.config.objective_scales
         if len(scales) != d:
-            raise ValueError(f"objective_scales = {list(scales)} needs {d} numbers: {self.worlds.objectives}")
+            raise ValueError(f"objective_scales = {list(scales)} needs {d} numbers: {self.env.objectives}")
         self.scales = np.asarray(scales, dtype=np.float32)
-        self.network = CommandedNetwork(
-            self.worlds.observation_size, d + 1, self.config.hidden, self.worlds.actions, self._initial
+        self.network = CommandNetwork(
+            self.env.observation_size, d + 1, self.config.hidden, self.env.actions, self._initial
         ).to(self.device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=self.config.learning_rate, fused=True)
-        self.store = Store(self.config.store_episodes, self.scales, self.config.crowding)
+        self.store = EpisodeBuffer(self.config.buffer_size, self.scales, self.config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # What the best episodes got, where a policy came without them.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
@@ -168,7 +175,7 @@ class PCN(Agent):
         self._rounds = 0
         self._seen = 0
         self._unlogged: list[NDArray[np.float64]] = []
-        self._observation_scales = torch.tensor(self.worlds.observation_scales, device=self.device)
+        self._observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
         self._command_scales = torch.tensor([*self.scales, self.config.horizon_scale], device=self.device)
 
     @property
@@ -188,7 +195,7 @@ class PCN(Agent):
     ) -> NDArray[Any]:
         """Actions (N,) or (N, k) for observations (N, o) when ``wanted`` (N, d) is asked for in ``left`` (N,)."""
         outputs = self._outputs(observations, wanted, left)
-        if self.worlds.continuous:
+        if self.env.continuous:
             if generator is not None:
                 noise = torch.randn(outputs.shape, generator=generator, device=self.device)
                 outputs = (outputs + self.config.action_noise * noise).clamp(-1.0, 1.0)
@@ -206,9 +213,9 @@ class PCN(Agent):
             torch.from_numpy(observations).to(self.device) / self._observation_scales,
             torch.from_numpy(command).to(self.device) / self._command_scales,
         )
-        return outputs.tanh() if self.worlds.continuous else outputs
+        return outputs.tanh() if self.env.continuous else outputs
 
-    def commanded(self, desired: ArrayLike, horizon: ArrayLike) -> Commanded:
+    def commanded(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
         """The policies that ``desired`` (N, d) discounted returns in ``horizon`` (N,) decisions make, one per world.
 
         Raises:
@@ -224,7 +231,7 @@ class PCN(Agent):
             )
         if not (left >= 1.0).all():
             raise ValueError(f"horizon = {left.min():g} must be at least 1 decision")
-        for i, objective in enumerate(self.worlds.objectives):
+        for i, objective in enumerate(self.env.objectives):
             least, most = low[i] - self.scales[i], high[i] + self.scales[i]
             outside = wanted[~((wanted[:, i] >= least) & (wanted[:, i] <= most)), i]
             if len(outside):
@@ -232,9 +239,9 @@ class PCN(Agent):
                     f"desired return of {objective} = {outside[0]:g} is outside of what was ever seen; "
                     f"it must be between {least:g} and {most:g}"
                 )
-        return Commanded(self, wanted, left)
+        return CommandPolicy(self, wanted, left)
 
-    def policy(self, condition: ArrayLike) -> Commanded:
+    def policy(self, condition: ArrayLike) -> CommandPolicy:
         """The policy of a row (d + 1,) of a front's ``conditions``, in any number of worlds.
 
         Raises:
@@ -260,7 +267,7 @@ class PCN(Agent):
         return self.store.attained()
 
     def act(
-        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Refused: which action is right depends on the command; see :meth:`commanded`."""
         raise TypeError("PCN acts under a command: agent.commanded(desired, horizon).act(...)")
@@ -276,10 +283,10 @@ class PCN(Agent):
         Returns:
             An action as the environment takes it.
         """
-        observations = self.worlds.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
+        observations = self.env.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
         wanted = np.reshape(np.asarray(desired_return, dtype=np.float32), (1, -1))
         left = np.full(1, desired_horizon, dtype=np.float32)
-        return self.worlds.environment_actions(self.choose(observations, wanted, left, None)[:, None])[0]
+        return self.env.environment_actions(self.choose(observations, wanted, left, None)[:, None])[0]
 
     # ------------------------------------------------------------------------------------------------------- learning
 
@@ -294,7 +301,7 @@ class PCN(Agent):
         policy = self._ambitious()
         attained = self._collect(policy)
         error = np.abs(attained - policy.desired) / self.scales
-        losses = [self._learn() for _ in range(self.config.updates)]
+        losses = [self._learn() for _ in range(self.config.gradient_steps)]
         return {
             "loss/policy": float(torch.stack(losses).mean()),
             "policy/learning_rate": learning_rate,
@@ -302,22 +309,22 @@ class PCN(Agent):
             "policy/non_dominated": float(len(self.store.best())),
         }
 
-    def _ambitious(self) -> Commanded:
+    def _ambitious(self) -> CommandPolicy:
         """One command per world: a non-dominated episode's, with more of one objective in fewer decisions."""
         best = self.store.best()
-        returns, n = self.store.returns[best], self.worlds.num_envs
+        returns, n = self.store.returns[best], self.env.num_envs
         chosen = torch.randint(len(best), (n,), generator=self._draws).numpy()
         objective = torch.randint(returns.shape[1], (n,), generator=self._draws).numpy()
-        more = self.config.ambition * torch.rand(n, generator=self._draws).numpy()
+        more = self.config.return_noise * torch.rand(n, generator=self._draws).numpy()
         desired = returns[chosen].astype(np.float32)
         desired[np.arange(n), objective] += more * returns.std(axis=0)[objective]
-        horizon = np.maximum(self.store.lengths[best][chosen] - self.config.haste, 1)
-        return Commanded(self, desired, horizon.astype(np.float32))
+        horizon = np.maximum(self.store.lengths[best][chosen] - self.config.horizon_reduction, 1)
+        return CommandPolicy(self, desired, horizon.astype(np.float32))
 
-    def _collect(self, policy: Commanded | None) -> NDArray[np.float32]:
+    def _collect(self, policy: CommandPolicy | None) -> NDArray[np.float32]:
         """One episode per world under ``policy`` (None: random actions) into the store; the returns (N, d) they got."""
-        worlds, n = self.worlds, self.worlds.num_envs
-        history = History.begin(n, 1, len(self.scales))
+        worlds, n = self.env, self.env.num_envs
+        accrued_reward = AccruedReward.begin(n, 1, len(self.scales))
         observations = worlds.reset(self._worlds_seed + n * self._rounds)
         running = np.ones(n, dtype=np.bool_)
         succeeded = np.zeros(n, dtype=np.bool_)
@@ -327,10 +334,10 @@ class PCN(Agent):
             if policy is None:
                 actions = self._random(seen[-1][1][:, None] if seen else None)
             else:
-                actions = policy.act(observations, history, self.generator)
+                actions = policy.act(observations, accrued_reward, self.generator)
             step = worlds.step(actions)
             seen.append((observations[:, 0], actions[:, 0], step.rewards[:, 0]))
-            history.add(step.rewards, self.gamma)
+            accrued_reward.add(step.rewards, self.gamma)
             lengths += running
             succeeded |= running & step.succeeded[:, 0]
             running &= ~(step.terminated | step.truncated)[:, 0]
@@ -350,8 +357,8 @@ class PCN(Agent):
 
     def _random(self, before: NDArray[Any] | None) -> NDArray[Any]:
         """Random actions (N, 1) or (N, 1, k), some of which persist from ``before``."""
-        n, k = self.worlds.num_envs, self.worlds.actions
-        if self.worlds.continuous:
+        n, k = self.env.num_envs, self.env.actions
+        if self.env.continuous:
             actions = 2.0 * torch.rand(n, 1, k, generator=self._draws).numpy() - 1.0
         else:
             actions = torch.randint(k, (n, 1), generator=self._draws).numpy()
@@ -367,7 +374,7 @@ class PCN(Agent):
         targets = torch.from_numpy(actions).to(self.device)
         loss = (
             nn.functional.mse_loss(outputs, targets)
-            if self.worlds.continuous
+            if self.env.continuous
             else nn.functional.cross_entropy(outputs, targets)
         )
         self.optimiser.zero_grad()
@@ -383,7 +390,7 @@ class PCN(Agent):
             return {}
         success, length, *returns = np.mean(self._unlogged, axis=0).tolist()
         self._unlogged = []
-        named = {f"train/return/{name}": value for name, value in zip(self.worlds.objectives, returns, strict=True)}
+        named = {f"train/return/{name}": value for name, value in zip(self.env.objectives, returns, strict=True)}
         return {"train/success": success, "train/length": length, **named}
 
     def _forget(self) -> None:
@@ -400,7 +407,7 @@ class PCN(Agent):
         """
         rows = np.asarray(conditions, dtype=np.float32)
         return evaluate_each(
-            lambda chosen: Commanded(self, rows[chosen, :-1], rows[chosen, -1]),
+            lambda chosen: CommandPolicy(self, rows[chosen, :-1], rows[chosen, -1]),
             len(rows),
             env,
             episodes=episodes,
@@ -419,7 +426,7 @@ class PCN(Agent):
         """
         conditions = np.column_stack(self.commands())
         evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
-        names = (*self.worlds.objectives, HORIZON)
+        names = (*self.env.objectives, HORIZON)
         return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
     def _evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
@@ -428,7 +435,7 @@ class PCN(Agent):
             front.discounted,
             reference_point=plan.reference_point,
             reference_front=plan.reference_front,
-            scales=self.worlds.objective_scales,
+            scales=self.env.objective_scales,
         )
         found |= {f"return/{name}": float(front.returns[:, i].max()) for i, name in enumerate(front.objectives)}
         if np.isfinite(front.success).all():

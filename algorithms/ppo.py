@@ -19,7 +19,7 @@ from pydantic import Field
 
 from algorithms.a2c import A2CConfig, A2CLearner
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import ActorCriticConfig, Learner, normalised
 from mo_deepdrive.utilities import Utility
@@ -70,7 +70,7 @@ class ClippedLearner(Learner):
 
     def __init__(
         self,
-        worlds: Worlds,
+        worlds: EnvAdapter,
         vehicle: int,
         utility: Utility,
         config: ClippedConfig,

@@ -61,7 +61,7 @@ class _Part:
     truncated: NDArray[np.bool_]
 
 
-class Simulator:
+class WorldBatch:
     """``worlds`` independent copies of one scenario, moved together.
 
     The buffers ``observations`` (worlds, vehicles, size), ``rewards`` (worlds, vehicles, d), ``terminated`` and

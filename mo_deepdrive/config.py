@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,8 +17,13 @@ CostSign = Literal["maximise", "paper"]
 
 
 class Settings(BaseModel):
-    """Base of every settings model: strict, immutable, and closed to unknown keys."""
+    """Base of every settings model: strict, immutable, and closed to unknown keys.
 
+    Attributes:
+        renamed: old names of fields, refused with the new one.
+    """
+
+    renamed: ClassVar[Mapping[str, str]] = {}
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
@@ -43,16 +48,23 @@ def _is_model(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _keys_at(model: Any, path: tuple[int | str, ...]) -> list[str]:
-    """The field names of the settings model found by following ``path`` from ``model``."""
+def _model_at(model: Any, path: tuple[int | str, ...]) -> type[Settings] | None:
+    """The settings model found by following ``path`` from ``model``."""
     for key in path:
         if get_origin(model) is dict:
             model = _settings_in(get_args(model)[1])
         elif _is_model(model) and key in model.model_fields:
             model = _settings_in(model.model_fields[str(key)].annotation)
         else:
-            return []
-    return list(model.model_fields) if _is_model(model) else []
+            return None
+    return model if _is_model(model) else None
+
+
+def _unknown(model: type[Settings] | None, key: str) -> str:
+    """Why ``key`` is refused, with its new name or the nearest known one."""
+    if model is not None and key in model.renamed:
+        return f"was renamed; write {model.renamed[key]!r}"
+    return f"is unknown; {nearest(key, model.model_fields if model is not None else [])}"
 
 
 def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
@@ -69,8 +81,7 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
             path = problem["loc"]
             name = ".".join(str(part) for part in path)
             if problem["type"] == "extra_forbidden":
-                known = _keys_at(model, path[:-1])
-                lines.append(f"{name!r} is unknown; {nearest(path[-1], known)}")
+                lines.append(f"{name!r} {_unknown(_model_at(model, path[:-1]), str(path[-1]))}")
             elif problem["type"] == "missing":
                 lines.append(f"{name!r} is missing")
             else:

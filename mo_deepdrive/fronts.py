@@ -23,7 +23,7 @@ import yaml
 from numpy.typing import NDArray
 
 from mo_deepdrive.actions import CONTINUOUS, action_table
-from mo_deepdrive.batch import Simulator
+from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import ActionType, EnvConfig, ScenarioName, nearest
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import DRAWS, SCENARIOS
@@ -322,16 +322,16 @@ def replay(scenario: str, action_type: str, sequences: Iterable[NDArray[Any]]) -
     """
     config = front_config(scenario, action_type)
     listed = list(sequences)
-    simulator = Simulator(config, len(listed))
+    batch = WorldBatch(config, len(listed))
     actions = np.empty((config.max_decisions, len(listed), 1, *idle(action_type).shape), idle(action_type).dtype)
     actions[:] = idle(action_type)
     for row, sequence in enumerate(listed):
         actions[: len(sequence), row, 0] = sequence[: config.max_decisions]
-    simulator.place(np.arange(len(listed)), lambda rows: np.zeros((len(rows), DRAWS)))
+    batch.place(np.arange(len(listed)), lambda rows: np.zeros((len(rows), DRAWS)))
     rewards: list[NDArray[np.float32]] = []
-    while not simulator.over().all():
-        simulator.step(actions[len(rewards)])
-        rewards.append(simulator.rewards[:, 0].copy())
+    while not batch.over().all():
+        batch.step(actions[len(rewards)])
+        rewards.append(batch.rewards[:, 0].copy())
     return np.stack(rewards, axis=1)
 
 

@@ -138,7 +138,7 @@ def best(run: Callable[[], int], repetitions: int) -> float:
 
 
 def vector_rate(env_id: str, worlds: int, threads: int, repetitions: int) -> float:
-    """Worlds stepped per second by the native vector environment under random actions, autoreset included."""
+    """EnvAdapter stepped per second by the native vector environment under random actions, autoreset included."""
     env = gymnasium.make_vec(env_id, num_envs=worlds, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -155,19 +155,19 @@ def vector_rate(env_id: str, worlds: int, threads: int, repetitions: int) -> flo
 
 
 def kernel_rate(env_id: str, worlds: int, repetitions: int) -> float:
-    """Worlds stepped per second by the kernel alone (decoding included), without autoreset."""
+    """EnvAdapter stepped per second by the kernel alone (decoding included), without autoreset."""
     env = gymnasium.make_vec(env_id, num_envs=worlds, autoreset_mode=AutoresetMode.SAME_STEP)
     env.reset(seed=0)
-    simulator = env.unwrapped.simulator  # type: ignore[attr-defined]
+    batch = env.unwrapped.batch  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)
-    actions = rng.integers(0, 22, (10, worlds, simulator.scenario.vehicles))
-    start = simulator.state.copy()
+    actions = rng.integers(0, 22, (10, worlds, batch.scenario.vehicles))
+    start = batch.state.copy()
     fastest = 0.0
     for _ in range(10 * repetitions):
-        simulator.state[:] = start
+        batch.state[:] = start
         started = time.perf_counter()
         for action in actions:
-            simulator.step(action)
+            batch.step(action)
         fastest = max(fastest, worlds * len(actions) / (time.perf_counter() - started))
     return fastest
 

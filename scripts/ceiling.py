@@ -28,7 +28,7 @@ from scipy.stats import binomtest
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.actions import action_table
-from mo_deepdrive.batch import Simulator
+from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, RUNNING, VEHICLE, YAW_FRICTION
@@ -114,8 +114,8 @@ class Search:
 
     def __init__(self, start: NDArray[Any], rung: Rung, beam: int):
         self.rung = rung
-        self.simulator = Simulator(CONFIG, max(len(LETTERS), int(beam * rung.share)))
-        self.states = np.zeros(rung.capacity * len(self.simulator.state), dtype=VEHICLE)
+        self.batch = WorldBatch(CONFIG, max(len(LETTERS), int(beam * rung.share)))
+        self.states = np.zeros(rung.capacity * len(self.batch.state), dtype=VEHICLE)
         self.scores = np.zeros(len(self.states))  # infinite for worlds that have been driven on
         self.paths: list[str] = []  # the actions that lead to each world kept
         self.seen: set[bytes] = set()
@@ -150,22 +150,22 @@ class Search:
     def _best(self) -> NDArray[np.int64]:
         """The most promising worlds not yet driven on, as many as the simulator can try every action in."""
         scores = self.scores[: len(self.paths)]
-        count = min(len(self.simulator.state) // len(LETTERS), len(scores))
+        count = min(len(self.batch.state) // len(LETTERS), len(scores))
         rows = np.argpartition(scores, count - 1)[:count]
         return rows[np.isfinite(scores[rows])]
 
     def _drive(self, rows: NDArray[np.int64]) -> str:
         """Hold every action in copies of the worlds ``rows``; the actions of the first to arrive, or none."""
         self.scores[rows] = np.inf
-        simulator = self.simulator
+        batch = self.batch
         before = [self.paths[row] for row in rows for _ in LETTERS]
-        actions = np.resize(np.arange(len(LETTERS)), len(simulator.state))
-        worlds = simulator.state[: len(before), 0]
+        actions = np.resize(np.arange(len(LETTERS)), len(batch.state))
+        worlds = batch.state[: len(before), 0]
         worlds[:] = np.repeat(self.states[rows], len(LETTERS))
-        simulator.state["end"][len(before) :] = ENDS.index("time_limit")  # nobody drives there
+        batch.state["end"][len(before) :] = ENDS.index("time_limit")  # nobody drives there
         states, paths = [], []
         for held in range(1, max(HOLDS) + 1):
-            simulator.step(actions[:, None])
+            batch.step(actions[:, None])
             for row in np.flatnonzero(worlds["end"] == ARRIVED):
                 return before[row] + LETTERS[actions[row]] * held
             if held in HOLDS:
@@ -257,7 +257,7 @@ def main(arguments: list[str] | None = None) -> None:
     seeds = range(options.seed, options.seed + options.scenarios)
     for seed in track(seeds, "searching", console=Console(stderr=True), transient=True):
         env.reset(seed=seed)
-        starts.append(env.unwrapped.simulator.state[0].copy())
+        starts.append(env.unwrapped.batch.state[0].copy())
         outcomes.append(solve(starts[-1], options.beam))
         if outcomes[-1].actions:
             replay(env, seed, outcomes[-1].actions)

@@ -30,9 +30,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.atomic_io import atomic_write
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import Policy
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
@@ -52,7 +52,7 @@ from mo_deepdrive.actions import (
     decode_continuous,
     decode_discrete,
 )
-from mo_deepdrive.batch import Simulator
+from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import ActionType
 from mo_deepdrive.objectives import scales
 from mo_deepdrive.scenarios import DRAWS, SCENARIOS
@@ -126,13 +126,13 @@ PILOT = np.dtype(
 )
 
 
-def random_pilots(n: int, rng: np.random.Generator, simulator: Simulator) -> NDArray[Any]:
+def random_pilots(n: int, rng: np.random.Generator, batch: WorldBatch) -> NDArray[Any]:
     """n random rules for the scenario that is placed in the first world of ``simulator``."""
 
     def spread(low: float, high: float) -> NDArray[np.float64]:
         return np.exp(rng.uniform(np.log(low), np.log(high), n))
 
-    car, blocked = simulator.state[0, 0], simulator.scenario.obstacle
+    car, blocked = batch.state[0, 0], batch.scenario.obstacle
     middle = car["obstacle"].mean(axis=0) if blocked else (car["waypoints"][0] + (car["x"], car["y"])) / 2
     via = middle + rng.normal(0.0, 4.0, (n, 2))
     direct = rng.random(n) < (0.1 if blocked else 0.7)
@@ -236,9 +236,9 @@ class Driver:
 
     def __init__(self, scenario: str, action_type: str):
         config = fronts.front_config(scenario, action_type)
-        self.simulator = Simulator(config, 1)
-        self.simulator.place(np.arange(1), lambda rows: np.zeros((len(rows), DRAWS)))
-        self.continuous = self.simulator.continuous
+        self.batch = WorldBatch(config, 1)
+        self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), DRAWS)))
+        self.continuous = self.batch.continuous
         self.decisions = config.max_decisions
         self.driven = 0
         idle = np.atleast_1d(fronts.idle(action_type))
@@ -266,18 +266,18 @@ class Driver:
 
     def drive(self, plans: Plans, source: int, pilots: NDArray[Any] | None = None) -> Drives:
         """Drive ``plans``, changed in place, and ``pilots`` (n,) from the decision on that each names."""
-        n, d = len(plans), len(self.simulator.objectives)
+        n, d = len(plans), len(self.batch.objectives)
         if pilots is None:
             pilots = np.zeros(n, dtype=PILOT)
             pilots["since"] = self.decisions
         returns = np.zeros((len(GAMMAS), n, d))
         lengths = np.zeros(n, dtype=np.int64)
         drive_worlds(
-            np.repeat(self.simulator.state, n, axis=0),
+            np.repeat(self.batch.state, n, axis=0),
             plans,
             pilots.view(np.recarray),
             self.table,
-            self.simulator.params,
+            self.batch.params,
             self._path,
             np.zeros((n, 1, 3)),
             np.zeros((1, 1), dtype=np.int64),
@@ -519,7 +519,7 @@ class Search:
 
     def generation(self, source: int) -> None:
         """Drive new plans; ``source`` is the index of what found them."""
-        pilots = random_pilots(CHILDREN, self.rng, self.driver.simulator)
+        pilots = random_pilots(CHILDREN, self.rng, self.driver.batch)
         if self.generations < RULED:
             plans = self.driver.blank(CHILDREN)
         else:
@@ -586,24 +586,24 @@ def drives_of_run(path: str, scenario: str, action_type: str, episodes: int) -> 
             policy = agent.commanded(np.repeat(desired, times, axis=0), np.repeat(horizon, times))
             count = times * len(horizon)
         if count:
-            worlds = Worlds(make_env(settings.id, count, {**config, **emitted}))
+            worlds = EnvAdapter(make_env(settings.id, count, {**config, **emitted}))
             sequences += record(policy, worlds, torch.Generator(agent.device).manual_seed(0) if sampled else None)
     training = run.experiment.training
     about = f"{run.experiment.algorithm['name']}, seed {training.seed}, {training.total_timesteps} steps"
     return "/".join(run.path.absolute().parts[-3:]), about, sequences
 
 
-def record(policy: Policy, worlds: Worlds, generator: torch.Generator | None) -> list[NDArray[Any]]:
+def record(policy: Policy, worlds: EnvAdapter, generator: torch.Generator | None) -> list[NDArray[Any]]:
     """The actions of one episode per world, as the environment takes them."""
     observations = worlds.reset(0)
-    history = History.begin(worlds.num_envs, 1, len(worlds.objectives))
+    accrued_reward = AccruedReward.begin(worlds.num_envs, 1, len(worlds.objectives))
     lengths = np.zeros(worlds.num_envs, dtype=np.int64)
     taken = []
     while not lengths.all():
-        actions = policy.act(observations, history, generator)
+        actions = policy.act(observations, accrued_reward, generator)
         taken.append(worlds.environment_actions(actions))
         step = worlds.step(actions)
-        history.add(step.rewards, policy.gamma)
+        accrued_reward.add(step.rewards, policy.gamma)
         lengths[(lengths == 0) & (step.terminated | step.truncated)[:, 0]] = len(taken)
         observations = step.observations
     return [np.stack(taken)[:length, row] for row, length in enumerate(lengths)]

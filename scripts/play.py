@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.table import Table
 
 from algorithms.agent import Agent
-from algorithms.driving import PICTURES, Cockpit, Outcome
+from algorithms.driving import PICTURES, HumanPlayEnv, Outcome
 from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
@@ -86,7 +86,7 @@ def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | N
     if find_environment(theirs.id).id != spec.id:
         raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {spec.id}")
     agent = build(run.experiment, num_envs=1)
-    if agent.worlds.vehicles == 1:
+    if agent.env.vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
     agent.load(run.checkpoint, policy_only=True)
     return make_world(theirs).unwrapped, agent  # type: ignore[return-value]
@@ -133,7 +133,7 @@ def open_display() -> None:
         )
 
 
-def drive(cockpit: Cockpit, seats: list[int], fps: int, console: Console) -> None:
+def drive(cockpit: HumanPlayEnv, seats: list[int], fps: int, console: Console) -> None:
     """Drive in a window until the user quits."""
     from gymnasium.utils.play import play  # it chooses a backend for matplotlib: not for who only imports this
 
@@ -166,7 +166,7 @@ def main(arguments: list[str]) -> int:
         seats = list(range(world.vehicles)) if agent is None else [options.vehicle or 0]
         generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
         with writing(options.record, rate) if options.record else nullcontext() as film:
-            cockpit = Cockpit(world, seats, agent=agent, generator=generator, film=film)
+            cockpit = HumanPlayEnv(world, seats, agent=agent, generator=generator, film=film)
             cockpit.reset(seed=options.seed)
             try:
                 drive(cockpit, seats, options.fps or rate, console)

@@ -22,7 +22,7 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 
 from rich.console import Console
 
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import Interrupts, Stopped
@@ -132,7 +132,7 @@ def reproduce(options: argparse.Namespace, plan: Plan, console: Console) -> int:
     missing = sum(not entry.job.done for entry in wanted)
     console.print(f"{len(wanted)} runs, {missing} of them to be made, {options.workers} at a time, in {runs}")
     jobs = [entry.job for entry in wanted]
-    with Interrupts() as interrupts, Monitor(jobs, console) as monitor:
+    with Interrupts() as interrupts, Dashboard(jobs, console) as monitor:
         failed = perform_all(jobs, options.workers, monitor, stop=lambda: interrupts.received is not None)
     if interrupts.received is not None:
         print("interrupted; what was being trained is saved: the same command goes on", file=sys.stderr)

@@ -28,7 +28,7 @@ sys.path.append(os.getcwd())  # where a user's own utility lives
 
 from rich.console import Console
 
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import read_status
@@ -127,7 +127,7 @@ class Sweep:
                 return jobs
             already = len(jobs) - len(open_jobs)
             say(console, f"{len(jobs)} runs, {already} of them done, in {self.directory}")
-            with Monitor(jobs, console, self.directory.name) as monitor:
+            with Dashboard(jobs, console, self.directory.name) as monitor:
                 self.failed |= self._engine(options, jobs, monitor, interrupts)
             if interrupts.received is not None or options.no_wait or self.settings.search is None:
                 return jobs
@@ -140,7 +140,7 @@ class Sweep:
             say(console, f"{gone} runs of an earlier manifest are not in the sweep any more; their directories stay")
 
     def _engine(
-        self, options: argparse.Namespace, jobs: Sequence[Job], monitor: Monitor, interrupts: Interrupts
+        self, options: argparse.Namespace, jobs: Sequence[Job], monitor: Dashboard, interrupts: Interrupts
     ) -> dict[Job, str]:
         wanted = [job for job in jobs if job not in self.failed]
 
@@ -168,7 +168,7 @@ def say(console: Console, text: str) -> None:
 
 def report(jobs: Sequence[Job], failed: dict[Job, str], console: Console) -> None:
     """What became of the runs, and why those that failed did."""
-    say(console, Monitor(jobs, console).summary())
+    say(console, Dashboard(jobs, console).summary())
     for job, error in failed.items():
         say(console, f"FAILED {job.name}: {error}\n  {job.path}")
 

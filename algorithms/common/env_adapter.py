@@ -1,7 +1,7 @@
 """One shape for every environment that the trainers learn on.
 
 `make_env` gives the native vector environment for our ids and MOSyncVectorEnv for any other MO-Gymnasium id;
-`Worlds` presents both in the shapes (environments, vehicles, ...) with true final observations and a mask of the
+`EnvAdapter` presents both in the shapes (environments, vehicles, ...) with true final observations and a mask of the
 samples that count.
 """
 
@@ -69,7 +69,7 @@ class Step:
     ends: NDArray[Any] | None
 
 
-class Worlds:
+class EnvAdapter:
     """A vector environment in the trainers' shapes.
 
     Args:
@@ -90,7 +90,7 @@ class Worlds:
     """
 
     def __init__(self, env: VectorEnv):
-        self.env = env
+        self.vector_env = env
         self.num_envs = env.num_envs
         inner = env.unwrapped
         self.native = isinstance(inner, DrivingVectorEnv)
@@ -104,7 +104,7 @@ class Worlds:
             self.vehicles = inner.vehicles
             self.objectives: tuple[str, ...] = inner.objectives
             self.cost_sign: str = inner.config.cost_sign
-            self.observation_scales = observation.scales(inner.simulator.scenario).astype(np.float32)
+            self.observation_scales = observation.scales(inner.batch.scenario).astype(np.float32)
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
             if isinstance(space, spaces.MultiDiscrete):
                 space = spaces.Discrete(int(space.nvec[0]))
@@ -131,7 +131,7 @@ class Worlds:
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
         """Start every world anew; world i is seeded with ``seed + i``, or ``seed[i]``. Observations (N, V, o)."""
-        raw, _ = self.env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
+        raw, _ = self.vector_env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
         self._was_over[:] = False
         return self.policy_observations(raw)
 
@@ -144,7 +144,7 @@ class Worlds:
         actions = self.environment_actions(actions)
         if self.native:
             return self._native_step(actions)
-        raw, rewards, terminated, truncated, infos = self.env.step(actions)
+        raw, rewards, terminated, truncated, infos = self.vector_env.step(actions)
         acted = ~self._was_over
         self._was_over = (terminated | truncated)[:, None]
         observations = self.policy_observations(raw)
@@ -167,11 +167,11 @@ class Worlds:
             actions = actions[:, 0]
         if self.continuous:
             stretched = self._centre + self._reach * np.clip(actions, -1.0, 1.0)
-            return stretched.astype(self.env.single_action_space.dtype)
+            return stretched.astype(self.vector_env.single_action_space.dtype)
         return actions + self._first_action
 
     def _native_step(self, actions: NDArray[Any]) -> Step:
-        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        observations, rewards, terminated, truncated, infos = self.vector_env.step(actions)
         final = infos.get("final_obs", observations)
         ends = None
         success = np.zeros((self.num_envs, self.vehicles), dtype=np.bool_)
@@ -194,7 +194,7 @@ class Worlds:
         """Observations (n, V, o) from what the environment gives for n worlds."""
         if self.native:
             return raw if self.vehicles > 1 else raw[:, None]
-        space = self.env.single_observation_space
+        space = self.vector_env.single_observation_space
         if isinstance(space, spaces.Discrete):
             one_hot = np.eye(int(space.n), dtype=np.float32)[np.asarray(raw) - int(space.start)]
             return one_hot[:, None]
@@ -203,12 +203,12 @@ class Worlds:
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """What resuming these worlds exactly takes, as arrays; empty where the environment cannot say."""
-        inner = self.env.unwrapped
+        inner = self.vector_env.unwrapped
         return inner.get_state() if isinstance(inner, DrivingVectorEnv) else {}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from :meth:`get_state`."""
-        inner = self.env.unwrapped
+        inner = self.vector_env.unwrapped
         if isinstance(inner, DrivingVectorEnv):
             inner.set_state(state)
 

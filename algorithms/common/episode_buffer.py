@@ -38,7 +38,7 @@ def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.floa
     return returns.astype(np.float32)
 
 
-class Store:
+class EpisodeBuffer:
     """The best episodes seen: close to the non-dominated ones, and not all alike.
 
     An episode's score is minus its distance to the nearest non-dominated return, in units of ``scales``. The distance

@@ -81,7 +81,7 @@ class GaussianActor(nn.Module):
         return log_density, entropy.expand(log_density.shape)
 
 
-class CommandedNetwork(nn.Module):
+class CommandNetwork(nn.Module):
     """What to do on an observation under a command: the network of Pareto Conditioned Networks.
 
     Observation and command each pass a linear layer and a sigmoid; their product goes through a multilayer

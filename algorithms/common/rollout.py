@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from algorithms.common.accrued_reward import History
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter
 
 # From observations (N, V, o) and what the episodes have come to, to actions (N, V) or (N, V, k).
-Act = Callable[[NDArray[np.float32], History], NDArray]
+Act = Callable[[NDArray[np.float32], AccruedReward], NDArray]
 
 
 @dataclass
@@ -91,13 +91,13 @@ class Collector:
         steps: T, length of a rollout.
     """
 
-    def __init__(self, worlds: Worlds, gamma: float, steps: int):
+    def __init__(self, worlds: EnvAdapter, gamma: float, steps: int):
         n, v, o, d = worlds.num_envs, worlds.vehicles, worlds.observation_size, len(worlds.objectives)
-        self.worlds = worlds
+        self.env = worlds
         self.gamma = gamma
         self.steps = steps
         self.observations = np.zeros((n, v, o), dtype=np.float32)
-        self.history = History.begin(n, v, d)
+        self.accrued_reward = AccruedReward.begin(n, v, d)
         self.returns = np.zeros((n, v, d), dtype=np.float64)
         # Reused by every rollout; final observations are written only in worlds where an episode ends.
         self._observations = np.zeros((steps + 1, n, v, o), dtype=np.float32)
@@ -111,7 +111,7 @@ class Collector:
 
     def reset(self, seed: int) -> None:
         """Start every world anew."""
-        self.observations = self.worlds.reset(seed)
+        self.observations = self.env.reset(seed)
         self._restart(np.ones(self.returns.shape[:2], dtype=np.bool_))
 
     def collect(self, act: Act) -> tuple[Rollout, Episodes]:
@@ -119,16 +119,16 @@ class Collector:
         ended: list[tuple[NDArray, ...]] = []
         for t in range(self.steps):
             self._observations[t] = self.observations
-            self._accrued[t] = self.history.accrued
-            self._discounts[t] = self.history.discounts
-            actions = act(self.observations, self.history)
-            step = self.worlds.step(actions)
+            self._accrued[t] = self.accrued_reward.value
+            self._discounts[t] = self.accrued_reward.discounts
+            actions = act(self.observations, self.accrued_reward)
+            step = self.env.step(actions)
             self._actions[t] = actions
             self._rewards[t] = step.rewards
             self._flags[0, t] = step.terminated
             self._flags[1, t] = step.truncated
             self._flags[2, t] = step.acted
-            self.history.add(step.rewards, self.gamma)
+            self.accrued_reward.add(step.rewards, self.gamma)
             self.returns += step.rewards
             over = (step.terminated | step.truncated) & step.acted
             if over.any():
@@ -138,8 +138,8 @@ class Collector:
                     (
                         np.nonzero(over)[1],
                         self.returns[over],
-                        self.history.accrued[over],
-                        self.history.decisions[over],
+                        self.accrued_reward.value[over],
+                        self.accrued_reward.decisions[over],
                         step.succeeded[over],
                     )
                 )
@@ -148,8 +148,8 @@ class Collector:
                 self._restart(~step.acted)
             self.observations = step.observations
         self._observations[-1] = self.observations
-        self._accrued[-1] = self.history.accrued
-        self._discounts[-1] = self.history.discounts
+        self._accrued[-1] = self.accrued_reward.value
+        self._discounts[-1] = self.accrued_reward.discounts
         rollout = Rollout(
             observations=torch.from_numpy(self._observations),
             final=torch.from_numpy(self._final),
@@ -164,7 +164,7 @@ class Collector:
         return rollout, self._episodes(ended)
 
     def _restart(self, where: NDArray[np.bool_]) -> None:
-        self.history.restart(where)
+        self.accrued_reward.restart(where)
         self.returns[where] = 0.0
 
     def _episodes(self, ended: list[tuple[NDArray, ...]]) -> Episodes:
@@ -176,19 +176,19 @@ class Collector:
         return Episodes(columns[0], columns[1], columns[2].astype(np.float64), columns[3], columns[4])
 
     def _own(self) -> dict[str, NDArray]:
-        history = self.history
+        accrued_reward = self.accrued_reward
         return {
             "observations": self.observations,
-            "accrued": history.accrued,
-            "discounts": history.discounts,
+            "accrued": accrued_reward.value,
+            "discounts": accrued_reward.discounts,
             "returns": self.returns,
-            "lengths": history.decisions,
+            "lengths": accrued_reward.decisions,
         }
 
     def get_state(self) -> dict[str, NDArray]:
         """What runs on between rollouts, the worlds included."""
         own = {name: array.copy() for name, array in self._own().items()}
-        return {**own, **{f"worlds.{name}": array for name, array in self.worlds.get_state().items()}}
+        return {**own, **{f"worlds.{name}": array for name, array in self.env.get_state().items()}}
 
     def set_state(self, state: dict[str, NDArray]) -> None:
         """Resume from :meth:`get_state`."""
@@ -196,4 +196,4 @@ class Collector:
             array[...] = state[name]
         worlds = {name.removeprefix("worlds."): array for name, array in state.items() if name.startswith("worlds.")}
         if worlds:
-            self.worlds.set_state(worlds)
+            self.env.set_state(worlds)

@@ -12,8 +12,8 @@ import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from algorithms.common.accrued_reward import History
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter
 from mo_deepdrive.utilities import Utility
 
 
@@ -21,14 +21,14 @@ class Policy(Protocol):
     """What can be evaluated: an agent, a policy of a front, or another library's behind an adapter.
 
     Attributes:
-        worlds: what it was made for.
+        env: what it was made for.
         utilities: one per vehicle; empty where none is known.
         gamma: discount of the accrued reward that it is shown.
         device: where it draws random numbers.
     """
 
     @property
-    def worlds(self) -> Worlds: ...
+    def env(self) -> EnvAdapter: ...
 
     @property
     def utilities(self) -> Sequence[Utility]: ...
@@ -40,7 +40,7 @@ class Policy(Protocol):
     def device(self) -> torch.device: ...
 
     def act(
-        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
 
@@ -131,7 +131,7 @@ def evaluate(
         greedy: argmax or mean action, instead of samples.
         gamma: discount of the discounted returns; the policy's own discount is used for what it observes.
     """
-    worlds = Worlds(env)
+    worlds = EnvAdapter(env)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
     columns = _in_batches(lambda rows: policy, worlds, seed + np.arange(episodes), gamma, generator)
     return Evaluation(worlds.objectives, tuple(policy.utilities), *columns)
@@ -153,7 +153,7 @@ def evaluate_each(
         count: K policies.
         env, episodes, seed, gamma: as for :func:`evaluate`.
     """
-    worlds = Worlds(env)
+    worlds = EnvAdapter(env)
     policies = np.repeat(np.arange(count), episodes)
     seeds = seed + np.tile(np.arange(episodes), count)
     columns = _in_batches(lambda rows: policy_of(policies[rows]), worlds, seeds, gamma, None)
@@ -163,7 +163,7 @@ def evaluate_each(
 
 def _in_batches(
     policy_of: Callable[[NDArray[np.intp]], Policy],
-    worlds: Worlds,
+    worlds: EnvAdapter,
     seeds: NDArray[np.int64],
     gamma: float,
     generator: torch.Generator | None,
@@ -180,7 +180,7 @@ def _in_batches(
 
 
 def _first_episodes(
-    policy: Policy, worlds: Worlds, seeds: list[int], gamma: float, generator: torch.Generator | None
+    policy: Policy, worlds: EnvAdapter, seeds: list[int], gamma: float, generator: torch.Generator | None
 ) -> tuple[NDArray[Any], ...]:
     """Every world's first episode after a reset."""
     n, v, d = worlds.num_envs, worlds.vehicles, len(worlds.objectives)
@@ -192,17 +192,17 @@ def _first_episodes(
     ends = np.full((n, v), None, dtype=object)
     running = np.ones((n, v), dtype=np.bool_)
     unfinished = np.ones(n, dtype=np.bool_)
-    history = History.begin(n, v, d)
+    accrued_reward = AccruedReward.begin(n, v, d)
     factor = 1.0
     observations = worlds.reset(seeds)
     while unfinished.any():
-        step = worlds.step(policy.act(observations, history, generator))
+        step = worlds.step(policy.act(observations, accrued_reward, generator))
         counted = running & step.acted
         rewards = np.where(counted[..., None], step.rewards, 0.0)
         returns += rewards
         discounted += factor * rewards
         factor *= gamma
-        history.add(step.rewards, policy.gamma)
+        accrued_reward.add(step.rewards, policy.gamma)
         largest = np.maximum(largest, np.abs(rewards))
         lengths += counted
         succeeded |= counted & step.succeeded

@@ -117,13 +117,15 @@ class LoggingSettings(Settings):
     Attributes:
         interval: updates between two rows of training metrics.
         checkpoint_interval: environment steps between checkpoints; None for a twentieth of the training.
-        pictures: draw the curves and film the policy at the end.
+        save_figures: draw the curves and film the policy at the end.
         wandb: Weights & Biases too; None for not.
     """
 
+    renamed = {"pictures": "save_figures"}
+
     interval: Count = 10
     checkpoint_interval: Count | None = None
-    pictures: bool = True
+    save_figures: bool = True
     wandb: WandbSettings | None = None
 
 

@@ -35,7 +35,7 @@ BUSY_PART = 0.05  # of the time that may go into reading directories
 MOST_ROWS = 12
 
 
-class Monitor:
+class Dashboard:
     """Shows how many runs are done, running, failed and waiting, those that are running, and the time left.
 
     Use it as a context manager and call :meth:`update` often: it reads the directories once in a while.
@@ -143,7 +143,7 @@ class Monitor:
         more = len(running) - MOST_ROWS
         return Group(head, rows, *([Text(f"and {more} more")] if more > 0 else []))
 
-    def __enter__(self) -> Monitor:
+    def __enter__(self) -> Dashboard:
         if self._console.is_terminal:
             self._live = Live(self._table(), console=self._console, auto_refresh=False)
             self._live.start()

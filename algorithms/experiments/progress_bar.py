@@ -18,7 +18,7 @@ def make_console() -> Console:
     return console if console.is_terminal else Console(width=LINE_WIDTH)
 
 
-class Reporter:
+class ProgressReporter:
     """Shows steps, speed, utility, arrivals and time left; use it as a context manager.
 
     Args:
@@ -94,7 +94,7 @@ class Reporter:
             left = f"  {seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} left"
         self.say(f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})  {self._numbers()}{left}")
 
-    def __enter__(self) -> Reporter:
+    def __enter__(self) -> ProgressReporter:
         self._began = self._told = perf_counter()
         if self._bar is not None:
             self._bar.start()

@@ -17,12 +17,12 @@ from rich.console import Console
 
 from algorithms import ALGORITHMS
 from algorithms.agent import Agent
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import Evaluation, Policy, evaluate
 from algorithms.evaluation.front import Front
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.loggers import FrontsFile, Logger
-from algorithms.experiments.progress_bar import Reporter
+from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import Run
 from algorithms.pcn import PCN
 from algorithms.reporting.front_report import best_known_front, check_reference_point, film_front, report_front
@@ -71,7 +71,7 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
         raise ValueError(f"algorithm {name!r} is another library's; scripts/peers.py runs it")
     torch.set_num_threads(experiment.training.threads)
     env = make(experiment.environment, num_envs or experiment.training.num_envs)
-    worlds = Worlds(env)
+    worlds = EnvAdapter(env)
     given: dict[str, Any] = {}
     if experiment.utility is None:
         check_reference_point(experiment, worlds.objectives)
@@ -86,7 +86,7 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     )
 
 
-def _utilities(settings: UtilitySettings, worlds: Worlds) -> list[Utility]:
+def _utilities(settings: UtilitySettings, worlds: EnvAdapter) -> list[Utility]:
     """One utility per vehicle, each tried."""
     vehicles = [f"vehicle_{v}" for v in range(worlds.vehicles)]
     for name in settings.vehicles:
@@ -219,7 +219,9 @@ def train(
     try:
         with (
             Interrupts() as interrupts,
-            Reporter(training.total_timesteps, saved, console, arrivals=ours, front=not known_utility) as reporter,
+            ProgressReporter(
+                training.total_timesteps, saved, console, arrivals=ours, front=not known_utility
+            ) as reporter,
             Logger(
                 run.path, after=after, wandb=logging.wandb, config=config, name=run.path.name, say=reporter.say
             ) as logger,
@@ -311,7 +313,7 @@ def finish(run: Run, agent: Agent, console: Console) -> None:
     """Evaluate the trained agent; write and print the numbers; draw the curves; film the greedy policy.
 
     Where the agent learnt a front, it is re-evaluated and drawn, and four of its policies are filmed. Without
-    ``logging.pictures`` the numbers are all.
+    ``logging.save_figures`` the numbers are all.
 
     Raises:
         Stopped: if the numbers or the curves could not be written; the trained policy is safe.
@@ -338,7 +340,7 @@ def _finish_policy(run: Run, agent: Agent, console: Console) -> None:
     }
     console.print(table(evaluations, f"{settings.final_episodes} episodes from seed {settings.seed}"))
     write(run.path, evaluations, about)
-    if experiment.logging.pictures:
+    if experiment.logging.save_figures:
         plot(load_groups([run.path]), run.path / "curves.png")
         film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
 
@@ -368,7 +370,7 @@ def _finish_front(run: Run, agent: Any, console: Console) -> None:
     settings = run.experiment.evaluation
     front = evaluate_front(agent, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
     report_front(run.experiment, front, console, directory=run.path, step=agent.step)
-    if not run.experiment.logging.pictures:
+    if not run.experiment.logging.save_figures:
         return
     plot(load_groups([run.path]), run.path / "curves.png")
     attempt_film(lambda: film_front(agent, front, run.experiment, run.path / "video.mp4", seed=settings.seed), console)

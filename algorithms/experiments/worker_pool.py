@@ -16,7 +16,7 @@ from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Failed, Job, Outcome, describe, perform
 from algorithms.experiments.run_directory import InUse, Run
 from algorithms.experiments.training import DiskFull, Stopped
@@ -124,7 +124,7 @@ class _Workers:
 def perform_all(
     jobs: Sequence[Job],
     workers: int,
-    monitor: Monitor,
+    monitor: Dashboard,
     *,
     retries: int = 0,
     stop: Callable[[], bool] = lambda: False,

@@ -60,7 +60,7 @@ class Peer:
         Raises:
             ValueError: saying what it needs.
         """
-        worlds, d = task.worlds, len(task.objectives)
+        worlds, d = task.env, len(task.objectives)
         if worlds.vehicles != 1:
             raise ValueError(f"algorithm {name!r} drives one vehicle; the environment has {worlds.vehicles}")
         kind = CONTINUOUS if worlds.continuous else DISCRETE

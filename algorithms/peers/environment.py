@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from algorithms.agent import Log
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from mo_deepdrive.utilities import Utility
 
 
@@ -67,7 +67,7 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     Args:
         env: a single environment with vector rewards.
-        worlds: the same environment in our trainers' shapes, which knows how to turn observations and actions.
+        adapter: the same environment in our trainers' shapes, which knows how to turn observations and actions.
         observation_scales: (o,).
         reward_scales: (d,).
         seed: of the first episode and of the action space.
@@ -77,7 +77,7 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     def __init__(
         self,
         env: gymnasium.Env[Any, Any],
-        worlds: Worlds,
+        adapter: EnvAdapter,
         *,
         observation_scales: NDArray[np.float32],
         reward_scales: NDArray[np.float32],
@@ -85,29 +85,29 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         recorder: Recorder | None = None,
     ):
         super().__init__(env)
-        self._worlds, self._recorder = worlds, recorder
+        self._adapter, self._recorder = adapter, recorder
         self._observation_scales, self._reward_scales = observation_scales, reward_scales
         self._first_seed: int | None = seed
-        high = np.full(worlds.observation_size, np.inf, dtype=np.float32)
+        high = np.full(adapter.observation_size, np.inf, dtype=np.float32)
         self.observation_space = spaces.Box(-high, high, dtype=np.float32)
-        if worlds.continuous:
-            self.action_space = spaces.Box(-1.0, 1.0, (worlds.actions,), dtype=np.float32, seed=seed)
+        if adapter.continuous:
+            self.action_space = spaces.Box(-1.0, 1.0, (adapter.actions,), dtype=np.float32, seed=seed)
         else:
-            self.action_space = spaces.Discrete(worlds.actions, seed=seed)
-        self._returns = np.zeros(len(worlds.objectives))
+            self.action_space = spaces.Discrete(adapter.actions, seed=seed)
+        self._returns = np.zeros(len(adapter.objectives))
         self._length = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode; without a seed the first one is that of the constructor."""
         raw, info = self.env.reset(seed=self._first_seed if seed is None else seed, options=options)
         self._first_seed = None
-        self._returns = np.zeros(len(self._worlds.objectives))
+        self._returns = np.zeros(len(self._adapter.objectives))
         self._length = 0
         return self._observation(raw), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
         """Act for one decision; the vector reward (d,) is in units of ``reward_scales``."""
-        chosen = self._worlds.environment_actions(np.asarray(action)[None, None])[0]
+        chosen = self._adapter.environment_actions(np.asarray(action)[None, None])[0]
         raw, reward, terminated, truncated, info = self.env.step(chosen)
         vector = np.asarray(reward)
         if self._recorder is not None:
@@ -125,5 +125,5 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         )
 
     def _observation(self, raw: Any) -> NDArray[np.float32]:
-        seen = self._worlds.policy_observations(np.asarray(raw)[None])[0, 0]
+        seen = self._adapter.policy_observations(np.asarray(raw)[None])[0, 0]
         return (seen / self._observation_scales).astype(np.float32)

@@ -52,8 +52,8 @@ def _networks(
     task: Task, acts: Sequence[Callable[[Seen], Any]], prefix: str, vectors: Sequence[Any], gamma: float = 1.0
 ) -> Policies:
     """Policies that are a network each: ``acts`` gives their actions, ``vectors`` (d,) what each was trained for."""
-    shape = (task.worlds.actions,) if task.worlds.continuous else ()
-    kind = np.float32 if task.worlds.continuous else np.int64
+    shape = (task.env.actions,) if task.env.continuous else ()
+    kind = np.float32 if task.env.continuous else np.int64
 
     def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
         actions = np.zeros((len(rows), *shape), dtype=kind)
@@ -110,7 +110,7 @@ def lcn(task: Task) -> Policies:
 
 def _commanded(task: Task, algorithm: Any) -> Policies:
     env = task.make()
-    scaling = np.array([*(task.reward_scales / task.worlds.objective_scales), HORIZON_SCALE])
+    scaling = np.array([*(task.reward_scales / task.env.objective_scales), HORIZON_SCALE])
     options = task.arguments(
         scaling_factor=scaling, gamma=task.config.gamma, seed=task.seed, device=task.device, log=False
     )
@@ -226,7 +226,7 @@ def morld(task: Task) -> Policies:
     """Decomposition into weights, a soft actor-critic for each (Felten et al. 2024)."""
     from morl_baselines.multi_policy.morld.morld import MORLD
 
-    continuous = task.worlds.continuous
+    continuous = task.env.continuous
     options = task.arguments(
         policy_name="MOSAC" if continuous else "MOSACDiscrete",
         gamma=task.config.gamma,

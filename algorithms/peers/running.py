@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from algorithms.agent import Log
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front
 from algorithms.experiments.config import Experiment
@@ -54,7 +54,7 @@ def prepare(experiment: Experiment, log: Log) -> Task:
     obstacle = peer.obstacle()
     if obstacle is not None:
         raise ValueError(f"algorithm {name!r} cannot run here: {obstacle}; see docs/peers.md")
-    worlds = Worlds(make(settings, 1))
+    worlds = EnvAdapter(make(settings, 1))
     utility = None
     if experiment.utility is None:
         check_reference_point(experiment, worlds.objectives)
@@ -68,7 +68,7 @@ def prepare(experiment: Experiment, log: Log) -> Task:
 
     task = Task(
         new=new,
-        worlds=worlds,
+        env=worlds,
         config=parse(peer.Config, experiment.hyperparameters, f"settings of algorithm {name!r}"),
         utility=utility,
         steps=training.total_timesteps,

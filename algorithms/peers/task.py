@@ -13,8 +13,8 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from algorithms.common.accrued_reward import History
-from algorithms.common.env_adapter import Worlds
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.peers.environment import PeerEnv, Recorder
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
@@ -63,7 +63,7 @@ class Task:
 
     Attributes:
         new: makes one world, with vector rewards; takes ``render_mode``.
-        worlds: the same environment in our trainers' shapes.
+        env: the same environment in our trainers' shapes.
         config: of the peer.
         utility: of the environment's own returns; None where the peer learns a front.
         steps: environment steps to train for; peers that count in rounds may take a few more.
@@ -75,7 +75,7 @@ class Task:
     """
 
     new: Callable[..., gymnasium.Env[Any, Any]]
-    worlds: Worlds
+    env: EnvAdapter
     config: PeerConfig
     utility: Utility | None
     steps: int
@@ -88,18 +88,18 @@ class Task:
     @property
     def objectives(self) -> tuple[str, ...]:
         """Names of the d components of the reward."""
-        return self.worlds.objectives
+        return self.env.objectives
 
     @property
     def observation_scales(self) -> NDArray[np.float32]:
         """(o,) by which the peer's observations are divided."""
-        scales = self.worlds.observation_scales
+        scales = self.env.observation_scales
         return scales if self.config.nominal_scales else np.ones_like(scales)
 
     @property
     def reward_scales(self) -> NDArray[np.float32]:
         """(d,) by which the peer's rewards are divided."""
-        scales = self.worlds.objective_scales
+        scales = self.env.objective_scales
         return scales if self.config.nominal_scales else np.ones_like(scales)
 
     def make(
@@ -109,7 +109,7 @@ class Task:
         scales = self.reward_scales
         return PeerEnv(
             self.new(render_mode=render_mode),
-            self.worlds,
+            self.env,
             observation_scales=self.observation_scales,
             reward_scales=scales if scaled_rewards else np.ones_like(scales),
             seed=self.seed + index,
@@ -118,7 +118,7 @@ class Task:
 
     def spec(self) -> EnvSpec:
         """A specification that makes training worlds, for peers that take an id."""
-        inner = self.worlds.env.spec
+        inner = self.env.vector_env.spec
         made = iter(range(1_000_000))
         return EnvSpec(
             id="Peer-v0" if inner is None else inner.id,
@@ -230,20 +230,20 @@ class PeerPolicy:
         return torch.device(self.policies.task.device)
 
     @property
-    def worlds(self) -> Worlds:
+    def env(self) -> EnvAdapter:
         """The environment in our trainers' shapes."""
-        return self.policies.task.worlds
+        return self.policies.task.env
 
     @torch.inference_mode()
     def act(
-        self, observations: NDArray[np.float32], history: History, generator: torch.Generator | None
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
         task = self.policies.task
         seen = Seen(
             observations=(observations[:, 0] / task.observation_scales).astype(np.float32),
-            accrued=(history.accrued[:, 0] / task.reward_scales).astype(np.float32),
-            decisions=history.decisions[:, 0].copy(),
+            accrued=(accrued_reward.value[:, 0] / task.reward_scales).astype(np.float32),
+            decisions=accrued_reward.decisions[:, 0].copy(),
             generator=generator,
         )
         rows = np.broadcast_to(self.rows, len(observations))

@@ -15,7 +15,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.pareto import indicators, spread
 from algorithms.evaluation.front import Front
 from algorithms.evaluation.statistics import Estimate
@@ -87,7 +87,7 @@ def report_front(
     env = make_env(experiment.environment.id, 1, experiment.environment.arguments)
     try:
         known = best_known_front(env, front.gamma)
-        scales = Worlds(env).objective_scales
+        scales = EnvAdapter(env).objective_scales
     finally:
         env.close()
     found = measure(front, experiment, known, scales)

@@ -16,8 +16,8 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from algorithms.common.accrued_reward import History
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
@@ -115,16 +115,16 @@ def _episodes(
 
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[NDArray[np.uint8]]:
     """The frames of one episode of ``policy`` in ``env``, from :func:`make_world`, from its start to its end."""
-    trained = policy.worlds
+    trained = policy.env
     vehicles, d = trained.vehicles, len(trained.objectives)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
-    worlds = None if isinstance(env.unwrapped, DrivingVectorEnv) else Worlds(env)
-    history = History.begin(1, vehicles, d)
+    worlds = None if isinstance(env.unwrapped, DrivingVectorEnv) else EnvAdapter(env)
+    accrued_reward = AccruedReward.begin(1, vehicles, d)
     running = np.ones((1, vehicles), dtype=np.bool_)
     observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if worlds is None else worlds.reset(seed)
     yield _picture(env)
     while running.any():
-        actions = policy.act(observations, history, generator)
+        actions = policy.act(observations, accrued_reward, generator)
         if worlds is None:
             raw, rewards, *flags, _ = env.step(trained.environment_actions(actions))
             observations, rewards = raw.reshape(1, vehicles, -1), rewards.reshape(1, vehicles, d)
@@ -132,7 +132,7 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
         else:
             step = worlds.step(actions)
             observations, rewards, over = step.observations, step.rewards, step.terminated | step.truncated
-        history.add(rewards, policy.gamma)
+        accrued_reward.add(rewards, policy.gamma)
         running &= ~over
         yield _picture(env)
 

@@ -16,7 +16,7 @@ import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.loggers import read_metrics
 from algorithms.experiments.run_directory import InUse, Run, read_status
@@ -145,7 +145,7 @@ class _Here:
 class _Listener(_Here, tune.Callback):
     """Shows the progress and keeps the errors."""
 
-    def __init__(self, jobs: Sequence[Job], monitor: Monitor):
+    def __init__(self, jobs: Sequence[Job], monitor: Dashboard):
         self._jobs = {job.id: job for job in jobs}
         self._monitor = monitor
         self.failed: dict[Job, str] = {}
@@ -188,7 +188,7 @@ def make_on_ray(
     jobs: Sequence[Job],
     settings: SweepSettings,
     sweep: Path,
-    monitor: Monitor,
+    monitor: Dashboard,
     *,
     stop: Callable[[], bool],
     address: str | None = None,

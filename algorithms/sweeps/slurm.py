@@ -19,7 +19,7 @@ import submitit
 from rich.console import Console
 
 from algorithms.common.atomic_io import write_json
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.training import Stopped
@@ -68,7 +68,7 @@ class Chunk:
 
         def work() -> None:
             try:
-                with Monitor(jobs, Console(width=120), "this job") as monitor:
+                with Dashboard(jobs, Console(width=120), "this job") as monitor:
                     result.append(perform_all(jobs, self.side_by_side, monitor, retries=self.retries, stop=stop.is_set))
             except BaseException as error:
                 result.append(error)
@@ -231,7 +231,7 @@ def make_on_slurm(
     jobs: Sequence[Job],
     settings: SweepSettings,
     sweep: Path,
-    monitor: Monitor,
+    monitor: Dashboard,
     *,
     stop: Callable[[], bool],
     wait: bool = True,

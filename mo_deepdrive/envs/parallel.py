@@ -74,15 +74,15 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         self.render_mode = render_mode
         self.keep_finished = keep_finished
         self.world = World(config, render_mode)
-        self.simulator = self.world.simulator
+        self.batch = self.world.batch
         self.metadata = {
             **type(self).metadata,
             "name": f"mo_deepdrive_{scenario}_v0",
             "render_fps": config.decision_frequency,
         }
-        self.objectives = self.simulator.objectives
+        self.objectives = self.batch.objectives
         self.reward_dim = len(self.objectives)
-        vehicles = self.simulator.scenario.vehicles
+        vehicles = self.batch.scenario.vehicles
         self.possible_agents = [f"vehicle_{v}" for v in range(vehicles)]
         self.agents: list[str] = []
         self._index = {agent: v for v, agent in enumerate(self.possible_agents)}
@@ -93,7 +93,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         self._np_random: np.random.Generator | None = None
         # Of each vehicle: whether it is on the road, and what it observed last if it has left.
         self._driving = [True] * vehicles
-        self._last = [np.zeros_like(row) for row in self.simulator.observations[0]]
+        self._last = [np.zeros_like(row) for row in self.batch.observations[0]]
         self._joint = self.world.joint_action()
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -132,7 +132,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         Raises:
             ValueError: for options that make no scenario; nothing has changed.
         """
-        known = option_names(self.simulator.scenario)
+        known = option_names(self.batch.scenario)
         unknown = [name for name in options or {} if name not in known]
         if unknown:
             warnings.warn(f"unknown reset option {unknown[0]!r} is ignored; {nearest(unknown[0], known)}", stacklevel=2)
@@ -165,7 +165,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
             raise ResetNeeded("step() before reset() or after the end of an episode")
         self._choose(actions)
         self.world.step(self._joint)
-        sim = self.simulator
+        sim = self.batch
         terminated, truncated = sim.terminated[0].tolist(), sim.truncated[0].tolist()
         observations, rewards, terminations, truncations = {}, {}, {}, {}
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
@@ -186,7 +186,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
 
     def _observation(self, v: int) -> Array:
         """What a vehicle observes, or observed last."""
-        return self.simulator.observations[0, v] if self._driving[v] else self._last[v]
+        return self.batch.observations[0, v] if self._driving[v] else self._last[v]
 
     def _choose(self, actions: Mapping[str, Any]) -> None:
         """Check the actions of all agents and write them into the joint action."""

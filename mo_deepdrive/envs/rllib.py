@@ -84,7 +84,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):
             ValueError: for unknown options and for options that make no scenario; nothing has changed.
         """
         # The parallel environment would ignore unknown ones.
-        make_pins(options, self.parallel.simulator.scenario)
+        make_pins(options, self.parallel.batch.scenario)
         observations, infos = self.parallel.reset(seed=seed, options=options)
         self.agents = list(self.parallel.agents)
         return observations, infos

@@ -101,7 +101,7 @@ class DrivingEnv(WorldEnv):
         """Start a new episode; ``options`` pin the scenario (see the class)."""
         self._place(seed, options)
         self._running = True
-        return self.simulator.observations[0, 0].copy(), {}
+        return self.batch.observations[0, 0].copy(), {}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
         """Drive for one decision.
@@ -119,7 +119,7 @@ class DrivingEnv(WorldEnv):
         if array.shape != self.action_space.shape:
             raise ValueError(f"action {action!r} has shape {array.shape}; expected {self.action_space.shape}")
         self.world.step(array[None, None])
-        sim = self.simulator
+        sim = self.batch
         terminated = bool(sim.terminated[0, 0])
         truncated = bool(sim.truncated[0, 0])
         info: dict[str, Any] = {}

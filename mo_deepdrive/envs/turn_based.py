@@ -115,7 +115,7 @@ class TurnBasedEnv(WorldEnv):
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         super().__init__(config, render_mode)
-        self.vehicles = self.simulator.scenario.vehicles
+        self.vehicles = self.batch.scenario.vehicles
         # Turns per second, so that a video with a frame per turn plays at the speed of life.
         self.metadata["render_fps"] = self.vehicles * config.decision_frequency
         # Vehicles that have a turn before the world moves on, the next one first; none where no episode runs.
@@ -130,7 +130,7 @@ class TurnBasedEnv(WorldEnv):
         self._place(seed, options)
         self._turns = list(range(self.vehicles))
         self._moved = False
-        return self.simulator.observations[0, 0].copy(), {"vehicle": 0}
+        return self.batch.observations[0, 0].copy(), {"vehicle": 0}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
         """Choose for the vehicle whose turn it is.
@@ -145,7 +145,7 @@ class TurnBasedEnv(WorldEnv):
         """
         if not self._turns:
             raise ResetNeeded("step() before reset() or after the end of an episode")
-        sim = self.simulator
+        sim = self.batch
         vehicle, *waiting = self._turns
         self._joint[0, vehicle] = self.world.checked(action, f"vehicle {vehicle}")
         if not waiting:

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from mo_deepdrive.batch import Simulator
+from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
@@ -89,10 +89,10 @@ class DrivingVectorEnv(VectorEnv):
             "render_fps": config.decision_frequency,
             "autoreset_mode": self.autoreset_mode,
         }
-        self.simulator = Simulator(config, num_envs, threads)
-        self.objectives = self.simulator.objectives
+        self.batch = WorldBatch(config, num_envs, threads)
+        self.objectives = self.batch.objectives
         self.reward_dim = len(self.objectives)
-        self.vehicles = self.simulator.scenario.vehicles
+        self.vehicles = self.batch.scenario.vehicles
         self.single_observation_space = self._per_vehicle(env_spaces.observation_space(config))
         self.single_action_space = self._per_vehicle(env_spaces.action_space(config))
         self.reward_space = self._per_vehicle(env_spaces.reward_space(config))
@@ -139,16 +139,16 @@ class DrivingVectorEnv(VectorEnv):
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
-        pins = make_pins(options, self.simulator.scenario)
+        pins = make_pins(options, self.batch.scenario)
         seeds = self._seeds(seed)
         if self._streams is None:
             self._streams = Streams(seeds)
         else:
             self._streams.reseed(seeds, mask)
-        self.simulator.place(np.flatnonzero(mask), self._streams.draw, pins)
+        self.batch.place(np.flatnonzero(mask), self._streams.draw, pins)
         self._over[mask] = False
         self._begun = True
-        return self._shaped(self.simulator.observations), {}
+        return self._shaped(self.batch.observations), {}
 
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
@@ -172,7 +172,7 @@ class DrivingVectorEnv(VectorEnv):
         self, actions: NDArray[Any]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Move every world by one decision; see the class for shapes and infos."""
-        sim = self.simulator
+        sim = self.batch
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
             worlds = np.flatnonzero(self._over)[:5].tolist()
             raise ResetNeeded(
@@ -221,19 +221,19 @@ class DrivingVectorEnv(VectorEnv):
 
     def _arrivals(self, acted: NDArray[np.bool_]) -> dict[str, Any]:
         """Which vehicles arrived in this step, whether or not their world goes on; nothing where none has ended."""
-        ended = acted & (self.simulator.terminated | self.simulator.truncated)
+        ended = acted & (self.batch.terminated | self.batch.truncated)
         rows = np.flatnonzero(ended.any(axis=1))
         if not len(rows):
             return {}
         arrived = np.zeros_like(ended)
-        arrived[rows] = ended[rows] & (self.simulator.state["end"][rows] == ARRIVED)
+        arrived[rows] = ended[rows] & (self.batch.state["end"][rows] == ARRIVED)
         mask = np.zeros(self.num_envs, dtype=np.bool_)
         mask[rows] = True
         return {"arrived": arrived, "_arrived": mask}
 
     def _why(self, over: NDArray[np.bool_]) -> dict[str, Any]:
         """Why the episodes of the worlds ``over`` ended, in Gymnasium's form of vector infos."""
-        codes = self.simulator.state["end"][over]
+        codes = self.batch.state["end"][over]
         shape: tuple[int, ...] = (self.num_envs, self.vehicles)
         if self.vehicles == 1:
             codes, shape = codes[:, 0], (self.num_envs,)
@@ -245,7 +245,7 @@ class DrivingVectorEnv(VectorEnv):
 
     def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:
         """Per world and vehicle a dict of named SI floats."""
-        return tuple(self.simulator.telemetry(row) for row in range(self.num_envs))
+        return tuple(self.batch.telemetry(row) for row in range(self.num_envs))
 
     def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
         """The best-known front of one of the worlds, as in MO-Gymnasium; not proven to be the true one.
@@ -269,7 +269,7 @@ class DrivingVectorEnv(VectorEnv):
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the future, as plain arrays: hand it to :meth:`set_state` to resume exactly."""
         return {
-            "state": self.simulator.state.view(np.uint8).copy(),
+            "state": self.batch.state.view(np.uint8).copy(),
             "over": self._over.copy(),
             "begun": np.array([self._begun]),
             **self._seeded().get_state(),
@@ -286,7 +286,7 @@ class DrivingVectorEnv(VectorEnv):
             found = np.shape(state[name]) if name in state else None
             if found != array.shape:
                 raise ValueError(f"state {name!r} has shape {found}; this environment needs {array.shape}")
-        self.simulator.restore(np.asarray(state["state"]).view(self.simulator.state.dtype))
+        self.batch.restore(np.asarray(state["state"]).view(self.batch.state.dtype))
         self._over = np.array(state["over"], dtype=np.bool_)
         self._begun = bool(state["begun"][0])
         self._seeded().set_state(state)
@@ -299,7 +299,7 @@ class DrivingVectorEnv(VectorEnv):
 
         if not self._viewers:
             self._viewers = [Viewer(self.config, self.render_mode) for _ in range(self.num_envs)]
-        return tuple(viewer.draw(self.simulator.state[row]) for row, viewer in enumerate(self._viewers))
+        return tuple(viewer.draw(self.batch.state[row]) for row, viewer in enumerate(self._viewers))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release what rendering holds."""

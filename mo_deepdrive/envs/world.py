@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from mo_deepdrive.batch import Simulator
+from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
@@ -38,7 +38,7 @@ class World:
             raise ValueError(f"render_mode = {render_mode!r} must be None or one of {RENDER_MODES}")
         self.config = config
         self.render_mode = render_mode
-        self.simulator = Simulator(config, 1)
+        self.batch = WorldBatch(config, 1)
         self._viewer: Any = None
         space = action_space(config)
         self._shape = space.shape or ()
@@ -52,10 +52,10 @@ class World:
         Raises:
             ValueError: for options that make no scenario; the world and the generator stand where they stood.
         """
-        pins = make_pins(options, self.simulator.scenario)
+        pins = make_pins(options, self.batch.scenario)
         stream = generator.bit_generator.state
         try:
-            self.simulator.place(_WORLD, lambda rows: generator.random((1, DRAWS)), pins)
+            self.batch.place(_WORLD, lambda rows: generator.random((1, DRAWS)), pins)
         except ValueError:
             generator.bit_generator.state = stream
             raise
@@ -64,12 +64,12 @@ class World:
 
     def joint_action(self) -> NDArray[Any]:
         """A joint action to fill in, as :meth:`step` takes it: (1, vehicles) integers or (1, vehicles, 3) floats."""
-        shape = (1, self.simulator.scenario.vehicles, *self._shape)
+        shape = (1, self.batch.scenario.vehicles, *self._shape)
         return np.zeros(shape, dtype=np.int64 if self._choices else np.float64)
 
     def on_road(self) -> list[int]:
         """The vehicles that have not ended."""
-        ended = self.simulator.terminated[0] | self.simulator.truncated[0]
+        ended = self.batch.terminated[0] | self.batch.truncated[0]
         return [v for v, gone in enumerate(ended.tolist()) if not gone]
 
     def checked(self, action: Any, agent: str) -> Any:
@@ -93,18 +93,18 @@ class World:
 
     def step(self, actions: NDArray[Any]) -> None:
         """Move every vehicle on the road by one decision; see :meth:`joint_action`."""
-        self.simulator.step(actions)
+        self.batch.step(actions)
         if self.render_mode == "human":
             self.render()
 
     def outcome(self, vehicle: int) -> dict[str, Any]:
         """Why a vehicle has ended, and whether it arrived."""
-        end = self.simulator.end_names(0)[vehicle]
+        end = self.batch.end_names(0)[vehicle]
         return {"end": end, "success": end == "arrived"}
 
     def telemetry(self) -> tuple[dict[str, float], ...]:
         """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
-        return self.simulator.telemetry(0)
+        return self.batch.telemetry(0)
 
     def render(self) -> NDArray[np.uint8] | None:
         """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
@@ -114,7 +114,7 @@ class World:
             from mo_deepdrive.rendering import Viewer
 
             self._viewer = Viewer(self.config, self.render_mode)
-        frame = self._viewer.draw(self.simulator.state[0])
+        frame = self._viewer.draw(self.batch.state[0])
         return frame if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
@@ -143,8 +143,8 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": config.decision_frequency}
         self.world = World(config, render_mode)
-        self.simulator = self.world.simulator
-        self.objectives = self.simulator.objectives
+        self.batch = self.world.batch
+        self.objectives = self.batch.objectives
         self.observation_space = observation_space(config)  # type: ignore[assignment]
         self.action_space = action_space(config)
         self.reward_space = reward_space(config)

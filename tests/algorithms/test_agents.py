@@ -22,8 +22,8 @@ from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO, PCN, PPO
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.accrued_reward import History
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import Rollout, VehicleRollout
 from algorithms.evaluation.evaluate import evaluate
 from algorithms.learner import Learner
@@ -97,13 +97,13 @@ def test_training_runs_and_the_policy_gives_valid_actions(cls: type[ActorCritic]
     assert agent.step == UPDATES * 16
     fresh = state(make_agent(cls, PLACES[place][0], num_envs=2, env=PLACES[place][1], steps=8))
     trained = state(agent)
-    for v in range(agent.worlds.vehicles):
+    for v in range(agent.env.vehicles):
         for name in (f"{v}.actor.body.0.weight", f"{v}.critic.0.weight"):
             assert not torch.equal(trained[name], fresh[name])
     assert all(tensor.isfinite().all() for tensor in trained.values())
     env = make_env(PLACES[place][0], 1, PLACES[place][1])
     observation = env.reset(seed=0)[0][0]
-    accrued = np.zeros((agent.worlds.vehicles, len(agent.worlds.objectives))).squeeze()
+    accrued = np.zeros((agent.env.vehicles, len(agent.env.objectives))).squeeze()
     action = agent.eval(observation, accrued)
     assert env.single_action_space.contains(action)
     np.testing.assert_array_equal(action, agent.eval(observation, accrued_reward=None, discount=1.0))
@@ -165,10 +165,10 @@ def test_eval_is_the_greedy_action_of_the_policy(cls: type[ActorCritic]) -> None
     agent = make_agent(cls, INTERSECTION)
     exaggerate(agent)
     rng = np.random.default_rng(0)
-    observations = rng.normal(0.0, 5.0, (4, 2, agent.worlds.observation_size)).astype(np.float32)
+    observations = rng.normal(0.0, 5.0, (4, 2, agent.env.observation_size)).astype(np.float32)
     accrued = rng.normal(0.0, 5.0, (4, 2, 6)).astype(np.float32)
-    history = History(accrued, np.full((4, 2), 0.5, dtype=np.float32), np.zeros((4, 2), dtype=np.int64))
-    together = agent.act(observations, history, None)
+    accrued_reward = AccruedReward(accrued, np.full((4, 2), 0.5, dtype=np.float32), np.zeros((4, 2), dtype=np.int64))
+    together = agent.act(observations, accrued_reward, None)
     for i in range(4):
         np.testing.assert_array_equal(agent.eval(observations[i], accrued[i], 0.5), together[i])
 
@@ -202,7 +202,7 @@ def toy_agent(
     cls: type[ActorCritic], action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None
 ) -> ActorCritic:
     env = MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2))
-    return cls(env, plain_utility(Worlds(env)))
+    return cls(env, plain_utility(EnvAdapter(env)))
 
 
 @CLASSES
@@ -231,14 +231,14 @@ def test_eval_of_a_continuous_policy_of_ours_stays_in_the_action_space(cls: type
     exaggerate(agent, 3e4)
     for value in np.linspace(-9.0, 9.0, 7):
         action = agent.eval(np.full(15, value, dtype=np.float32))
-        assert agent.worlds.env.single_action_space.contains(action)
+        assert agent.env.vector_env.single_action_space.contains(action)
 
 
 @CLASSES
 def test_eval_understands_the_observations_of_a_foreign_discrete_space(cls: type[ActorCritic]) -> None:
     agent = toy_agent(cls, spaces.Discrete(7), spaces.Discrete(9))
     exaggerate(agent)
-    expected = agent.act(np.eye(9, dtype=np.float32)[:, None], History.begin(9, 1, 2), None)[:, 0]
+    expected = agent.act(np.eye(9, dtype=np.float32)[:, None], AccruedReward.begin(9, 1, 2), None)[:, 0]
     assert len(set(expected.tolist())) > 2
     assert [int(agent.eval(i)) for i in range(9)] == expected.tolist()
 
@@ -320,7 +320,7 @@ def test_schedules_move_from_their_first_value_to_their_last(cls: type[ActorCrit
 
 @CLASSES
 def test_the_learners_of_two_vehicles_do_not_share_anything(cls: type[ActorCritic]) -> None:
-    objectives = Worlds(make_env(INTERSECTION, 1)).objectives
+    objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
     mild = make_utility("intersection_linear", objectives)
     strict = make_utility("linear", objectives, weights=[0.0, 0.0, 5.0, 0.0, 1.0, 1.0])
     # Clipping by the common norm of actor and critic would tie the critic to the utility.
@@ -390,9 +390,9 @@ def test_the_discount_of_the_accrued_reward_is_its_own(cls: type[ActorCritic]) -
     assert (usual.gamma, full.gamma) == (0.9, 1.0)
     for agent in (usual, full):
         agent.train(64)
-    expected = 1.0 if full.collector.history.discounts.size else None
-    assert (full.collector.history.discounts == expected).all()
-    assert usual.collector.history.discounts.max() < 1.0
+    expected = 1.0 if full.collector.accrued_reward.discounts.size else None
+    assert (full.collector.accrued_reward.discounts == expected).all()
+    assert usual.collector.accrued_reward.discounts.max() < 1.0
     with pytest.raises(ValueError, match="accrued_gamma"):
         make_agent(cls, accrued_gamma=0.0)
 
@@ -401,7 +401,7 @@ def test_the_discount_of_the_accrued_reward_is_its_own(cls: type[ActorCritic]) -
 def test_the_accrued_reward_can_be_left_out_of_what_is_seen(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, observe_accrued=False)
     exaggerate(agent)
-    assert agent.learners[0].input_size(agent.worlds) == 15 + 1
+    assert agent.learners[0].input_size(agent.env) == 15 + 1
     observation = np.ones(15, dtype=np.float32)
     rng = np.random.default_rng(0)
     assert len({int(agent.eval(observation, rng.normal(0.0, [20.0, 1.0, 5.0, 500.0]))) for _ in range(50)}) == 1
@@ -605,7 +605,7 @@ def resumable(name: str, seed: int) -> Any:
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(name: str, updates: int, tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.safetensors"
     whole = resumable(name, seed=3)
-    per_update = whole.config.steps * whole.worlds.num_envs
+    per_update = whole.config.steps * whole.env.num_envs
     total = 7 * per_update
     lines = recorded(whole, total, log_interval=3)
 
@@ -940,7 +940,7 @@ def test_a_utility_that_reads_our_objectives_in_another_order_is_refused(cls: ty
 @CLASSES
 @pytest.mark.parametrize("number", [1, 3])
 def test_another_number_of_utilities_than_vehicles_is_refused(cls: type[ActorCritic], number: int) -> None:
-    objectives = Worlds(make_env(INTERSECTION, 1)).objectives
+    objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
     utility = make_utility("intersection_linear", objectives)
     with pytest.raises(ValueError, match=f"{number} utilities for 2 vehicles"):
         make_agent(cls, INTERSECTION, utility=[utility] * number)

@@ -179,7 +179,7 @@ def joint_rollout(agent: ActorCritic) -> Rollout:
 def test_a_centralised_critic_sees_the_other_vehicle_and_the_actor_does_not(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, INTERSECTION, num_envs=3, steps=6, centralised_critic=True)
     own = make_agent(cls, INTERSECTION, num_envs=3, steps=6)
-    size = agent.worlds.observation_size
+    size = agent.env.observation_size
     for learner, alone in zip(agent.learners, own.learners, strict=True):
         assert learner.actor.body[0].in_features == alone.actor.body[0].in_features
         assert learner.critic[0].in_features == alone.critic[0].in_features + size
@@ -226,7 +226,7 @@ def test_a_vehicle_that_ends_alone_leaves_what_the_other_saw_at_that_moment() ->
     # A limit on the g-force that random driving soon exceeds.
     agent = make_agent(MOPPO, INTERSECTION, num_envs=16, steps=64, env={"harmful_g_force": 0.3})
     exaggerate(agent)
-    worlds, seen = agent.worlds, []
+    worlds, seen = agent.env, []
     inner = worlds.step
 
     def spy(actions: Any) -> Any:

@@ -19,7 +19,7 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file, save_file
 
 from algorithms import MOA2C, PCN
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import make_env
 from algorithms.common.episode_buffer import Episode
 from algorithms.common.pareto import hypervolume, indicators, non_dominated
@@ -27,7 +27,7 @@ from algorithms.evaluation.evaluate import evaluate
 from algorithms.evaluation.front import Front
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.training import build
-from algorithms.pcn import Commanded
+from algorithms.pcn import CommandPolicy
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded
 
 SHORT = {"time_limit": 2, "fixed_destination": True}
@@ -38,7 +38,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "deep-sea-treasure": (SEA, {}),
 }
 EVERYWHERE = pytest.mark.parametrize("place", PLACES)
-SMALL: dict[str, Any] = {"hidden": [16, 16], "batch_size": 32, "updates": 5, "warmup_episodes": 8}
+SMALL: dict[str, Any] = {"hidden": [16, 16], "batch_size": 32, "gradient_steps": 5, "warmup_episodes": 8}
 TOTAL = 600  # environment steps of a small run
 
 
@@ -130,9 +130,9 @@ def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
         ({"horizon_scale": 0.0}, "'horizon_scale' = 0.0"),
         ({"gamma": 0.0}, "'gamma' = 0.0"),
         ({"persistence": 1.0}, "'persistence' = 1.0"),
-        ({"store_episodes": 1}, "'store_episodes' = 1"),
-        ({"ambition": -1.0}, "'ambition' = -1.0"),
-        ({"haste": -1}, "'haste' = -1"),
+        ({"buffer_size": 1}, "'buffer_size' = 1"),
+        ({"return_noise": -1.0}, "'return_noise' = -1.0"),
+        ({"horizon_reduction": -1}, "'horizon_reduction' = -1"),
         ({"learning_rat": 1.0}, "did you mean 'learning_rate'?"),
     ],
 )
@@ -155,7 +155,7 @@ def test_an_agent_that_has_seen_nothing_has_no_commands() -> None:
 def test_acting_without_a_command_is_refused() -> None:
     agent = small_pcn("deep-sea-treasure")
     with pytest.raises(TypeError, match="PCN acts under a command"):
-        agent.act(np.zeros((1, 1, 2), dtype=np.float32), History.begin(1, 1, 2), None)
+        agent.act(np.zeros((1, 1, 2), dtype=np.float32), AccruedReward.begin(1, 1, 2), None)
 
 
 @pytest.fixture(scope="module")
@@ -211,13 +211,13 @@ def asked_of(gamma: float, low: Any, high: Any, desired: Any, horizon: Any, rewa
 
     bounds = np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
     agent: Any = SimpleNamespace(gamma=gamma, bounds=bounds, choose=choose, worlds=None, device=None)
-    policy = Commanded(agent, np.array(desired, dtype=np.float32), np.array(horizon, dtype=np.float32))
+    policy = CommandPolicy(agent, np.array(desired, dtype=np.float32), np.array(horizon, dtype=np.float32))
     assert policy.gamma == gamma
     _, n, d = rewards.shape
-    history = History.begin(n, 1, d)
+    accrued_reward = AccruedReward.begin(n, 1, d)
     for reward in rewards.astype(np.float32):
-        assert policy.act(np.zeros((n, 1, 3), dtype=np.float32), history, None).shape == (n, 1)
-        history.add(reward[:, None], gamma)
+        assert policy.act(np.zeros((n, 1, 3), dtype=np.float32), accrued_reward, None).shape == (n, 1)
+        accrued_reward.add(reward[:, None], gamma)
     return asked
 
 
@@ -259,20 +259,20 @@ def by_hand(agent: PCN, observations: Any, wanted: Any, left: Any) -> np.ndarray
         return 1.0 / (1.0 + np.exp(-x))
 
     command = np.column_stack([np.asarray(wanted) / agent.scales, np.asarray(left) / agent.config.horizon_scale])
-    x = np.asarray(observations, dtype=np.float64) / agent.worlds.observation_scales
+    x = np.asarray(observations, dtype=np.float64) / agent.env.observation_scales
     x = sigmoid(linear(x, "observation.0")) * sigmoid(linear(command, "command.0"))
     layers = len(agent.config.hidden)
     for i in range(layers):
         x = linear(x, f"body.{2 * i}")
         if i < layers - 1:
             x = np.maximum(x, 0.0)
-    return np.tanh(x) if agent.worlds.continuous else x
+    return np.tanh(x) if agent.env.continuous else x
 
 
 def inputs(agent: PCN, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Random observations, wanted returns and decisions left."""
     rng = np.random.default_rng(seed)
-    observations = rng.normal(size=(n, agent.worlds.observation_size)) * agent.worlds.observation_scales
+    observations = rng.normal(size=(n, agent.env.observation_size)) * agent.env.observation_scales
     wanted = rng.normal(size=(n, len(agent.scales))) * agent.scales
     left = rng.integers(1, 100, n)
     return observations.astype(np.float32), wanted.astype(np.float32), left.astype(np.float32)
@@ -286,7 +286,7 @@ def test_the_greedy_action_is_the_best_of_the_network(place: str, hidden: list[i
     scramble(agent, 1.0)
     given = inputs(agent, 200)
     outputs, actions = by_hand(agent, *given), agent.choose(*given, None)
-    if agent.worlds.continuous:
+    if agent.env.continuous:
         np.testing.assert_allclose(actions, outputs, atol=2e-3)
     else:
         ordered = np.sort(outputs, axis=1)
@@ -332,8 +332,8 @@ def test_the_store_holds_what_the_actions_do_in_a_world_of_their_own(
     env_id, arguments = PLACES[place]
     agent = small_pcn(place, gamma=0.9)
     seeds: list[int] = []
-    reset = agent.worlds.reset
-    monkeypatch.setattr(agent.worlds, "reset", lambda seed: (seeds.append(seed), reset(seed))[1])
+    reset = agent.env.reset
+    monkeypatch.setattr(agent.env, "reset", lambda seed: (seeds.append(seed), reset(seed))[1])
     rounds = collected(agent, monkeypatch)
     agent.train(TOTAL // 2)
     assert agent.updates == len(rounds) == len(seeds)
@@ -349,7 +349,7 @@ def test_the_store_holds_what_the_actions_do_in_a_world_of_their_own(
             for t, action in enumerate(episode.actions):
                 assert not over
                 np.testing.assert_allclose(episode.observations[t], np.ravel(observation), rtol=1e-6, atol=1e-6)
-                (taken,) = agent.worlds.environment_actions(action[None, None])
+                (taken,) = agent.env.environment_actions(action[None, None])
                 observation, reward, terminated, truncated, _ = env.step(taken)
                 rewards.append(reward)
                 over = terminated or truncated
@@ -367,7 +367,7 @@ def test_random_actions_persist_about_as_often_as_asked(persistence: float, monk
     assert len(rounds) == 3  # of 64 episodes each, the first number that is not below 130
     repeated = np.concatenate([episode.actions[1:] == episode.actions[:-1] for each in rounds for episode in each])
     assert len(repeated) > 5000
-    k = agent.worlds.actions
+    k = agent.env.actions
     p = persistence + (1.0 - persistence) / k
     assert repeated.mean() == pytest.approx(p, abs=4.5 * (p * (1.0 - p) / len(repeated)) ** 0.5)
     begun = np.bincount([episode.actions[0] for each in rounds for episode in each], minlength=k)
@@ -387,11 +387,15 @@ def test_random_continuous_actions_fill_the_box_and_persist(monkeypatch: pytest.
     assert repeated.mean() == pytest.approx(0.5, abs=4.5 * (0.25 / len(repeated)) ** 0.5)
 
 
-@pytest.mark.parametrize(("ambition", "haste"), [(0.0, 0), (0.5, 3), (2.0, 1000)])
+@pytest.mark.parametrize(("return_noise", "horizon_reduction"), [(0.0, 0), (0.5, 3), (2.0, 1000)])
 def test_ambitious_commands_ask_for_more_of_one_objective_in_less_time(
-    seasoned: PCN, monkeypatch: pytest.MonkeyPatch, ambition: float, haste: int
+    seasoned: PCN, monkeypatch: pytest.MonkeyPatch, return_noise: float, horizon_reduction: int
 ) -> None:
-    monkeypatch.setattr(seasoned, "config", seasoned.config.model_copy(update={"ambition": ambition, "haste": haste}))
+    monkeypatch.setattr(
+        seasoned,
+        "config",
+        seasoned.config.model_copy(update={"return_noise": return_noise, "horizon_reduction": horizon_reduction}),
+    )
     monkeypatch.setattr(seasoned, "_draws", torch.Generator().manual_seed(0))
     best = seasoned.store.best()
     returns, lengths = seasoned.store.returns[best], seasoned.store.lengths[best]
@@ -404,24 +408,24 @@ def test_ambitious_commands_ask_for_more_of_one_objective_in_less_time(
         for desired, horizon in zip(policy.desired, policy.horizon, strict=True):
             possible = []
             for k, (wanted, length) in enumerate(zip(returns, lengths, strict=True)):
-                if horizon != max(length - haste, 1):
+                if horizon != max(length - horizon_reduction, 1):
                     continue
                 for i in range(2):
                     more = (float(desired[i]) - wanted[i]) / deviation[i]
                     others = np.delete(desired - wanted, i)
-                    if -1e-6 <= more <= ambition + 1e-6 and (np.abs(others) < 1e-6).all():
+                    if -1e-6 <= more <= return_noise + 1e-6 and (np.abs(others) < 1e-6).all():
                         possible.append((k, i, more))
             assert possible, (desired, horizon)
             k, i, more = possible[0]
             raised.setdefault((k, i), []).append(more)
     amounts = np.concatenate(list(raised.values()))
-    if ambition == 0.0:
+    if return_noise == 0.0:
         np.testing.assert_allclose(amounts, 0.0, atol=1e-6)
-    elif ambition < 1.0:  # otherwise what is raised from one episode may be taken for another
+    elif return_noise < 1.0:  # otherwise what is raised from one episode may be taken for another
         assert {k for k, _ in raised} == set(range(len(best)))
         assert {i for _, i in raised} == {0, 1}
-        assert amounts.mean() == pytest.approx(ambition / 2, rel=0.15)
-        assert amounts.max() > 0.95 * ambition
+        assert amounts.mean() == pytest.approx(return_noise / 2, rel=0.15)
+        assert amounts.max() > 0.95 * return_noise
 
 
 # Learning.
@@ -439,7 +443,7 @@ def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(pl
     def loss() -> float:
         total = 0.0
         for row, action in zip(by_hand(agent, observations, returns, left), actions, strict=True):
-            if agent.worlds.continuous:
+            if agent.env.continuous:
                 total += sum((x - a) ** 2 for x, a in zip(row, action, strict=True)) / len(row)
             else:
                 total += np.log(np.exp(row).sum()) - row[action]
@@ -455,12 +459,12 @@ def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(pl
 
 @pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous"])
 def test_a_network_that_learns_long_enough_repeats_its_episodes_when_told_to(place: str) -> None:
-    agent = small_pcn(place, hidden=[32, 32], store_episodes=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
+    agent = small_pcn(place, hidden=[32, 32], buffer_size=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
     agent.train(1)
     assert len(agent.store) == 2
     losses = [float(agent._learn()) for _ in range(600)]
     assert np.mean(losses[-20:]) < 0.3 * np.mean(losses[:5])
-    if not agent.worlds.continuous:
+    if not agent.env.continuous:
         for episode in agent.store.episodes:
             command = episode.returns, np.arange(len(episode), 0, -1, dtype=np.float32)
             agreeing = agent.choose(episode.observations, *command, None) == episode.actions
@@ -669,7 +673,7 @@ def test_a_front_is_what_episodes_driven_by_hand_give(env_id: str, arguments: di
     env, seeds = mo_gymnasium.make(env_id, **arguments), (40, 41)
     front = agent.front(make_env(env_id, 3, arguments), episodes=2, seed=40, gamma=0.99)
     assert (front.gamma, front.episodes, front.seed) == (0.99, 2, 40)
-    assert front.condition_names == (*agent.worlds.objectives, "horizon")
+    assert front.condition_names == (*agent.env.objectives, "horizon")
     desired, horizon = agent.commands()
     commands = np.column_stack([desired, horizon])
     driven = []
@@ -735,10 +739,10 @@ def test_every_trade_off_of_a_toy_is_found(observed: str, continuous: bool) -> N
         hidden=[32, 32],
         gamma=1.0,
         learning_rate=1e-2,
-        updates=20,
+        gradient_steps=20,
         warmup_episodes=16,
-        store_episodes=20,
-        haste=0,
+        buffer_size=20,
+        horizon_reduction=0,
         objective_scales=[4.0, 4.0],
         horizon_scale=4.0,
     )

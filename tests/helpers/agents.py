@@ -10,7 +10,7 @@ import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import VehicleRollout
 from algorithms.learner import Learner
 from mo_deepdrive.utilities import Utility, make_utility
@@ -34,7 +34,7 @@ FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
 ALL_FORMS = pytest.mark.parametrize("form", FORMS)
 
 
-def plain_utility(worlds: Worlds) -> Utility:
+def plain_utility(worlds: EnvAdapter) -> Utility:
     """The linear utility of our scenarios, or the sum of the objectives elsewhere."""
     for name in ("one_waypoint_linear", "static_obstacle_linear", "intersection_linear"):
         try:
@@ -55,7 +55,7 @@ def make_agent(
     **hyperparameters: Any,
 ) -> Any:
     made = make_env(env_id, num_envs, env)
-    return cls(made, utility or plain_utility(Worlds(made)), seed=seed, **hyperparameters)
+    return cls(made, utility or plain_utility(EnvAdapter(made)), seed=seed, **hyperparameters)
 
 
 def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
@@ -95,7 +95,7 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
     """
-    worlds, gamma = agent.worlds, agent.gamma
+    worlds, gamma = agent.env, agent.gamma
     n, o, d = worlds.num_envs, worlds.observation_size, len(worlds.objectives)
     rng = np.random.default_rng(seed)
     scales = worlds.observation_scales, worlds.objective_scales

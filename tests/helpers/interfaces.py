@@ -213,7 +213,7 @@ def _play_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray)
         observations, rewards, terminated, truncated, infos = env.step(batch)
         for v in range(VEHICLES):
             if infos["acted"][row, v]:
-                end = env.simulator.end_names(row)[v]
+                end = env.batch.end_names(row)[v]
                 flags = bool(terminated[row, v]), bool(truncated[row, v])
                 reports[v].append(Report(observations[row, v], rewards[row, v], *flags, end))
         others = (terminated | truncated).all(axis=1)

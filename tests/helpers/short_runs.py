@@ -21,7 +21,7 @@ VALUES: dict[str, Any] = {
     "algorithm": {"name": "mo_a2c", "steps": 8, "hidden": [8]},
     "training": {"total_timesteps": 960, "num_envs": 4},
     "evaluation": {"episodes": 2, "final_episodes": 4},
-    "logging": {"interval": 5, "pictures": False},
+    "logging": {"interval": 5, "save_figures": False},
 }
 
 

@@ -74,11 +74,11 @@ def test_a_policy_that_stays_where_it_is_lies_a_tenth_of_a_scale_above_the_refer
 def test_comfort_is_measured_from_what_random_driving_costs(make_vector: Any, scenario: str, gamma: float) -> None:
     env = make_vector(scenario, 512, autoreset_mode="Disabled")
     env.reset(seed=0)
-    simulator, rng = env.simulator, np.random.default_rng(0)
+    batch, rng = env.batch, np.random.default_rng(0)
     costs, weight = np.zeros((512, len(env.objectives))), 1.0
-    while not simulator.over().all():
-        simulator.step(rng.integers(0, 22, (512, 1)))
-        costs -= weight * simulator.rewards[:, 0]
+    while not batch.over().all():
+        batch.step(rng.integers(0, 22, (512, 1)))
+        costs -= weight * batch.rewards[:, 0]
         weight *= gamma
     mean = dict(zip(env.objectives, costs.mean(axis=0), strict=True))
     point = mo_deepdrive.reference_point(scenario, gamma=gamma)

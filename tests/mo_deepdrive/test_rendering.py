@@ -14,7 +14,7 @@ from gymnasium.wrappers import RecordVideo
 from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
-from mo_deepdrive.batch import Simulator
+from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.rendering import Episode, Viewer
 from mo_deepdrive.scenarios import DRAWS, MAP_SIZE
@@ -29,17 +29,17 @@ BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (25
 LABELS = ((84, 1030), (406, 1030))  # row and column in the frame, where it says why each of two vehicles ended
 
 
-def start(scenario: str) -> tuple[Simulator, Viewer]:
+def start(scenario: str) -> tuple[WorldBatch, Viewer]:
     """A world at the start of an episode and a viewer for it."""
     config = parse(EnvConfig, {"scenario": scenario, "harmful_g_force": None}, "settings")
-    simulator = Simulator(config, 1)
-    simulator.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.5))
-    return simulator, Viewer(config, "rgb_array")
+    batch = WorldBatch(config, 1)
+    batch.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.5))
+    return batch, Viewer(config, "rgb_array")
 
 
-def drive(simulator: Simulator, decisions: int = 1) -> None:
+def drive(batch: WorldBatch, decisions: int = 1) -> None:
     for _ in range(decisions):
-        simulator.step(np.full(simulator.terminated.shape, SPEED_UP))
+        batch.step(np.full(batch.terminated.shape, SPEED_UP))
 
 
 def colour_at(frame: NDArray[np.uint8], x: float, y: float) -> NDArray[np.int64]:
@@ -60,8 +60,8 @@ def ahead_of(vehicle: Any, ahead: float, right: float = 0.0) -> tuple[float, flo
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_frame_is_a_fresh_writable_rgb_array_that_video_encoders_accept(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    first, second = viewer.draw(simulator.state[0]), viewer.draw(simulator.state[0])
+    batch, viewer = start(scenario)
+    first, second = viewer.draw(batch.state[0]), viewer.draw(batch.state[0])
     assert first.dtype == np.uint8
     height, width, channels = first.shape
     assert (height % 16, width % 16, channels) == (0, 0, 3)
@@ -73,50 +73,50 @@ def test_a_frame_is_a_fresh_writable_rgb_array_that_video_encoders_accept(scenar
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_the_same_state_drawn_again_gives_the_same_picture(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    viewer.draw(simulator.state[0])
+    batch, viewer = start(scenario)
+    viewer.draw(batch.state[0])
     for _ in range(5):
-        drive(simulator)
-        first = viewer.draw(simulator.state[0])
-        assert np.array_equal(first, viewer.draw(simulator.state[0]))
+        drive(batch)
+        first = viewer.draw(batch.state[0])
+        assert np.array_equal(first, viewer.draw(batch.state[0]))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_drawing_leaves_the_state_alone(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    drive(simulator, 3)
-    before = simulator.state.tobytes()
-    viewer.draw(simulator.state[0])
-    assert simulator.state.tobytes() == before
+    batch, viewer = start(scenario)
+    drive(batch, 3)
+    before = batch.state.tobytes()
+    viewer.draw(batch.state[0])
+    assert batch.state.tobytes() == before
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_frames_differ_on_the_map_when_the_car_moves(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    before = viewer.draw(simulator.state[0])
-    drive(simulator, 10)
-    after = viewer.draw(simulator.state[0])
+    batch, viewer = start(scenario)
+    before = viewer.draw(batch.state[0])
+    drive(batch, 10)
+    after = viewer.draw(batch.state[0])
     assert (before[:, :MAP_PIXELS] != after[:, :MAP_PIXELS]).any()
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_each_car_shows_in_its_colour_where_it_is(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    drive(simulator, 20)
-    frame = viewer.draw(simulator.state[0])
-    for vehicle, colour in zip(simulator.state[0], (BLUE, ORANGE), strict=False):
+    batch, viewer = start(scenario)
+    drive(batch, 20)
+    frame = viewer.draw(batch.state[0])
+    for vehicle, colour in zip(batch.state[0], (BLUE, ORANGE), strict=False):
         assert resembles(colour_at(frame, *ahead_of(vehicle, 1.8)), colour)
         assert not resembles(colour_at(frame, *ahead_of(vehicle, LENGTH)), colour)
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -np.pi / 2, 3.0])
 def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading: float) -> None:
-    simulator, viewer = start("one_waypoint")
-    vehicle = simulator.state[0, 0]
+    batch, viewer = start("one_waypoint")
+    vehicle = batch.state[0, 0]
     vehicle.x, vehicle.y, vehicle.heading = 20.0, 12.0, heading
-    coasting = viewer.draw(simulator.state[0])
+    coasting = viewer.draw(batch.state[0])
     vehicle.brake = 1.0
-    braking = viewer.draw(simulator.state[0])
+    braking = viewer.draw(batch.state[0])
     for side in (-0.75, 0.75):
         front, rear = ahead_of(vehicle, 2.3, side), ahead_of(vehicle, -2.4, side)
         assert resembles(colour_at(coasting, *front), YELLOW)
@@ -125,27 +125,27 @@ def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading:
 
 
 def test_the_front_wheels_turn_with_the_steer_angle() -> None:
-    simulator, viewer = start("one_waypoint")
-    straight = viewer.draw(simulator.state[0])
-    simulator.state[0, 0].steer = 0.4
-    assert (viewer.draw(simulator.state[0]) != straight).any()
+    batch, viewer = start("one_waypoint")
+    straight = viewer.draw(batch.state[0])
+    batch.state[0, 0].steer = 0.4
+    assert (viewer.draw(batch.state[0]) != straight).any()
 
 
 def test_a_car_whose_episode_has_ended_is_pale() -> None:
-    simulator, viewer = start("intersection")
-    simulator.state[0, 0].end = 1
-    frame = viewer.draw(simulator.state[0])
-    assert not resembles(colour_at(frame, *ahead_of(simulator.state[0, 0], 1.8)), BLUE)
-    assert resembles(colour_at(frame, *ahead_of(simulator.state[0, 1], 1.8)), ORANGE)
+    batch, viewer = start("intersection")
+    batch.state[0, 0].end = 1
+    frame = viewer.draw(batch.state[0])
+    assert not resembles(colour_at(frame, *ahead_of(batch.state[0, 0], 1.8)), BLUE)
+    assert resembles(colour_at(frame, *ahead_of(batch.state[0, 1], 1.8)), ORANGE)
 
 
 def test_each_of_two_cars_wears_its_number() -> None:
-    simulator, viewer = start("intersection")
+    batch, viewer = start("intersection")
     darkest = {}
     for name, heading in (("ahead", 0.0), ("askew", 0.8)):
-        simulator.state[0, 0].heading = heading
-        frame = viewer.draw(simulator.state[0])
-        for v, vehicle in enumerate(simulator.state[0]):
+        batch.state[0, 0].heading = heading
+        frame = viewer.draw(batch.state[0])
+        for v, vehicle in enumerate(batch.state[0]):
             points = [ahead_of(vehicle, -0.5 + 0.15 * k, 0.15 * j) for k in range(-2, 3) for j in range(-2, 3)]
             darkest[name, v] = min(colour_at(frame, *point).sum() for point in points)
     assert max(darkest.values()) < 200
@@ -154,27 +154,27 @@ def test_each_of_two_cars_wears_its_number() -> None:
 
 
 def test_waypoints_are_ticked_once_they_are_reached() -> None:
-    simulator, viewer = start("intersection")
-    turning = simulator.state[0, 0]
+    batch, viewer = start("intersection")
+    turning = batch.state[0, 0]
     first, last = turning.waypoints[0], turning.waypoints[2]
     stroke = (0.22, 0.04)  # m, from the middle of a waypoint to the middle of its tick's longer stroke
-    before = viewer.draw(simulator.state[0])
+    before = viewer.draw(batch.state[0])
     turning.next_waypoint = 1
-    reached = viewer.draw(simulator.state[0])
+    reached = viewer.draw(batch.state[0])
     assert not resembles(colour_at(before, *(first + stroke)), BLUE, 30)
     assert resembles(colour_at(reached, *(first + stroke)), BLUE, 30)
     turning.next_waypoint = 2
-    assert not resembles(colour_at(viewer.draw(simulator.state[0]), *(last + stroke)), BLUE, 30)
+    assert not resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
     turning.end = ARRIVED
-    assert resembles(colour_at(viewer.draw(simulator.state[0]), *(last + stroke)), BLUE, 30)
+    assert resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
 
 
 def test_the_panel_says_in_colour_how_each_vehicle_ended() -> None:
-    simulator, viewer = start("intersection")
+    batch, viewer = start("intersection")
     colours = {}
     for end in (RUNNING, ARRIVED, COLLISION, TIME_LIMIT, OTHER_VEHICLE):
-        simulator.state[0, 0].end, simulator.state[0, 1].end = end, RUNNING
-        frame = viewer.draw(simulator.state[0])
+        batch.state[0, 0].end, batch.state[0, 1].end = end, RUNNING
+        frame = viewer.draw(batch.state[0])
         colours[end] = tuple(frame[LABELS[0]].tolist())
         assert tuple(frame[LABELS[1]].tolist()) == colours[RUNNING]
     assert len(set(colours.values())) == 5
@@ -186,19 +186,19 @@ def test_the_panel_says_in_colour_how_each_vehicle_ended() -> None:
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_view_that_was_widened_returns_to_what_it_was(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    vehicle = simulator.state[0, 0]
-    before = viewer.draw(simulator.state[0])
+    batch, viewer = start(scenario)
+    vehicle = batch.state[0, 0]
+    before = viewer.draw(batch.state[0])
     x, vehicle.x = vehicle.x, -60.0
-    assert (viewer.draw(simulator.state[0]) != before).any()
+    assert (viewer.draw(batch.state[0]) != before).any()
     vehicle.x = x
-    assert np.array_equal(viewer.draw(simulator.state[0]), before)
+    assert np.array_equal(viewer.draw(batch.state[0]), before)
 
 
 def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
-    simulator, viewer = start("static_obstacle")
-    vehicle = simulator.state[0, 0]
-    frame = viewer.draw(simulator.state[0])
+    batch, viewer = start("static_obstacle")
+    vehicle = batch.state[0, 0]
+    frame = viewer.draw(batch.state[0])
     goal_x, goal_y = vehicle.waypoints[0]
     ground = colour_at(frame, goal_x + 6.0, goal_y)
     assert resembles(colour_at(frame, goal_x, goal_y), BLUE)
@@ -207,11 +207,11 @@ def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
 
 
 def test_a_car_beyond_the_map_stays_in_the_picture() -> None:
-    simulator, viewer = start("one_waypoint")
-    vehicle = simulator.state[0, 0]
-    inside = viewer.draw(simulator.state[0])
+    batch, viewer = start("one_waypoint")
+    vehicle = batch.state[0, 0]
+    inside = viewer.draw(batch.state[0])
     vehicle.x, vehicle.y = -80.0, 150.0
-    outside = viewer.draw(simulator.state[0])
+    outside = viewer.draw(batch.state[0])
     assert outside.shape == inside.shape
     # Of the two blue things in view, the destination is close to the middle; the car is up and to the left.
     corner = outside[: MAP_PIXELS // 4, : MAP_PIXELS // 4].astype(np.int64)
@@ -220,54 +220,54 @@ def test_a_car_beyond_the_map_stays_in_the_picture() -> None:
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_the_trail_and_the_sums_are_cleared_at_reset(scenario: str) -> None:
-    simulator, viewer = start(scenario)
-    beginning = simulator.state.copy()
-    fresh = viewer.draw(simulator.state[0])
+    batch, viewer = start(scenario)
+    beginning = batch.state.copy()
+    fresh = viewer.draw(batch.state[0])
     for _ in range(20):
-        drive(simulator)
-        viewer.draw(simulator.state[0])
-    simulator.state[:] = beginning
-    assert np.array_equal(viewer.draw(simulator.state[0]), fresh)
+        drive(batch)
+        viewer.draw(batch.state[0])
+    batch.state[:] = beginning
+    assert np.array_equal(viewer.draw(batch.state[0]), fresh)
 
 
 def test_the_trail_shows_where_the_car_has_been() -> None:
-    simulator, viewer = start("one_waypoint")
-    viewer.draw(simulator.state[0])
+    batch, viewer = start("one_waypoint")
+    viewer.draw(batch.state[0])
     for _ in range(45):
-        drive(simulator)
-        trailing = viewer.draw(simulator.state[0])
-    without = Viewer(viewer.config, "rgb_array").draw(simulator.state[0])
-    behind = ahead_of(simulator.state[0, 0], -LENGTH)
+        drive(batch)
+        trailing = viewer.draw(batch.state[0])
+    without = Viewer(viewer.config, "rgb_array").draw(batch.state[0])
+    behind = ahead_of(batch.state[0, 0], -LENGTH)
     assert colour_at(trailing, *behind)[0] < colour_at(without, *behind)[0] - 20
 
 
 def test_sums_add_every_decision_once_and_say_when_one_is_missing() -> None:
-    simulator, _ = start("intersection")
+    batch, _ = start("intersection")
     episode = Episode(2, 10)
     expected = np.zeros_like(episode.sums)
-    episode.follow(simulator.state[0])
+    episode.follow(batch.state[0])
     for _ in range(15):
-        drive(simulator)
-        expected += simulator.state[0]["objectives"]
-        episode.follow(simulator.state[0])
-        episode.follow(simulator.state[0])
+        drive(batch)
+        expected += batch.state[0]["objectives"]
+        episode.follow(batch.state[0])
+        episode.follow(batch.state[0])
     assert episode.complete.all()
     np.testing.assert_allclose(episode.sums, expected)
     assert [len(trail) for trail in episode.trails] == [10, 10]
-    drive(simulator, 2)
-    episode.follow(simulator.state[0])
+    drive(batch, 2)
+    episode.follow(batch.state[0])
     assert not episode.complete.any()
 
 
 def test_a_new_episode_is_noticed_even_if_it_is_first_shown_later_than_the_last_one() -> None:
-    simulator, _ = start("one_waypoint")
+    batch, _ = start("one_waypoint")
     episode = Episode(1, 10)
     for _ in range(5):
-        drive(simulator)
-        episode.follow(simulator.state[0])
-    simulator.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.9))
-    drive(simulator, 8)
-    episode.follow(simulator.state[0])
+        drive(batch)
+        episode.follow(batch.state[0])
+    batch.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.9))
+    drive(batch, 8)
+    episode.follow(batch.state[0])
     assert not episode.complete.any()
     assert len(episode.trails[0]) == 1
 
@@ -284,10 +284,10 @@ def test_rgb_array_needs_no_display_and_survives_others_shutting_pygame_down(mon
 
     monkeypatch.setattr(pygame.display, "set_mode", refuse)
     monkeypatch.setattr(pygame.display, "init", refuse)
-    simulator, viewer = start("intersection")
-    before = viewer.draw(simulator.state[0])
+    batch, viewer = start("intersection")
+    before = viewer.draw(batch.state[0])
     pygame.quit()
-    assert np.array_equal(viewer.draw(simulator.state[0]), before)
+    assert np.array_equal(viewer.draw(batch.state[0]), before)
     viewer.close()
 
 

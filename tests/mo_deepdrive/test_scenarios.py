@@ -74,7 +74,7 @@ def distance_to(x: float, y: float, heading: float, point: Any) -> float:
 def set_vehicle(env: Any, vehicle: int = 0, **fields: Any) -> None:
     """Change the saved state of a vector environment's first world."""
     saved = env.get_state()
-    car = saved["state"].view(env.simulator.state.dtype)[0, vehicle]
+    car = saved["state"].view(env.batch.state.dtype)[0, vehicle]
     for name, value in fields.items():
         car[name] = value
     if "heading" in fields:
@@ -97,7 +97,7 @@ def test_the_destination_of_an_open_scenario_follows_its_two_draws(make_single: 
         u = generator(seed).random(5)
         observation, _ = env.reset(seed=seed)
         goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
-        np.testing.assert_allclose(env.simulator.state[0, 0].waypoints[0], goal, **EXACT)
+        np.testing.assert_allclose(env.batch.state[0, 0].waypoints[0], goal, **EXACT)
         seen = named(env, observation)
         np.testing.assert_allclose(seen["next_distance"], distance_to(*START, goal), **SINGLE)
         np.testing.assert_allclose(seen["next_angle"], angle_to(*START, goal), **SINGLE)
@@ -112,7 +112,7 @@ def test_the_bicycle_follows_its_three_draws(make_single: Any) -> None:
     for seed in range(100):
         u = generator(seed).random(5)
         env.reset(seed=seed)
-        car = env.simulator.state[0, 0]
+        car = env.batch.state[0, 0]
         goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
         if not np.allclose(car.waypoints[0], goal):
             continue  # drawn again, see test_departures
@@ -134,7 +134,7 @@ def test_the_vehicles_of_the_intersection_start_where_their_draws_say(make_vecto
         poses = [[car["x"], car["y"], car["heading"]] for car in env.telemetry()[0]]
         expected = [[LEFT_X, 6 + 12 * u[0], 0.0], [C - 1.524, 33 + 14 * u[1], math.pi]]
         np.testing.assert_allclose(poses, expected, **EXACT)
-        state = env.simulator.state[0]
+        state = env.batch.state[0]
         np.testing.assert_allclose(state[0].waypoints, LEFT_TURN, **EXACT)
         np.testing.assert_allclose(state[1].waypoints[:1], STRAIGHT, **EXACT)
 
@@ -143,7 +143,7 @@ def test_the_vehicles_of_the_intersection_start_where_their_draws_say(make_vecto
 def test_spawns_fill_their_bounds_and_stay_within_them(make_vector: Any, scenario: str) -> None:
     env = make_vector(scenario, 4000)
     env.reset(seed=0)
-    state = env.simulator.state[:, 0]
+    state = env.batch.state[:, 0]
     low, high = map_point([0.2, 0.0]), map_point([0.7, 1.0])
     goals = state["waypoints"][:, 0]
     assert (goals >= low).all()
@@ -165,7 +165,7 @@ def test_spawns_fill_their_bounds_and_stay_within_them(make_vector: Any, scenari
 def test_starts_at_the_intersection_fill_their_bounds_and_stay_within_them(make_vector: Any) -> None:
     env = make_vector("intersection", 4000)
     env.reset(seed=0)
-    y = env.simulator.state["y"]
+    y = env.batch.state["y"]
     assert 6 <= y[:, 0].min() < 6.1
     assert 17.9 < y[:, 0].max() <= 18
     assert 33 <= y[:, 1].min() < 33.1
@@ -179,8 +179,8 @@ def test_a_fixed_destination_is_the_same_in_every_episode(make_single: Any, scen
     bicycles = set()
     for seed in range(20):
         env.reset(seed=seed)
-        np.testing.assert_allclose(env.simulator.state[0, 0].waypoints[0], goal, **EXACT)
-        bicycles.add(env.simulator.state[0, 0].obstacle.tobytes())
+        np.testing.assert_allclose(env.batch.state[0, 0].waypoints[0], goal, **EXACT)
+        bicycles.add(env.batch.state[0, 0].obstacle.tobytes())
     if scenario == "static_obstacle":
         assert len(bicycles) == 20
 
@@ -190,9 +190,9 @@ def test_a_fixed_bicycle_is_the_same_in_every_episode(make_single: Any) -> None:
     cars = set()
     for seed in range(20):
         env.reset(seed=seed)
-        cars.add(env.simulator.state[0, 0].tobytes())
+        cars.add(env.batch.state[0, 0].tobytes())
     assert len(cars) == 1
-    car = env.simulator.state[0, 0]
+    car = env.batch.state[0, 0]
     route = np.array([0.2, -0.3])
     middle = np.array([0.1, 0.5]) + (0.6 * 0.4 + 0.1 / np.hypot(*route)) * route
     side = (0.025 + 0.1 * 0.5) / 2 * np.array([math.cos(math.pi * 0.2), math.sin(math.pi * 0.2)])
@@ -202,7 +202,7 @@ def test_a_fixed_bicycle_is_the_same_in_every_episode(make_single: Any) -> None:
 def test_a_fixed_bicycle_stands_across_the_straight_way_half_way_to_the_fixed_destination(make_single: Any) -> None:
     env = make_single("static_obstacle", fixed_destination=True, fixed_obstacle=True)
     env.reset(seed=0)
-    car = env.simulator.state[0, 0]
+    car = env.batch.state[0, 0]
     way = car.waypoints[0] - START[:2]
     first, second = (car.obstacle - START[:2]) @ np.array([way, [-way[1], way[0]]]).T / np.hypot(*way)
     assert (first + second)[0] / 2 / np.hypot(*way) == pytest.approx(0.5, abs=0.03)
@@ -216,7 +216,7 @@ def test_a_fixed_bicycle_leaves_the_destination_to_be_drawn_as_ever(make_single:
     for seed in range(20):
         env.reset(seed=seed)
         free.reset(seed=seed)
-        bicycle, other = env.simulator.state[0, 0], free.simulator.state[0, 0]
+        bicycle, other = env.batch.state[0, 0], free.batch.state[0, 0]
         u = generator(seed).random(5)
         goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
         if not np.allclose(other.waypoints[0], goal):
@@ -243,14 +243,14 @@ def test_pins_win_over_draws_and_the_rest_is_drawn_as_ever(make_single: Any) -> 
     env = make_single("static_obstacle")
     free = make_single("static_obstacle")
     free.reset(seed=5)
-    drawn = free.simulator.state[0, 0]
+    drawn = free.batch.state[0, 0]
     bicycle = np.array([[20.0, 30.0], [21.0, 31.0]])
     env.reset(seed=5, options={"obstacle": bicycle})
-    car = env.simulator.state[0, 0]
+    car = env.batch.state[0, 0]
     np.testing.assert_array_equal(car.obstacle, bicycle)
     np.testing.assert_array_equal(car.waypoints, drawn.waypoints)
     env.reset(seed=5, options={"destination": (40.0, 41.0)})
-    np.testing.assert_array_equal(env.simulator.state[0, 0].waypoints[0], [40.0, 41.0])
+    np.testing.assert_array_equal(env.batch.state[0, 0].waypoints[0], [40.0, 41.0])
     observation, _ = env.reset(
         seed=5, options={"start": (-3.0, 2.0, 0.5), "destination": [4, 41], "obstacle": bicycle.tolist()}
     )
@@ -259,7 +259,7 @@ def test_pins_win_over_draws_and_the_rest_is_drawn_as_ever(make_single: Any) -> 
     np.testing.assert_allclose(named(env, observation)["next_distance"], distance_to(-3.0, 2.0, 0.5, (4, 41)), **SINGLE)
     # A pin holds for one episode.
     env.reset(seed=5)
-    assert env.simulator.state[0, 0].tobytes() == drawn.tobytes()
+    assert env.batch.state[0, 0].tobytes() == drawn.tobytes()
 
 
 def test_pins_of_both_starts_hold_in_every_world_of_the_intersection(make_vector: Any) -> None:
@@ -275,16 +275,16 @@ def test_pins_of_both_starts_hold_in_every_world_of_the_intersection(make_vector
 
 def run(env: Any, policy: Any, most: int = 700) -> tuple[tuple[str, ...], np.ndarray, int]:
     """Step a vector environment with one world (not resetting by itself) until it is over: ends, return, decisions."""
-    observations = env.simulator.observations.copy()
+    observations = env.batch.observations.copy()
     total = 0.0
     for decision in range(1, most):
         actions = [policy(v, observations[0, v]) for v in range(env.vehicles)]
         array = np.array(actions if env.vehicles > 1 else actions[0])[None]
         _, rewards, terminated, truncated, _ = env.step(array)
-        observations = env.simulator.observations.copy()
+        observations = env.batch.observations.copy()
         total = total + rewards[0].astype(np.float64)
         if (terminated | truncated)[0].all():
-            return env.simulator.end_names(0), total, decision
+            return env.batch.end_names(0), total, decision
     raise AssertionError("the episode does not end")
 
 
@@ -353,11 +353,11 @@ def test_leaving_the_lane_ends_the_episode_where_it_is_asked_for(world: Any) -> 
     env = world("intersection", end_on_lane_violation=True)
     env.reset(options={"starts": ((LEFT_X, 8.0, 0.0), (C - 1.524, 45.0, math.pi))})
     lanes = []
-    while env.simulator.end_names(0)[0] == "":
+    while env.batch.end_names(0)[0] == "":
         env.step(np.stack([veer(0, None), veer(1, None)])[None])
         car = env.telemetry()[0][0]
         lanes.append(min(car["left_lane_distance"], car["right_lane_distance"]))
-    assert env.simulator.end_names(0) == ("off_lane", "")
+    assert env.batch.end_names(0) == ("off_lane", "")
     assert lanes[-1] < -0.25 <= lanes[-2]
     assert lanes[-2] < 0.0
     free = world("intersection")
@@ -392,13 +392,13 @@ def test_passing_a_waypoint_by_is_skipping_it(world: Any) -> None:
     # It turns left before its first waypoint, and comes nearer to the second.
     env.reset(options={"starts": ((26.2, 21.0, math.radians(30)), (C - 1.524, 47.0, math.pi))})
     nearest = []
-    while env.simulator.end_names(0)[0] == "":
+    while env.batch.end_names(0)[0] == "":
         env.step(np.stack([control(0.0, 0.5), control()])[None])
         car = env.telemetry()[0][0]
         here = front(car["x"], car["y"], car["heading"])
         nearest.append(int(np.argmin(np.linalg.norm(np.array(LEFT_TURN) - here, axis=1))))
-    assert env.simulator.end_names(0) == ("skipped_waypoint", "")
-    assert env.simulator.state[0, 0].next_waypoint == 0
+    assert env.batch.end_names(0) == ("skipped_waypoint", "")
+    assert env.batch.state[0, 0].next_waypoint == 0
     assert nearest[-1] == 1
     assert set(nearest[:-1]) == {0}
 
@@ -408,10 +408,10 @@ def test_falling_two_metres_behind_is_backwards(world: Any) -> None:
     env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 50.0)})
     distances = [env.telemetry()[0][0]["route_distance"]]
     assert distances == [pytest.approx(HALF_LENGTH)]
-    while env.simulator.end_names(0) == ("",):
+    while env.batch.end_names(0) == ("",):
         env.step(control(0.0, 0.5 if len(distances) < 15 else -0.5)[None])
         distances.append(env.telemetry()[0][0]["route_distance"])
-    assert env.simulator.end_names(0) == ("backwards",)
+    assert env.batch.end_names(0) == ("backwards",)
     assert max(distances) > HALF_LENGTH + 1.0, "it was further than at its start"
     assert distances[-1] < max(distances) - 2.0 <= distances[-2]
 
@@ -498,7 +498,7 @@ def test_turning_round_and_round_gains_nothing(world: Any) -> None:
     for _ in range(300):
         # Neither circling nor falling behind ends it.
         set_vehicle(env, furthest=-1e6, start_heading=env.telemetry()[0][0]["heading"])
-        seen = env.simulator.observations[0, 0]
+        seen = env.batch.observations[0, 0]
         _, rewards, terminated, _, _ = env.step(control(1.0, 1.0 - named(env, seen)["speed"])[None])
         assert not terminated[0]
         gained.append(float(rewards[0, 0]))
@@ -575,7 +575,7 @@ def test_lane_distances_and_flags_are_those_of_the_corners(make_vector: Any) -> 
             assert seen["left_lane_distance"] == pytest.approx(left, rel=1e-6, abs=1e-6)
             assert seen["right_lane_distance"] == pytest.approx(right, rel=1e-6, abs=1e-6)
             assert seen["crossing"] == float(crossing)
-            assert bool(env.simulator.state[0, v].approaching) == approaching
+            assert bool(env.batch.state[0, v].approaching) == approaching
             kinds.add((v, crossing, approaching, reading["left_lane_distance"] < 0))
     assert {(0, True, False, False), (1, False, True, True), (1, False, False, True), (0, False, False, True)} <= kinds
 
@@ -630,8 +630,8 @@ def test_the_left_turn_loses_by_progress_while_the_other_approaches(world: Any) 
         env = world("intersection", yield_to_oncoming=rule)
         enter_the_crossing(env, starts)
         _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
-        assert env.simulator.state[0, 0].crossing
-        assert env.simulator.state[0, 1].approaching
+        assert env.batch.state[0, 0].crossing
+        assert env.batch.state[0, 1].approaching
         gains[rule] = rewards[0, :, env.objectives.index("distance")]
     assert gains[False][0] > 0.05
     assert gains[True][0] == -gains[False][0]
@@ -640,7 +640,7 @@ def test_the_left_turn_loses_by_progress_while_the_other_approaches(world: Any) 
     env = world("intersection")
     enter_the_crossing(env, starts)
     set_vehicle(env, 1, end=ENDS.index("backwards"))
-    assert env.simulator.state[0, 1].approaching
+    assert env.batch.state[0, 1].approaching
     _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
     assert rewards[0, 0, 0] == gains[False][0]
     env = world("intersection")
@@ -766,7 +766,7 @@ def expected_observation(env: Any, world: int, v: int) -> list[float]:
     """What section 7 says a vehicle observes, from telemetry and the scenario."""
     car = env.telemetry()[world][v]
     pose = (car["x"], car["y"], car["heading"])
-    state = env.simulator.state[world, v]
+    state = env.batch.state[world, v]
     points = state.waypoints[: state.n_waypoints]
     k = int(state.next_waypoint)
     after = points[k + 1] if k + 1 < len(points) else None
@@ -802,7 +802,7 @@ def test_an_observation_is_what_the_specification_lists(make_vector: Any, chase:
         rows = observations.reshape(-1, observations.shape[-1])
         actions = np.array([chase(row) for row in rows]).reshape(env.action_space.shape)
         observations = env.step((actions + noise).astype(np.float32))[0]
-        running = env.simulator.state["end"] == 0
+        running = env.batch.state["end"] == 0
         for world in np.flatnonzero(running.all(axis=1)):
             for v in range(env.vehicles):
                 seen = observations[world] if env.vehicles == 1 else observations[world, v]
@@ -814,7 +814,7 @@ def test_an_observation_is_what_the_specification_lists(make_vector: Any, chase:
 def test_a_vehicle_that_has_left_the_road_is_seen_far_away_and_at_rest(world: Any) -> None:
     env = world("intersection")
     env.reset(seed=0)
-    while env.simulator.end_names(0) != ("", "backwards"):
+    while env.batch.end_names(0) != ("", "backwards"):
         observations = env.step(np.stack([control(0.0, 0.05), control(0.0, -0.5)])[None])[0]
     seen = named(env, observations[0, 0])
     others = {name: value for name, value in seen.items() if name.startswith("other_")}

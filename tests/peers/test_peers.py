@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import evaluate, evaluate_each
 from algorithms.peers import PEERS, Task
 from algorithms.peers.environment import Recorder
@@ -95,7 +95,7 @@ def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None,
         arguments = {"fixed_destination": True, "time_limit": 6.0, "action_type": kind or peer.actions[0]}
         if peer.objectives is not None:
             arguments["objectives"] = ("distance", "jerk")
-    worlds = Worlds(make_env(env_id, 1, arguments))
+    worlds = EnvAdapter(make_env(env_id, 1, arguments))
     d = len(worlds.objectives)
     utility = None
     if peer.known_utility:
@@ -103,7 +103,7 @@ def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None,
         utility = make_utility(linear, worlds.objectives, **({} if d == 4 else {"weights": [1.0] * d}))
     return Task(
         new=lambda **more: mo_gymnasium.make(env_id, **arguments, **more),
-        worlds=worlds,
+        env=worlds,
         config=peer.Config(**{**SMALL[name], **settings}),
         utility=utility,
         steps=STEPS,
@@ -125,8 +125,8 @@ def train(name: str, task: Task) -> Policies:
 
 
 def evaluation_env(task: Task, worlds: int) -> Any:
-    own: Any = task.worlds.env.unwrapped
-    if not task.worlds.native:
+    own: Any = task.env.vector_env.unwrapped
+    if not task.env.native:
         return make_env(own.envs[0].unwrapped.spec.id, worlds)
     return make_env(ONE_WAYPOINT, worlds, own.config.model_dump(exclude={"scenario"}))
 

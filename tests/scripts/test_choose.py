@@ -30,7 +30,7 @@ algorithm:
   learning_rate: 1e-2
   hidden: [32, 32]
   batch_size: 128
-  updates: 100
+  gradient_steps: 100
   warmup_episodes: 64
   persistence: 0.95
   store_episodes: 100

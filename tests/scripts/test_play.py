@@ -16,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.accrued_reward import History
-from algorithms.driving import HOLD, PICTURES, Cockpit, Keys, Outcome, choose_action
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.driving import HOLD, PICTURES, HumanPlayEnv, Keys, Outcome, choose_action
 from algorithms.experiments.config import EnvironmentSettings, make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
@@ -73,14 +73,16 @@ def test_both_keys_of_a_pair_brake_and_go_straight() -> None:
     assert chosen(Keys(True, False, True, True)) == "decay steer, increase speed"
 
 
-# ---------------------------------------------------------------------------------------------------------- the cockpit
+# --------------------------------------------------------------------------------------------------- the environment
 
 
-def make_cockpit(env_id: str = ONE, *, seats: tuple[int, ...] = (0,), film: Any = None, **arguments: Any) -> Cockpit:
+def make_human_env(
+    env_id: str = ONE, *, seats: tuple[int, ...] = (0,), film: Any = None, **arguments: Any
+) -> HumanPlayEnv:
     world = make_world(EnvironmentSettings(id=env_id, arguments=arguments))
-    cockpit = Cockpit(world.unwrapped, seats, film=film)
-    cockpit.reset(seed=1)
-    return cockpit
+    human_env = HumanPlayEnv(world.unwrapped, seats, film=film)
+    human_env.reset(seed=1)
+    return human_env
 
 
 def pressed(*keys: Keys, again: bool = False) -> NDArray[np.int8]:
@@ -88,47 +90,47 @@ def pressed(*keys: Keys, again: bool = False) -> NDArray[np.int8]:
     return np.array([*(key for each in keys for key in each), again], dtype=np.int8)
 
 
-def hold(cockpit: Cockpit, *keys: Keys, decisions: int = 1) -> list[dict[str, Any]]:
+def hold(human_env: HumanPlayEnv, *keys: Keys, decisions: int = 1) -> list[dict[str, Any]]:
     """Hold keys for some decisions; the infos of all steps."""
-    return [cockpit.step(pressed(*keys))[4] for _ in range(decisions * PICTURES)]
+    return [human_env.step(pressed(*keys))[4] for _ in range(decisions * PICTURES)]
 
 
-def vehicles(cockpit: Cockpit) -> Any:
-    return cockpit.world.simulator.state[0]
+def vehicles(human_env: HumanPlayEnv) -> Any:
+    return human_env.world.batch.state[0]
 
 
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
 def test_the_keys_drive_a_car(action_type: str) -> None:
-    cockpit = make_cockpit(action_type=action_type)
-    (car,) = vehicles(cockpit)
+    human_env = make_human_env(action_type=action_type)
+    (car,) = vehicles(human_env)
     start = car.copy()
-    hold(cockpit, UP, decisions=20)
+    hold(human_env, UP, decisions=20)
     assert 1.5 < car.speed < 2.5
     assert car.x > start.x + 1.0
     assert car.heading == pytest.approx(start.heading, abs=1e-6)
-    hold(cockpit, LEFT, decisions=5)
+    hold(human_env, LEFT, decisions=5)
     assert car.heading > start.heading + 0.1
     heading = car.heading
-    hold(cockpit, RIGHT, decisions=10)
+    hold(human_env, RIGHT, decisions=10)
     assert car.heading < heading - 0.1
     speed = car.speed
-    hold(cockpit, NOTHING, decisions=5)
+    hold(human_env, NOTHING, decisions=5)
     assert 0.9 * speed < car.speed < speed
-    hold(cockpit, DOWN, decisions=10)
+    hold(human_env, DOWN, decisions=10)
     assert car.speed < 0.2
 
 
 def test_continuous_actions_drive_as_the_discrete_ones_do() -> None:
-    discrete, continuous = make_cockpit(), make_cockpit(action_type="continuous")
+    discrete, continuous = make_human_env(), make_human_env(action_type="continuous")
     for keys in (UP, UP_LEFT, LEFT, NOTHING, RIGHT, DOWN):
-        for cockpit in (discrete, continuous):
-            hold(cockpit, keys, decisions=6)
+        for human_env in (discrete, continuous):
+            hold(human_env, keys, decisions=6)
         for field in ("x", "y", "heading", "speed"):
             assert vehicles(continuous)[0][field] == pytest.approx(vehicles(discrete)[0][field], abs=1e-4), field
 
 
 def test_a_key_pressed_for_one_picture_counts_for_a_whole_decision() -> None:
-    short, long = make_cockpit(), make_cockpit()
+    short, long = make_human_env(), make_human_env()
     for picture in range(PICTURES):
         short.step(pressed(UP if picture == 1 else NOTHING))
     hold(long, UP)
@@ -138,25 +140,25 @@ def test_a_key_pressed_for_one_picture_counts_for_a_whole_decision() -> None:
 
 
 def test_two_people_drive_a_car_each() -> None:
-    cockpit = make_cockpit(TWO, seats=(0, 1))
-    hold(cockpit, UP, NOTHING, decisions=10)
-    first, second = vehicles(cockpit)
+    human_env = make_human_env(TWO, seats=(0, 1))
+    hold(human_env, UP, NOTHING, decisions=10)
+    first, second = vehicles(human_env)
     assert (first.speed > 0.5, second.speed) == (True, 0.0)
-    hold(cockpit, NOTHING, UP, decisions=10)
+    hold(human_env, NOTHING, UP, decisions=10)
     assert second.speed > 0.5
     assert first.throttle == 0.0
 
 
 def test_every_vehicle_needs_somebody() -> None:
     with pytest.raises(ValueError, match=r"seats = \[1\] .* 2 vehicles .* agent"):
-        make_cockpit(TWO, seats=(1,))
+        make_human_env(TWO, seats=(1,))
 
 
 def test_an_outcome_says_how_everybody_ended_and_what_they_earned() -> None:
-    cockpit = make_cockpit(TWO, seats=(0, 1), time_limit=2, end_together=False)
-    total = np.zeros((2, cockpit.world.reward_dim))
+    human_env = make_human_env(TWO, seats=(0, 1), time_limit=2, end_together=False)
+    total = np.zeros((2, human_env.world.reward_dim))
     for _ in range(20 * PICTURES):
-        _, rewards, terminated, truncated, info = cockpit.step(pressed(UP, NOTHING))
+        _, rewards, terminated, truncated, info = human_env.step(pressed(UP, NOTHING))
         total += rewards
         assert not terminated
         assert not truncated
@@ -165,41 +167,41 @@ def test_an_outcome_says_how_everybody_ended_and_what_they_earned() -> None:
     assert outcome.ends == ("time_limit", "time_limit")
     assert outcome.seconds == (2.0, 2.0)
     np.testing.assert_allclose(outcome.returns, total)
-    distances = outcome.returns[:, cockpit.world.objectives.index("distance")]
+    distances = outcome.returns[:, human_env.world.objectives.index("distance")]
     assert distances[0] > 1.0
     assert distances[1] == 0.0
 
 
 def test_the_end_stands_for_a_moment_and_the_next_episode_is_another_one() -> None:
-    cockpit = make_cockpit(time_limit=0.5)
-    first = vehicles(cockpit)[0].waypoints.copy()
-    hold(cockpit, UP, decisions=5)
-    where = vehicles(cockpit)[0].x
+    human_env = make_human_env(time_limit=0.5)
+    first = vehicles(human_env)[0].waypoints.copy()
+    hold(human_env, UP, decisions=5)
+    where = vehicles(human_env)[0].x
     for still in range(1, round(HOLD * 10) * PICTURES + 1):
-        terminated = cockpit.step(pressed(UP))[2]
+        terminated = human_env.step(pressed(UP))[2]
         assert terminated == (still == round(HOLD * 10) * PICTURES)
-    assert vehicles(cockpit)[0].x == where
-    cockpit.reset()
-    assert (vehicles(cockpit)[0].waypoints != first).any()
-    infos = hold(cockpit, NOTHING, decisions=5)
+    assert vehicles(human_env)[0].x == where
+    human_env.reset()
+    assert (vehicles(human_env)[0].waypoints != first).any()
+    infos = hold(human_env, NOTHING, decisions=5)
     assert (infos[-1]["outcome"].episode, infos[-1]["outcome"].seed) == (2, 2)
 
 
 def test_starting_again_brings_the_same_scenario_back() -> None:
-    cockpit = make_cockpit()
-    beginning = vehicles(cockpit).copy()
-    hold(cockpit, UP_LEFT, decisions=5)
-    *_, terminated, truncated, info = cockpit.step(pressed(NOTHING, again=True))
+    human_env = make_human_env()
+    beginning = vehicles(human_env).copy()
+    hold(human_env, UP_LEFT, decisions=5)
+    *_, terminated, truncated, info = human_env.step(pressed(NOTHING, again=True))
     assert (terminated, truncated, info) == (False, True, {})
-    cockpit.reset()
-    assert vehicles(cockpit).tobytes() == beginning.tobytes()
+    human_env.reset()
+    assert vehicles(human_env).tobytes() == beginning.tobytes()
 
 
 def test_without_a_seed_the_scenarios_differ_and_can_still_be_driven_again() -> None:
-    first, second = make_cockpit(), make_cockpit()
+    first, second = make_human_env(), make_human_env()
     starts = []
-    for cockpit in (first, second):
-        fresh = Cockpit(cockpit.world, (0,))
+    for human_env in (first, second):
+        fresh = HumanPlayEnv(human_env.world, (0,))
         fresh.reset()
         starts.append(vehicles(fresh).copy())
         fresh.reset()
@@ -209,9 +211,9 @@ def test_without_a_seed_the_scenarios_differ_and_can_still_be_driven_again() -> 
 
 def test_a_film_gets_a_picture_per_decision_from_the_start_to_the_end() -> None:
     film: list[NDArray[np.uint8]] = []
-    cockpit = make_cockpit(time_limit=0.3, film=film.append)
-    start = cockpit.render()
-    hold(cockpit, UP, decisions=3 + round(HOLD * 10))
+    human_env = make_human_env(time_limit=0.3, film=film.append)
+    start = human_env.render()
+    hold(human_env, UP, decisions=3 + round(HOLD * 10))
     assert len(film) == 3 + round(HOLD * 10)
     assert np.array_equal(film[0], start)
     assert (film[3] != film[2]).any()
@@ -258,22 +260,22 @@ def test_the_agent_drives_the_other_vehicle_as_it_would_drive_it_anywhere(
 ) -> None:
     path = run if action_type == "discrete" else make_run(tmp_path / "run", action_type=action_type, time_limit=3)
     agent = opened(path)
-    world: Any = make_cockpit(TWO, seats=(0, 1), time_limit=3, action_type=action_type).world
-    cockpit = Cockpit(world, (mine,), agent=agent, generator=torch.Generator().manual_seed(5))
-    cockpit.reset(seed=1)
-    hold(cockpit, NOTHING, decisions=20)
-    driven = vehicles(cockpit).copy()
+    world: Any = make_human_env(TWO, seats=(0, 1), time_limit=3, action_type=action_type).world
+    human_env = HumanPlayEnv(world, (mine,), agent=agent, generator=torch.Generator().manual_seed(5))
+    human_env.reset(seed=1)
+    hold(human_env, NOTHING, decisions=20)
+    driven = vehicles(human_env).copy()
 
     generator = torch.Generator().manual_seed(5)
     observations, _ = world.reset(seed=1)
-    history = History.begin(1, 2, world.reward_dim)
+    accrued_reward = AccruedReward.begin(1, 2, world.reward_dim)
     rest = 0 if action_type == "discrete" else (0.0, 0.0, -1.0)
     for _ in range(20):
-        actions = agent.worlds.environment_actions(agent.act(observations, history, generator))
+        actions = agent.env.environment_actions(agent.act(observations, accrued_reward, generator))
         actions[0, mine] = rest
         observations, rewards, *_ = world.step(actions)
-        history.add(rewards, agent.gamma)
-    assert driven.tobytes() == vehicles(cockpit).tobytes()
+        accrued_reward.add(rewards, agent.gamma)
+    assert driven.tobytes() == vehicles(human_env).tobytes()
     assert driven[1 - mine].travelled > 0.0
 
 
@@ -335,11 +337,13 @@ def test_a_drive_in_the_window_ends_the_way_it_was_driven(
 def test_two_people_drive_at_one_keyboard(
     play: ModuleType, typing: Typist, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cockpits: list[Cockpit] = []
-    monkeypatch.setattr(play, "Cockpit", lambda *args, **kw: cockpits.append(Cockpit(*args, **kw)) or cockpits[0])
+    environments: list[HumanPlayEnv] = []
+    monkeypatch.setattr(
+        play, "HumanPlayEnv", lambda *args, **kw: environments.append(HumanPlayEnv(*args, **kw)) or environments[0]
+    )
     typing({0: [(PRESS, pygame.K_UP), (PRESS, pygame.K_w), (PRESS, pygame.K_a)], 12 * PICTURES: [(pygame.QUIT, 0)]})
     assert play.main(["--env", TWO, "--seed", "2", "--fps", "1000"]) == 0
-    first, second = vehicles(cockpits[0])
+    first, second = vehicles(environments[0])
     assert first.speed > 0.8
     assert second.speed > 0.8
     assert first.heading == pytest.approx(first.start_heading, abs=1e-6)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
 from tests.helpers.short_runs import assert_same_run, job
@@ -358,7 +358,7 @@ def test_a_search_goes_on_batch_by_batch_and_ends_the_same_after_an_interrupt(
 
     perform_all = script.perform_all
 
-    def interrupted(jobs: Sequence[Job], workers: int, monitor: Monitor, **options: Any) -> dict[Job, str]:
+    def interrupted(jobs: Sequence[Job], workers: int, monitor: Dashboard, **options: Any) -> dict[Job, str]:
         def stop() -> bool:
             if not sent and len(jobs) == 12 and sum(each.done for each in jobs) >= 8:
                 sent.append(signal.SIGINT)

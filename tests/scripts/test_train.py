@@ -52,7 +52,7 @@ algorithm:
   learning_rate: 1e-2
   hidden: [32, 32]
   batch_size: 128
-  updates: 50
+  gradient_steps: 50
   warmup_episodes: 32
   persistence: 0.95
   store_episodes: 100
@@ -64,7 +64,7 @@ logging: {interval: 2, checkpoint_interval: 1000}
 """
 SEA_FRONT = """
 environment: {id: deep-sea-treasure-v0}
-algorithm: {name: pcn, hidden: [16, 16], updates: 5, warmup_episodes: 16, objective_scales: [20.0, 20.0]}
+algorithm: {name: pcn, hidden: [16, 16], gradient_steps: 5, warmup_episodes: 16, objective_scales: [20.0, 20.0]}
 training: {total_timesteps: 2000, num_envs: 4}
 evaluation: {episodes: 1, final_episodes: 1, interval: 400, reference_point: [0.0, -25.0]}
 logging: {interval: 2, checkpoint_interval: 400}

@@ -276,7 +276,7 @@ def test_runs_have_the_values_and_the_ids_of_the_agent(sweep: Sweep) -> None:
     for run_id, values in VALUES.items():
         config = read_mapping(sweep.run(run_id) / "config.yaml")
         assert {key: value_at(config, key) for key in values} == values
-        assert (config["training"]["seed"], config["logging"]["pictures"]) == (100, False)
+        assert (config["training"]["seed"], config["logging"]["save_figures"]) == (100, False)
     assert len(list(sweep.folder.glob("runs/*/*"))) == len(VALUES)
     assert state(sweep.run(SHORT)) == "finished"
     assert "when running a sweep" not in sweep.said  # how W&B says that it ignores an argument

@@ -11,7 +11,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.common.episode_buffer import Episode, Store, returns_to_go
+from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.pareto import crowding_distances, non_dominated
 
 SCALES = np.array([2.0, 5.0], dtype=np.float32)
@@ -25,13 +25,13 @@ def make_episode(returns: Any, length: int = 1, name: int = 0, continuous: bool 
     return Episode(np.stack([np.full(length, name, dtype=np.float32), t], axis=1), actions, to_go)
 
 
-def make_store(points: Any, capacity: int = 1000, crowding: float = 0.2) -> Store:
-    store = Store(capacity, SCALES, crowding)
+def make_store(points: Any, capacity: int = 1000, crowding: float = 0.2) -> EpisodeBuffer:
+    store = EpisodeBuffer(capacity, SCALES, crowding)
     store.add([make_episode(point, name=i) for i, point in enumerate(points)])
     return store
 
 
-def names(store: Store) -> list[int]:
+def names(store: EpisodeBuffer) -> list[int]:
     return [int(episode.observations[0, 0]) for episode in store.episodes]
 
 
@@ -54,7 +54,7 @@ def test_returns_to_go_are_those_of_a_plain_loop(length: int, gamma: float, seed
 
 
 def test_what_a_store_holds_is_told_by_returns_and_lengths() -> None:
-    store = Store(9, SCALES, 0.2)
+    store = EpisodeBuffer(9, SCALES, 0.2)
     store.add([make_episode([1.0, 2.0], 3), make_episode([5.0, 4.0], 7)])
     assert len(store) == 2
     np.testing.assert_array_equal(store.returns, [[1.0, 2.0], [5.0, 4.0]])
@@ -95,7 +95,7 @@ def test_the_best_scores_stay_where_the_front_fits(
 @given(st.lists(points_on_a_grid, min_size=1, max_size=5))
 def test_no_non_dominated_return_is_ever_lost_where_the_front_fits(rounds: list[list[tuple[int, int]]]) -> None:
     # On a grid of 7 by 7 at most 7 returns do not dominate one another.
-    store, seen = Store(8, SCALES, 0.2), []
+    store, seen = EpisodeBuffer(8, SCALES, 0.2), []
     for points in rounds:
         store.add([make_episode(point) for point in points])
         seen += points
@@ -147,11 +147,11 @@ def test_what_is_crowded_leaves_before_what_is_alone() -> None:
 
 def test_an_empty_store_says_what_is_missing() -> None:
     with pytest.raises(ValueError, match="holds no episode yet: train first, or load a checkpoint"):
-        Store(5, SCALES, 0.2).best()
+        EpisodeBuffer(5, SCALES, 0.2).best()
 
 
 def test_bounds_are_over_every_decision_and_follow_what_comes_and_goes() -> None:
-    store = Store(2, SCALES, 0.2)
+    store = EpisodeBuffer(2, SCALES, 0.2)
     store.add([make_episode([5.0, 0.0], 4), make_episode([0.0, 5.0], 2)])
     low, high = store.bounds()
     np.testing.assert_array_equal(low, [-1.0, -3.0])
@@ -169,7 +169,7 @@ LENGTHS = (1, 5, 50)
 
 @pytest.mark.parametrize("continuous", [False, True])
 def test_a_sampled_decision_brings_what_belongs_to_it(continuous: bool) -> None:
-    store = Store(9, SCALES, 0.2)
+    store = EpisodeBuffer(9, SCALES, 0.2)
     ends = [[9.0, 1.0], [1.0, 9.0], [5.0, 5.0]]
     store.add([make_episode(ends[i], n, i, continuous) for i, n in enumerate(LENGTHS)])
     observations, actions, returns, left = store.sample(500, torch.Generator().manual_seed(0))
@@ -182,7 +182,7 @@ def test_a_sampled_decision_brings_what_belongs_to_it(continuous: bool) -> None:
 
 
 def test_every_episode_is_as_likely_as_every_other_and_so_is_every_decision_of_it() -> None:
-    store = Store(9, SCALES, 0.2)
+    store = EpisodeBuffer(9, SCALES, 0.2)
     store.add([make_episode([i, -i], n, i) for i, n in enumerate(LENGTHS)])
     count = 30_000
     observations, *_ = store.sample(count, torch.Generator().manual_seed(1))
@@ -207,7 +207,7 @@ def test_batches_follow_the_generator_and_the_episodes_added_since() -> None:
 
 @pytest.mark.parametrize("continuous", [False, True])
 def test_a_store_resumes_exactly(continuous: bool) -> None:
-    store = Store(4, SCALES, 0.2)
+    store = EpisodeBuffer(4, SCALES, 0.2)
     rng = np.random.default_rng(0)
 
     def more(first: int) -> list[Episode]:
@@ -215,7 +215,7 @@ def test_a_store_resumes_exactly(continuous: bool) -> None:
 
     store.add(more(0))
     state = {name: tensor.clone() for name, tensor in store.get_state().items()}
-    again = Store(4, SCALES, 0.2)
+    again = EpisodeBuffer(4, SCALES, 0.2)
     again.add(more(100))  # what was there before is forgotten
     again.set_state(state)
     new = more(200)
@@ -232,7 +232,7 @@ def test_a_store_resumes_exactly(continuous: bool) -> None:
 
 
 def test_an_empty_store_resumes_empty() -> None:
-    store = Store(4, SCALES, 0.2)
+    store = EpisodeBuffer(4, SCALES, 0.2)
     assert store.get_state() == {}
     again = make_store([(1, 2)])
     again.set_state({})

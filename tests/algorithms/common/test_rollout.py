@@ -16,8 +16,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from algorithms.common.accrued_reward import History
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import Act, Collector, Episodes, Rollout
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
@@ -30,11 +30,11 @@ SEED = 2**32 + 17
 DESTINATION = 1  # index of this objective in every scenario of ours
 
 
-def random_policy(worlds: Worlds) -> Act:
+def random_policy(worlds: EnvAdapter) -> Act:
     rng = np.random.default_rng(0)
     shape = (worlds.num_envs, worlds.vehicles)
 
-    def act(observations: np.ndarray, history: History) -> np.ndarray:
+    def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
         if worlds.continuous:
             return rng.normal(0.0, 1.5, (*shape, worlds.actions)).astype(np.float32)
         return rng.integers(0, worlds.actions, shape)
@@ -42,11 +42,13 @@ def random_policy(worlds: Worlds) -> Act:
     return act
 
 
-def reflex(worlds: Worlds) -> Act:
+def reflex(worlds: EnvAdapter) -> Act:
     """As good as random, but decided by what the policy is shown."""
 
-    def act(observations: np.ndarray, history: History) -> np.ndarray:
-        seen = np.concatenate([observations, history.accrued, history.discounts[..., None]], axis=-1, dtype=np.float64)
+    def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
+        seen = np.concatenate(
+            [observations, accrued_reward.value, accrued_reward.discounts[..., None]], axis=-1, dtype=np.float64
+        )
         noise = np.sin(1e4 * np.abs(seen).sum(-1))
         if worlds.continuous:
             return np.stack([noise * (k + 1) % 1.0 for k in range(worlds.actions)], axis=-1).astype(np.float32)
@@ -55,27 +57,27 @@ def reflex(worlds: Worlds) -> Act:
     return act
 
 
-def half_drive(worlds: Worlds) -> Act:
+def half_drive(worlds: EnvAdapter) -> Act:
     """Every other world drives to its waypoint at walking pace, so that some episodes succeed; the rest is random.
 
     A driver takes "small steer left", "small steer right" or "decay steer", and "increase speed" below 4 m/s.
     """
     at_random = random_policy(worlds)
 
-    def act(observations: np.ndarray, history: History) -> np.ndarray:
+    def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
         angle, speed = observations[..., 0], observations[..., 11]
         group = np.where(angle > 0.05, 2, np.where(angle < -0.05, 1, 0))
         actions = 1 + 3 * group + np.where(speed < 4.0, 2, 0)
-        actions[1::2] = at_random(observations, history)[1::2]
+        actions[1::2] = at_random(observations, accrued_reward)[1::2]
         return actions
 
     return act
 
 
-def one_waits(worlds: Worlds) -> Act:
+def one_waits(worlds: EnvAdapter) -> Act:
     """In Intersection: the vehicle that goes straight on drives off, the other stands still."""
 
-    def act(observations: np.ndarray, history: History) -> np.ndarray:
+    def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
         return np.tile([0, 3], (worlds.num_envs, 1))
 
     return act
@@ -89,7 +91,7 @@ def copied(rollout: Rollout) -> Rollout:
 class Collected:
     """Several successive rollouts and the episodes that ended in them."""
 
-    worlds: Worlds
+    worlds: EnvAdapter
     rollouts: list[Rollout]
     parts: list[Episodes]
 
@@ -111,10 +113,10 @@ def collect(
     num_envs: int = 4,
     steps: int = 40,
     rollouts: int = 3,
-    policy: Callable[[Worlds], Act] = random_policy,
+    policy: Callable[[EnvAdapter], Act] = random_policy,
     **arguments: Any,
 ) -> Collected:
-    worlds = Worlds(make_env(env_id, num_envs, arguments))
+    worlds = EnvAdapter(make_env(env_id, num_envs, arguments))
     collector = Collector(worlds, GAMMA, steps)
     collector.reset(SEED)
     act = policy(worlds)
@@ -164,15 +166,15 @@ def collected() -> Callable[[str], Collected]:
 @ALL
 def test_a_rollout_has_the_documented_shapes_and_types(collected: Callable[[str], Collected], situation: str) -> None:
     c = collected(situation)
-    n, v, d = c.worlds.num_envs, c.worlds.vehicles, len(c.worlds.objectives)
+    n, v, d = c.env.num_envs, c.env.vehicles, len(c.env.objectives)
     assert v == (2 if situation.startswith("intersection") else 1)
     for rollout in c.rollouts:
         t = len(rollout.rewards)
-        o = c.worlds.observation_size
+        o = c.env.observation_size
         expected: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
             "observations": ((t + 1, n, v, o), torch.float32),
             "final": ((t, n, v, o), torch.float32),
-            "actions": ((t, n, v, 3), torch.float32) if c.worlds.continuous else ((t, n, v), torch.int64),
+            "actions": ((t, n, v, 3), torch.float32) if c.env.continuous else ((t, n, v), torch.int64),
             "rewards": ((t, n, v, d), torch.float32),
             "accrued": ((t + 1, n, v, d), torch.float32),
             "discounts": ((t + 1, n, v), torch.float32),
@@ -202,7 +204,7 @@ def test_the_situations_hold_what_the_other_tests_are_about(
     if "arriving" in situation:
         arrived = c.all("rewards")[counted][:, DESTINATION]
         assert 0 < arrived.sum() < len(arrived)
-    if c.worlds.vehicles == 2 and "together" not in situation:
+    if c.env.vehicles == 2 and "together" not in situation:
         assert not c.all("acted").all()
 
 
@@ -247,7 +249,7 @@ def test_a_single_environment_that_replays_the_actions_sees_the_same_and_ends_in
     observations, final = c.all("observations"), c.all("final")
     actions, rewards = c.all("actions"), c.all("rewards")
     assert c.all("acted").all()
-    for i in range(c.worlds.num_envs):
+    for i in range(c.env.num_envs):
         observation, _ = single.reset(seed=SEED + i)
         for t in range(len(rewards)):
             np.testing.assert_array_equal(observations[t, i, 0], observation)
@@ -283,9 +285,9 @@ def test_a_single_foreign_environment_replays_all_but_the_masked_steps(
     single = mo_gymnasium.make(env_id, **arguments)
     acted = c.all("acted")
     ended = []
-    for i in range(c.worlds.num_envs):
+    for i in range(c.env.num_envs):
         observation, _ = single.reset(seed=SEED + i)
-        returns, length = np.zeros(len(c.worlds.objectives)), 0
+        returns, length = np.zeros(len(c.env.objectives)), 0
         for t in range(len(acted)):
             if not acted[t, i, 0]:
                 observation, _ = single.reset()
@@ -298,7 +300,7 @@ def test_a_single_foreign_environment_replays_all_but_the_masked_steps(
             if terminated or truncated:
                 np.testing.assert_array_equal(c.all("final")[t, i, 0], observation.astype(np.float32))
                 ended.append((t, i, returns, length))
-                returns, length = np.zeros(len(c.worlds.objectives)), 0
+                returns, length = np.zeros(len(c.env.objectives)), 0
     ended.sort(key=lambda episode: episode[:2])
     np.testing.assert_array_equal(c.episodes("lengths"), [episode[3] for episode in ended])
     np.testing.assert_allclose(c.episodes("returns"), [episode[2] for episode in ended], rtol=1e-5, atol=1e-5)
@@ -336,7 +338,7 @@ def test_a_world_of_two_vehicles_that_replays_the_actions_ends_in_the_final_obse
     env_id, arguments = SITUATIONS[situation]
     options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
     actions, over = c.all("actions"), c.over
-    for i in range(c.worlds.num_envs):
+    for i in range(c.env.num_envs):
         alone = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **options)
         observation, _ = alone.reset(seed=SEED + i)
         for t in range(len(actions)):
@@ -415,7 +417,7 @@ def test_a_rollout_in_which_no_episode_ends_gives_empty_episodes_of_the_right_sh
 
 def started(env_id: str, arguments: dict[str, Any], seed: int = SEED) -> Collector:
     options = {name: value for name, value in arguments.items() if name not in ("policy", "rollouts")}
-    collector = Collector(Worlds(make_env(env_id, 4, options)), GAMMA, 17)
+    collector = Collector(EnvAdapter(make_env(env_id, 4, options)), GAMMA, 17)
     collector.reset(seed)
     return collector
 
@@ -425,8 +427,8 @@ OURS = pytest.mark.parametrize("situation", [s for s in SITUATIONS if "deepdrive
 
 def assert_goes_on_alike(first: Collector, second: Collector) -> None:
     for _ in range(4):
-        one, ended = first.collect(reflex(first.worlds))
-        other, also_ended = second.collect(reflex(second.worlds))
+        one, ended = first.collect(reflex(first.env))
+        other, also_ended = second.collect(reflex(second.env))
         counted = (one.terminated | one.truncated) & one.acted
         for name, tensor in vars(one).items():
             kept = counted if name == "final" else slice(None)
@@ -440,10 +442,10 @@ def assert_goes_on_alike(first: Collector, second: Collector) -> None:
 def test_a_collector_resumes_exactly_from_the_state_of_another(situation: str, rollouts: int) -> None:
     first = started(*SITUATIONS[situation])
     for _ in range(rollouts):
-        first.collect(reflex(first.worlds))
+        first.collect(reflex(first.env))
     state = {name: np.array(array) for name, array in first.get_state().items()}
     second = started(*SITUATIONS[situation], seed=3)
-    second.collect(random_policy(second.worlds))
+    second.collect(random_policy(second.env))
     second.set_state(state)
     assert_goes_on_alike(first, second)
 
@@ -452,9 +454,9 @@ def test_a_collector_resumes_exactly_from_the_state_of_another(situation: str, r
 def test_a_collector_can_be_taken_back_to_an_earlier_state_of_its_own(situation: str) -> None:
     collector, reference = started(*SITUATIONS[situation]), started(*SITUATIONS[situation])
     for each in (collector, reference):
-        each.collect(reflex(each.worlds))
+        each.collect(reflex(each.env))
     state = collector.get_state()
-    collector.collect(reflex(collector.worlds))
+    collector.collect(reflex(collector.env))
     collector.set_state(state)
     assert_goes_on_alike(collector, reference)
 
@@ -467,12 +469,12 @@ def test_the_state_of_a_collector_is_plain_arrays() -> None:
 
 def test_the_state_of_other_worlds_is_refused() -> None:
     state = started(ONE_WAYPOINT, {}).get_state()
-    for other in (Worlds(make_env(ONE_WAYPOINT, 3)), Worlds(make_env(STATIC_OBSTACLE, 4))):
+    for other in (EnvAdapter(make_env(ONE_WAYPOINT, 3)), EnvAdapter(make_env(STATIC_OBSTACLE, 4))):
         with pytest.raises(ValueError, match="shape"):
             Collector(other, GAMMA, 5).set_state(state)
 
 
-# Worlds: foreign spaces in the trainers' shapes.
+# EnvAdapter: foreign spaces in the trainers' shapes.
 
 
 class Toy(gymnasium.Env[Any, Any]):
@@ -503,8 +505,8 @@ class Toy(gymnasium.Env[Any, Any]):
         return self._observed(), reward, self.count == 3, False, info
 
 
-def toy_worlds(action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None) -> Worlds:
-    return Worlds(MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2)))
+def toy_worlds(action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None) -> EnvAdapter:
+    return EnvAdapter(MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2)))
 
 
 def test_actions_of_a_foreign_discrete_space_begin_at_its_start() -> None:
@@ -588,7 +590,7 @@ def test_spaces_that_the_trainers_do_not_handle_are_refused(
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
 def test_our_worlds_train_under_same_step_alone(mode: AutoresetMode) -> None:
     with pytest.raises(ValueError, match="SAME_STEP"):
-        Worlds(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, autoreset_mode=mode))
+        EnvAdapter(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, autoreset_mode=mode))
 
 
 @pytest.mark.parametrize("env_id", [ONE_WAYPOINT, f"mo_deepdrive:{ONE_WAYPOINT}", INTERSECTION])
@@ -604,4 +606,4 @@ def test_any_other_id_makes_a_vector_environment_with_vector_rewards() -> None:
     env = make_env(SEA, 3, {"float_state": True})
     assert isinstance(env, MOSyncVectorEnv)
     assert env.single_observation_space.dtype == np.float32
-    assert Worlds(env).objectives == ("objective_0", "objective_1")
+    assert EnvAdapter(env).objectives == ("objective_0", "objective_1")

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from algorithms import A2C, MOA2C
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import Evaluation, evaluate
 from mo_deepdrive.utilities import Utility, make_utility
 
@@ -30,7 +30,7 @@ def make_agent(
     cls: type[ActorCritic], env_id: str = ONE_WAYPOINT, utility: Utility | None = None, **settings: Any
 ) -> ActorCritic:
     env = make_env(env_id, settings.pop("num_envs", 4), settings.pop("env", None))
-    objectives = Worlds(env).objectives
+    objectives = EnvAdapter(env).objectives
     if utility is None:
         utility = make_utility("linear", objectives, weights=np.linspace(1.0, 0.1, len(objectives)))
     return cls(env, utility, **settings)
@@ -44,7 +44,7 @@ def spread(agent: ActorCritic) -> ActorCritic:
     with torch.no_grad():
         for learner in agent.learners:
             learner.actor.body[-1].weight.mul_(100.0)
-            if agent.worlds.actions == 22:
+            if agent.env.actions == 22:
                 learner.actor.body[-1].bias[3::3] += 10.0
     return agent
 
@@ -141,7 +141,7 @@ DRIVES = {  # situations in which episodes end in more than one way
 def replay(agent: ActorCritic, env: Any, seed: int, gamma: float) -> dict[str, Any]:
     """One greedy episode in a single environment, with everything added up step by step."""
     observation, _ = env.reset(seed=seed)
-    d = len(agent.worlds.objectives)
+    d = len(agent.env.objectives)
     accrued, returns, discounted, largest = (np.zeros(d) for _ in range(4))
     t, over, info = 0, False, {}
     while not over:
@@ -183,7 +183,7 @@ def test_episode_i_is_the_first_one_of_a_single_environment_with_that_seed(
     agent = spread(make_agent(cls, env_id, env=arguments, gamma=0.97))
     found = evaluate(agent, make_env(env_id, num_envs, arguments), episodes=6, seed=40, gamma=0.9)
     single = gymnasium.make(env_id, disable_env_checker=True, **arguments).unwrapped
-    assert found.returns.shape == (6, 1, len(agent.worlds.objectives))
+    assert found.returns.shape == (6, 1, len(agent.env.objectives))
     assert_replayed(found, agent, single, 40, 0.9)
 
 
@@ -369,10 +369,10 @@ def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: d
     found = evaluate(agent, make_env(env_id, 8, arguments), episodes=20, greedy=False)
     metrics = found.metrics()
     assert len(set(found.ends.ravel())) > 1
-    for v in range(agent.worlds.vehicles):
+    for v in range(agent.env.vehicles):
         rates = found.end_rates(v)
         assert sum(rates.values()) == pytest.approx(1.0)
-        prefix = f"vehicle_{v}/end/" if agent.worlds.vehicles > 1 else "end/"
+        prefix = f"vehicle_{v}/end/" if agent.env.vehicles > 1 else "end/"
         assert {prefix + end: rate for end, rate in rates.items()}.items() <= metrics.items()
         for end, rate in rates.items():
             assert rate == pytest.approx(np.mean(found.ends[:, v] == end))
@@ -380,7 +380,7 @@ def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: d
 
 def test_every_vehicle_has_metrics_and_a_utility_of_its_own() -> None:
     env = make_env(INTERSECTION, 2, SHORT)
-    objectives = Worlds(env).objectives
+    objectives = EnvAdapter(env).objectives
     utilities = [make_utility("intersection_linear", objectives), make_utility("intersection_nonlinear", objectives)]
     found = evaluate(A2C(env, utilities), make_env(INTERSECTION, 4, SHORT), episodes=4, greedy=False)
     metrics = found.metrics()

@@ -290,7 +290,7 @@ def test_only_fronts_of_our_environments_get_a_reference_point(write: Write) -> 
     assert load_experiment(write(FRONT), [sea]).evaluation.reference_point is None
     given = load_experiment(write(FRONT), [sea, "--evaluation.reference_point=[0.0, -25.0]"])
     assert given.evaluation.reference_point == [0.0, -25.0]
-    assert build(given).worlds.objectives == ("objective_0", "objective_1")
+    assert build(given).env.objectives == ("objective_0", "objective_1")
 
 
 @pytest.mark.parametrize("point", [[0.0], [-1.0, -1.0, -1.0], [-1.0] * 5])

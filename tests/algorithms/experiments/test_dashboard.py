@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from algorithms.experiments import dashboard as module
-from algorithms.experiments.dashboard import MOST_ROWS, Monitor
+from algorithms.experiments.dashboard import MOST_ROWS, Dashboard
 from algorithms.experiments.jobs import Job
 from tests.helpers.short_runs import job, printed, quiet
 
@@ -53,7 +53,7 @@ def put(wanted: Job, state: str, step: int = 0) -> None:
 
 def counts(wanted: list[Job]) -> dict[str, int]:
     """How many runs are in each state."""
-    return dict(Monitor(wanted, quiet()).counts)
+    return dict(Dashboard(wanted, quiet()).counts)
 
 
 def terminal() -> Console:
@@ -77,25 +77,25 @@ def test_runs_are_counted_by_their_states(tmp_path: Path) -> None:
     wanted[8].path.mkdir()  # begun, but without a status
     expected = {"done": 2, "pruned": 1, "failed": 1, "running": 2, "interrupted": 1, "waiting": 2}
     assert counts(wanted) == expected
-    summary = Monitor(wanted, quiet()).summary()
+    summary = Dashboard(wanted, quiet()).summary()
     assert summary == "2 done, 2 running, 1 failed, 2 waiting, 1 interrupted, 1 pruned of 9"
 
 
 def test_states_that_are_rare_are_only_named_where_they_are(tmp_path: Path) -> None:
-    assert Monitor(jobs(tmp_path, 3), quiet()).summary() == "0 done, 0 running, 0 failed, 3 waiting of 3"
+    assert Dashboard(jobs(tmp_path, 3), quiet()).summary() == "0 done, 0 running, 0 failed, 3 waiting of 3"
 
 
 def test_a_run_that_was_given_up_counts_as_failed_whatever_its_directory_says(tmp_path: Path) -> None:
     wanted = jobs(tmp_path, 2)
     put(wanted[0], "running", 96)
-    monitor = Monitor(wanted, quiet())
+    monitor = Dashboard(wanted, quiet())
     monitor.failed(wanted[0], "the reason")
     assert monitor.counts == {"failed": 1, "waiting": 1}
 
 
 def test_what_changes_is_seen_at_the_next_update(tmp_path: Path, clock: Clock) -> None:
     wanted = jobs(tmp_path, 2)
-    monitor = Monitor(wanted, quiet())
+    monitor = Dashboard(wanted, quiet())
     put(wanted[0], "running", 96)
     assert monitor.counts == {"waiting": 2}
     monitor.update()
@@ -116,7 +116,7 @@ def test_what_has_ended_is_not_read_again(tmp_path: Path, clock: Clock, monkeypa
     wanted = jobs(tmp_path, 4)
     for each, state in zip(wanted, ("finished", "pruned", "interrupted"), strict=False):
         put(each, state, 96)
-    monitor = Monitor(wanted, quiet())
+    monitor = Dashboard(wanted, quiet())
     read: list[Path] = []
     monkeypatch.setattr(module, "read_status", lambda path: read.append(path) or {})
     monitor.update(now=True)
@@ -126,7 +126,7 @@ def test_what_has_ended_is_not_read_again(tmp_path: Path, clock: Clock, monkeypa
 def test_reading_many_directories_takes_little_of_the_time(
     tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monitor = Monitor(jobs(tmp_path, 4), quiet())
+    monitor = Dashboard(jobs(tmp_path, 4), quiet())
     read: list[Path] = []
 
     def slowly(path: Path) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def test_reading_many_directories_takes_little_of_the_time(
 def test_the_time_left_goes_on_as_it_went(tmp_path: Path, clock: Clock) -> None:
     wanted = jobs(tmp_path, 4)
     put(wanted[0], "interrupted", 480)  # before the monitor began
-    monitor = Monitor(wanted, quiet())
+    monitor = Dashboard(wanted, quiet())
     assert monitor.seconds_left is None
     clock.now += 10
     monitor.update()
@@ -166,7 +166,7 @@ def test_the_time_left_goes_on_as_it_went(tmp_path: Path, clock: Clock) -> None:
 
 def test_a_run_that_ended_early_needs_no_more_time(tmp_path: Path, clock: Clock) -> None:
     wanted = jobs(tmp_path, 4)
-    monitor = Monitor(wanted, quiet())
+    monitor = Dashboard(wanted, quiet())
     put(wanted[0], "finished", STEPS)
     put(wanted[1], "pruned", 96)
     put(wanted[2], "running", 2 * STEPS)  # the last update may go beyond the end
@@ -199,7 +199,7 @@ def test_a_torn_status_counts_as_waiting(torn: Job, length: int) -> None:
 @pytest.mark.parametrize("garbage", [b"\xff\xfe\x80", b"[]"], ids=["bytes", "list"])
 def test_a_status_that_is_something_else_counts_as_waiting(torn: Job, garbage: bytes) -> None:
     (torn.path / "status.json").write_bytes(garbage)
-    monitor = Monitor([torn], quiet())
+    monitor = Dashboard([torn], quiet())
     monitor.update(now=True)
     assert monitor.counts == {"waiting": 1}
 
@@ -223,7 +223,7 @@ def test_without_a_terminal_there_is_a_line_every_fifteen_seconds_and_one_at_the
 ) -> None:
     wanted = jobs(tmp_path, 2)
     console = quiet()
-    with Monitor(wanted, console, "sweep") as monitor:
+    with Dashboard(wanted, console, "sweep") as monitor:
         began, times, said = clock.now, [], 0
         while clock.now < began + 62:
             clock.now += 0.25
@@ -243,7 +243,7 @@ def test_without_a_terminal_there_is_a_line_every_fifteen_seconds_and_one_at_the
 
 def test_without_runs_nothing_is_said(clock: Clock) -> None:
     console = quiet()
-    with Monitor([], console) as monitor:
+    with Dashboard([], console) as monitor:
         monitor.update(now=True)
     assert printed(console) == ""
 
@@ -256,7 +256,7 @@ def test_a_failed_run_is_printed_once_with_its_reason(
     wanted = jobs(tmp_path, 3)
     console = make()
     reason = "a long reason with [brackets] and a number 3.14, " + "and more words " * 12 + "to the end"
-    with Monitor(wanted, console) as monitor:
+    with Dashboard(wanted, console) as monitor:
         monitor.failed(wanted[1], reason)
         for _ in range(5):
             clock.now += 20
@@ -273,7 +273,7 @@ def test_a_terminal_shows_the_runs_that_are_going_on(
     wanted = jobs(tmp_path, 4)
     put(wanted[0], "finished", STEPS)
     console = terminal()
-    with Monitor(wanted, console, "my sweep") as monitor:
+    with Dashboard(wanted, console, "my sweep") as monitor:
         put(wanted[1], "running", STEPS // 4)
         put(wanted[2], "trained", STEPS)
         clock.now += 2
@@ -299,7 +299,7 @@ def test_a_terminal_shows_a_dozen_runs_and_counts_the_others(
     for each in wanted:
         put(each, "running", 96)
     console = terminal()
-    with Monitor(wanted, console) as monitor:
+    with Dashboard(wanted, console) as monitor:
         monitor.update()
         seen = shown(console)
     assert [line.split()[-1] for line in seen if "seed" in line] == [str(seed) for seed in range(MOST_ROWS)]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from algorithms.experiments.config import make_experiment
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, differences, perform
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
@@ -32,7 +32,7 @@ def test_a_directory_with_another_experiment_is_refused_before_anything_starts(t
     other = Job("other", job(tmp_path, total_timesteps=961).experiment, tmp_path / "seed0")
     fresh = job(tmp_path, seed=1)
     with pytest.raises(ValueError, match=r"training.total_timesteps = 960 there, 961 wanted"):
-        perform_all([fresh, other], 1, Monitor([], quiet()))
+        perform_all([fresh, other], 1, Dashboard([], quiet()))
     assert not fresh.path.exists()
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from algorithms.experiments.config import make_experiment
-from algorithms.experiments.dashboard import Monitor
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.training import DiskFull
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
 
 def make(jobs: list[Job], workers: int = 1, **options: object) -> dict[Job, str]:
-    return perform_all(jobs, workers, Monitor(jobs, quiet()), **options)
+    return perform_all(jobs, workers, Dashboard(jobs, quiet()), **options)
 
 
 def eventually(condition: Callable[[], bool], seconds: float = 120.0) -> None:
@@ -57,7 +57,7 @@ def test_a_job_that_fails_is_named_and_the_others_are_made(tmp_path: Path) -> No
     bad.path.mkdir()
     (bad.path / "something").touch()
     console = quiet()
-    failed = perform_all([bad, good], 1, Monitor([bad, good], console), retries=2)
+    failed = perform_all([bad, good], 1, Dashboard([bad, good], console), retries=2)
     assert "is not empty" in failed.pop(bad)
     assert not failed
     assert printed(console).count("FAILED seed 1: ") == 1  # an error that would only repeat itself is not tried again

@@ -15,7 +15,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
-from algorithms.common.env_adapter import Worlds, make_env
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.progress_bar import make_console
@@ -32,10 +32,10 @@ FIXED = {"fixed_destination": True, "time_limit": 3.0}
 
 def make_task(env_id: str = ONE_WAYPOINT, arguments: dict[str, Any] | None = None, **changes: Any) -> Task:
     arguments = FIXED if arguments is None else arguments
-    worlds = Worlds(make_env(env_id, 1, arguments))
+    worlds = EnvAdapter(make_env(env_id, 1, arguments))
     task = Task(
         new=lambda **more: mo_gymnasium.make(env_id, **arguments, **more),
-        worlds=worlds,
+        env=worlds,
         config=PeerConfig(),
         utility=None,
         steps=50,
@@ -79,7 +79,7 @@ def test_a_world_in_the_peers_form_passes_gymnasiums_check(arguments: dict[str, 
 def test_peers_see_observations_and_rewards_in_nominal_units_unless_told_otherwise(nominal: bool) -> None:
     task = make_task(config=PeerConfig(nominal_scales=nominal))
     seen, plain = task.make(), mo_gymnasium.make(ONE_WAYPOINT, **FIXED)
-    o, r = task.worlds.observation_scales, task.worlds.objective_scales
+    o, r = task.env.observation_scales, task.env.objective_scales
     unit = (o, r) if nominal else (np.ones_like(o), np.ones_like(r))
     np.testing.assert_allclose(seen.reset()[0], plain.reset(seed=5)[0] / unit[0], rtol=1e-6)
     for action in (3, 3, 9, 3):

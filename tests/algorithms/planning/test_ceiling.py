@@ -55,7 +55,7 @@ def test_command_line(
 def test_far_bicycle_is_solved(ceiling: ModuleType, make_single: Callable[..., Any]) -> None:
     env = make_single("static_obstacle")
     env.reset(seed=0, options={"obstacle": FAR, "destination": STRAIGHT_ON})
-    outcome = ceiling.solve(env.simulator.state[0].copy(), 512)
+    outcome = ceiling.solve(env.batch.state[0].copy(), 512)
     assert 0 < len(outcome.actions) <= 100
 
 
@@ -63,7 +63,7 @@ def test_bicycle_at_the_nose_is_not_solved(ceiling: ModuleType, make_single: Cal
     """Whoever cannot reverse cannot leave; the search says that it has tried everything."""
     env = make_single("static_obstacle")
     env.reset(seed=0, options={"obstacle": AT_THE_NOSE, "destination": STRAIGHT_ON})
-    start = env.simulator.state[0].copy()
+    start = env.batch.state[0].copy()
     outcome = ceiling.solve(start, 512)
     assert outcome.actions == ""
     assert outcome.exhausted
@@ -77,7 +77,7 @@ def test_estimate_leads_around_the_bicycle(ceiling: ModuleType, make_single: Cal
     found = []
     for obstacle in (FAR, ((20.0, 24.0), (20.0, 27.0)), ((32.0, 24.0), (32.0, 27.0))):
         env.reset(seed=0, options={"obstacle": obstacle, "destination": STRAIGHT_ON})
-        found.append(float(ceiling.estimates(env.simulator.state[0])[0]))
+        found.append(float(ceiling.estimates(env.batch.state[0])[0]))
     assert found[1] > found[0] + 0.1
     assert found[2] == pytest.approx(found[0])
 

@@ -55,7 +55,7 @@ def make_run(tmp_path: Path) -> Callable[..., Path]:
             "training": {"total_timesteps": 1, "num_envs": 8},
         }
         if algorithm == "pcn":
-            settings["algorithm"] |= {"warmup_episodes": 8, "updates": 1, "max_policies": 5}
+            settings["algorithm"] |= {"warmup_episodes": 8, "gradient_steps": 1, "max_policies": 5}
         else:
             weights = [1.0] * (5 if "obstacle" in env_id else 4)
             settings["utility"] = {"name": "linear", "arguments": {"weights": weights}}

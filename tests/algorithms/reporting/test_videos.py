@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.training import build
 from algorithms.reporting.videos import HOLD, record, writing
@@ -69,8 +69,8 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     agent, experiment = make(TWO, time_limit=LIMIT)
     seen: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
 
-    def act(observations: Any, history: History, generator: Any) -> NDArray[np.int64]:
-        seen.append((history.accrued[0].copy(), history.discounts[0].copy()))
+    def act(observations: Any, accrued_reward: AccruedReward, generator: Any) -> NDArray[np.int64]:
+        seen.append((accrued_reward.value[0].copy(), accrued_reward.discounts[0].copy()))
         return np.array([[IDLE, SPEED_UP]])
 
     path = tmp_path_factory.mktemp("video") / "drive.mp4"
@@ -96,7 +96,7 @@ def test_what_the_policy_observes_is_what_its_vehicle_earned(filmed: Filmed) -> 
     powers = gamma ** np.arange(LIMIT * FPS)
     np.testing.assert_allclose(filmed.discounts, np.stack([powers, powers], axis=1), rtol=1e-4)
     assert not filmed.accrued[0].any()
-    destinations = filmed.accrued[:, 1, filmed.agent.worlds.objectives.index("destination")]
+    destinations = filmed.accrued[:, 1, filmed.agent.env.objectives.index("destination")]
     arrival = np.flatnonzero(destinations)[0]
     assert destinations[arrival] == pytest.approx(powers[arrival - 1], rel=1e-4)
     assert (filmed.accrued[arrival:, 1] == filmed.accrued[arrival, 1]).all(), "who has ended earns nothing more"

@@ -40,7 +40,7 @@ TINY = """
 first_seed: 3
 seeds: 2
 quick_seeds: 1
-overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.pictures: false}
+overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false}
 cells:
   one_waypoint_linear:
     title: OneWaypoint, linear utility
@@ -100,7 +100,7 @@ def test_every_run_of_the_plan_has_a_valid_config_a_seed_and_a_folder_of_its_own
     for entry in wanted:
         assert entry.job.experiment.training.seed == entry.seed
         assert entry.job.experiment.evaluation.seed == 1_000_000
-        assert not entry.job.experiment.logging.pictures
+        assert not entry.job.experiment.logging.save_figures
 
 
 def test_every_claim_and_figure_has_its_cells_in_the_plan() -> None:

@@ -404,7 +404,7 @@ def test_runs_that_differ_in_device_threads_or_logging_have_the_same_directory(t
         overrides={
             "training.device": "cuda:7",
             "training.threads": 3,
-            "logging": {"interval": 1, "checkpoint_interval": 5, "pictures": True, "wandb": {"project": "p"}},
+            "logging": {"interval": 1, "checkpoint_interval": 5, "save_figures": True, "wandb": {"project": "p"}},
         },
     )
     assert [row.directory for row in plain] == [row.directory for row in other]

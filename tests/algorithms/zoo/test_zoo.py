@@ -25,7 +25,7 @@ from safetensors.torch import load_file, save_file
 
 from algorithms import PCN, zoo
 from algorithms.actor_critic import ActorCritic
-from algorithms.common.accrued_reward import History
+from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.atomic_io import write_json
 from algorithms.evaluation.evaluate import evaluate
 from algorithms.evaluation.front import Front
@@ -89,7 +89,7 @@ def train(experiment: Experiment, path: Path) -> Run:
     run.unlock()
     agent = build(experiment)
     agent.train(experiment.training.total_timesteps)
-    if isinstance(agent, ActorCritic) and agent.worlds.native:
+    if isinstance(agent, ActorCritic) and agent.env.native:
         exaggerate(agent)
     agent.save(run.checkpoint)
     if isinstance(agent, PCN):
@@ -181,13 +181,13 @@ def policy_of(path: Path) -> Any:
 
 def actions_of(policy: Any, generator: torch.Generator | None) -> np.ndarray:
     """What a policy does in 40 states that it has never seen."""
-    worlds, rng = policy.worlds, np.random.default_rng(1)
+    worlds, rng = policy.env, np.random.default_rng(1)
     n, d = 40, len(worlds.objectives)
-    history = History.begin(n, worlds.vehicles, d)
-    history.accrued[:] = rng.normal(size=history.accrued.shape) * worlds.objective_scales
-    history.discounts[:] = rng.uniform(0.5, 1.0, history.discounts.shape)
+    accrued_reward = AccruedReward.begin(n, worlds.vehicles, d)
+    accrued_reward.value[:] = rng.normal(size=accrued_reward.value.shape) * worlds.objective_scales
+    accrued_reward.discounts[:] = rng.uniform(0.5, 1.0, accrued_reward.discounts.shape)
     observations = rng.normal(size=(n, worlds.vehicles, worlds.observation_size)) * worlds.observation_scales
-    return policy.act(observations.astype(np.float32), history, generator)
+    return policy.act(observations.astype(np.float32), accrued_reward, generator)
 
 
 def assert_same_drives(first: Any, second: Any, experiment: Experiment) -> None:
@@ -300,8 +300,8 @@ def test_what_driving_does_not_need_is_neither_written_nor_read(trained: Trained
         ("one_waypoint/mo_a2c_nonlinear", (), 50),
         ("static_obstacle/a2c_linear", (), 100),
         ("intersection/mo_ppo_nonlinear", (), 120),
-        ("one_waypoint/pcn", ("--algorithm.updates=1",), 50),
-        ("static_obstacle/pcn", ("--algorithm.updates=1",), 50),
+        ("one_waypoint/pcn", ("--algorithm.gradient_steps=1",), 50),
+        ("static_obstacle/pcn", ("--algorithm.gradient_steps=1",), 50),
     ],
 )
 def test_policies_of_our_configs_are_small(config: str, overrides: tuple[str, ...], limit: int, tmp_path: Path) -> None:
@@ -702,7 +702,7 @@ def test_a_shipped_policy_loads_and_drives(name: str) -> None:
     policy = agent
     if not run.experiment.known_utility:
         front = Front.read(path)
-        assert front.objectives == agent.worlds.objectives
+        assert front.objectives == agent.env.objectives
         desired, horizon = agent.commands()
         known = {tuple(row) for row in np.column_stack([desired, horizon])}
         assert {tuple(row) for row in front.conditions.astype(np.float32)} <= known

@@ -67,7 +67,7 @@ def steps_alike(env: Any, other: Any) -> None:
         assert one.keys() == two.keys()
         for agent in one:
             np.testing.assert_array_equal(one[agent], two[agent])
-    assert env.simulator.state.tobytes() == other.simulator.state.tobytes()
+    assert env.batch.state.tobytes() == other.batch.state.tobytes()
     first, second = env.reset()[0], other.reset()[0]
     for agent in AGENTS:
         np.testing.assert_array_equal(first[agent], second[agent])
@@ -393,7 +393,7 @@ def test_the_action_of_a_kept_finished_vehicle_must_be_given_is_checked_and_is_i
     other = copy.deepcopy(env)
     env.step({"vehicle_0": FINE, "vehicle_1": FINE})
     other.step({"vehicle_0": FINE, "vehicle_1": -FINE})
-    assert env.simulator.state.tobytes() == other.simulator.state.tobytes()
+    assert env.batch.state.tobytes() == other.batch.state.tobytes()
 
 
 @pytest.mark.parametrize("keep_finished", [False, True])
@@ -404,11 +404,11 @@ def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(keep_fini
     env.reset(seed=0)
     env.step(dict.fromkeys(AGENTS, 3))
     assert env.step(dict.fromkeys(AGENTS, 3))[3] == dict.fromkeys(AGENTS, True)
-    before = env.simulator.state.tobytes()
+    before = env.batch.state.tobytes()
     for actions in (dict.fromkeys(AGENTS, 3), {}):
         with pytest.raises(ResetNeeded):
             env.step(actions)
-    assert env.simulator.state.tobytes() == before
+    assert env.batch.state.tobytes() == before
     env.reset()
     env.step(dict.fromkeys(AGENTS, 3))
 

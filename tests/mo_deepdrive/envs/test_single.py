@@ -388,7 +388,7 @@ def test_the_fastest_drives_stay_within_the_spaces(make_single: Make, scenario: 
         env.reset(seed=0, options=options)
         if accelerate < 0:
             # It counts as having been no further than where it looks away.
-            env.simulator.state[0, 0].furthest = env.simulator.state[0, 0].route_distance
+            env.batch.state[0, 0].furthest = env.batch.state[0, 0].route_distance
         for decision in range(250):
             action = np.array([0.0, accelerate, -1.0 if decision < 200 else 1.0], dtype=np.float32)
             observation, reward, terminated, truncated, _ = env.step(action)
@@ -486,7 +486,7 @@ def assert_refuses(env: Env, call: Callable[[], Any], error: type[Exception], me
     with pytest.raises(error, match=message):
         call()
     assert env.telemetry() == before.telemetry()
-    assert env.simulator.state.tobytes() == before.simulator.state.tobytes()
+    assert env.batch.state.tobytes() == before.batch.state.tobytes()
     action = env.action_space.sample()
     assert_equal(env.step(action), before.step(action))
     assert_equal(env.reset(), before.reset())

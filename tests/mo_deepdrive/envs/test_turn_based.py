@@ -182,17 +182,17 @@ def test_a_bad_action_leaves_the_turn_and_the_choice_that_waits(make_single: Any
         assert told[4] == expected[4]
         assert told[0].tobytes() == expected[0].tobytes()
         assert told[1].tobytes() == expected[1].tobytes()
-    assert env.simulator.state.tobytes() == before.simulator.state.tobytes()
+    assert env.batch.state.tobytes() == before.batch.state.tobytes()
 
 
 def test_after_the_end_nothing_moves_until_a_reset(make_single: Any) -> None:
     env = make_single("intersection", time_limit=0.1)
     env.reset(seed=0)
     assert [env.step(3)[3] for _ in range(3)] == [False, False, True]
-    before = env.simulator.state.tobytes()
+    before = env.batch.state.tobytes()
     with pytest.raises(ResetNeeded):
         env.step(3)
-    assert env.simulator.state.tobytes() == before
+    assert env.batch.state.tobytes() == before
     assert env.reset()[1] == {"vehicle": 0}
 
 

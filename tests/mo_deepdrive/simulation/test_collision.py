@@ -156,7 +156,7 @@ DESTINATION_AWAY = 240.0
 def set_motion(env: Any, speeds: list[float]) -> None:
     """Give the vehicles of a vector environment with one world a speed straight ahead, through its saved state."""
     saved = env.get_state()
-    state = saved["state"].view(env.simulator.state.dtype)
+    state = saved["state"].view(env.batch.state.dtype)
     for vehicle, speed in zip(state[0], speeds, strict=True):
         vehicle.speed = vehicle.previous_speed = speed
         vehicle.vx = -speed * math.sin(vehicle.heading)
@@ -372,7 +372,7 @@ def test_two_vehicles_that_cross_at_any_speed_do_not_pass_through_each_other(
         _, _, terminated, _, _ = env.step(np.full((1, 2), IDLE))
         for v, reading in enumerate(env.telemetry()[0]):
             assert reading["travelled"] == pytest.approx(speeds[v] * last)
-        ends = [str(end) for end in env.simulator.end_names(0)]
+        ends = [str(end) for end in env.batch.end_names(0)]
         together = min(leave, last) - enter if enter > 0 else -1.0
         if together * max(speeds) > shapes.width / 4 + 1e-6:
             assert ends == ["collision", "collision"]

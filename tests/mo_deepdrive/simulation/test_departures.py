@@ -100,7 +100,7 @@ def test_3_a_collision_comes_on_the_decision_of_the_contact_and_solid_shapes_col
     small = np.array([[10.0, 0.0], [10.0, 0.01]])
     env = make_single("static_obstacle", harmful_g_force=None, simulation_frequency=10)
     env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (60.0, 0.0), "obstacle": small})
-    car = env.simulator.state[0, 0]
+    car = env.batch.state[0, 0]
     car.speed = car.previous_speed = car.vx = 100.0
     info = env.step(IDLE)[4]
     reading = env.telemetry()[0]
@@ -223,7 +223,7 @@ def test_7_a_bicycle_at_the_vehicle_or_the_destination_is_drawn_again(make_singl
         while not is_fair(shapes, goal, bicycle):
             goal, bicycle = drawn_bicycle(rng.random(5))
         env.reset(seed=seed)
-        car = env.simulator.state[0, 0]
+        car = env.batch.state[0, 0]
         np.testing.assert_allclose(car.waypoints[0], goal, rtol=1e-12)
         np.testing.assert_allclose(car.obstacle, bicycle, rtol=1e-12)
     assert 10 < redrawn < 45  # 6% of the draws
@@ -246,15 +246,15 @@ def test_9_circling_is_measured_from_the_starting_heading(make_vector: Any, side
     assert start == math.pi
     # A whole turn done, the straight vehicle looks where it looked; to the left its heading is now 540 degrees.
     saved = env.get_state()
-    car = saved["state"].view(env.simulator.state.dtype)[0, 1]
+    car = saved["state"].view(env.batch.state.dtype)[0, 1]
     car.heading = start + side * 2 * math.pi
     env.set_state(saved)
     actions = np.stack([COAST, np.array([0.3 * side, 0.3, -1.0], dtype=np.float32)])[None]
     headings = [start + side * 2 * math.pi]
-    while env.simulator.end_names(0) == ("", ""):
+    while env.batch.end_names(0) == ("", ""):
         env.step(actions)
         headings.append(env.telemetry()[0][1]["heading"])
-    assert env.simulator.end_names(0) == ("", "circling")
+    assert env.batch.end_names(0) == ("", "circling")
     turned = side * (np.array(headings) - start)
     assert (np.diff(turned) >= 0).all()
     assert turned[-2] <= math.radians(400) < turned[-1]

@@ -1,7 +1,7 @@
 """A small frozen set of our own trajectories, so that the dynamics stay guarded where the recorded ones are absent.
 
 ``tests/data/regression.npz`` holds, for each case below, the actions of every decision and what came of them: rewards
-and ends of every decision, state and observations of every fifth. Worlds start anew by themselves, so that spawns,
+and ends of every decision, state and observations of every fifth. EnvAdapter start anew by themselves, so that spawns,
 redraws and the seeded streams are guarded too. After a change of the simulation that is *meant* to change it:
 
     python tests/mo_deepdrive/simulation/test_regression.py
@@ -87,7 +87,7 @@ def replay(env: Any, actions: Any) -> dict[str, np.ndarray]:
         observations, reward, _, _, _ = env.step(action[None])
         taken.append(action)
         rewards.append(reward[0])
-        ends.append(env.simulator.state["end"][0].astype(np.int8))
+        ends.append(env.batch.state["end"][0].astype(np.int8))
         if decision % EVERY == 0:
             states.append([[reading[field] for field in FIELDS] for reading in env.telemetry()[0]])
             seen.append(observations[0])
