@@ -1,63 +1,184 @@
-"""A2C on time-step scalarised rewards: the baseline.
+"""A2C: advantage actor-critic on scalarised rewards (Mnih et al. 2016), the baseline of Ajridi et al. 2023, section 5.
 
-The reward of a decision is u(r_t), the critic is scalar and nothing is accrued (Mnih et al. 2016; paper, section 5).
-Under a linear utility this optimises what MO-A2C optimises.
+With the utility u, the reward of a time step is the scalar u(r_t), and the critic v predicts its discounted sum:
+
+    delta_t = u(r_t) + gamma v(s_{t+1}) - v(s_t)                                      (1)
+    A_t     = delta_t + gamma lambda A_{t+1}      within an episode                   (2)
+    y_t     = A_t + v(s_t)                        target of the critic                (3)
+    L       = E[-A_t log pi(a_t | s_t)] + c_v E[(y_t - v(s_t))^2] - c_e E[H(pi)]      (4)
+
+Under a linear utility this maximises what MO-A2C maximises. Under a non-linear one it maximises the expected sum of
+u(r_t), which is neither the utility of the expected return (SER) nor the expected utility of the return (ESR).
 """
 
 from __future__ import annotations
 
 import torch
-from pydantic import Field
+from pydantic import model_validator
 
-from algorithms.actor_critic import ActorCritic
-from algorithms.common.advantages import discounted_sum
+from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.hyperparameters import (
+    Count,
+    FinalLearningRate,
+    Fraction,
+    HiddenSizes,
+    LearningRate,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+    check_entropy_schedule,
+)
+from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.rollout import VehicleRollout
-from algorithms.learner import ActorCriticConfig, Learner
+from mo_deepdrive.config import Settings
+from mo_deepdrive.utilities import Utility
 
 
-class A2CConfig(ActorCriticConfig):
+class A2CConfig(Settings):
     """Hyperparameters of A2C.
 
     Attributes:
+        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        gamma: discount.
+        gae_lambda: lambda of eq. 2; 0 gives one-step advantages, 1 uses the whole rollout.
+        steps: T, time steps per environment and update.
+        hidden: sizes of the hidden layers of actor and critic.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
+            fraction of training.
+        value_coefficient: c_v.
         value_scale: nominal size of a scalar return, by which the critic's output is multiplied.
+        max_grad_norm: clipping of the gradient's norm.
+        normalise_advantages: bring the advantages of an update to mean 0 and standard deviation 1.
+        objective_scales: nominal size of each objective's return; None for the environment's own.
+        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
 
-    value_scale: float = Field(default=10.0, gt=0.0)
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: Fraction = 0.99
+    gae_lambda: Fraction = 0.95
+    steps: Count = 16
+    hidden: HiddenSizes = [64, 32]
+    entropy_start: NonNegative = 0.01
+    entropy_end: NonNegative = 0.01
+    entropy_until: PositiveFraction = 1.0
+    value_coefficient: Positive = 0.5
+    value_scale: Positive = 10.0
+    max_grad_norm: Positive = 0.5
+    normalise_advantages: bool = True
+    objective_scales: Scales | None = None
+    centralised_critic: bool = False
+
+    @model_validator(mode="after")
+    def _consistent(self) -> A2CConfig:
+        check_entropy_schedule(self.entropy_start, self.entropy_end)
+        return self
 
 
 class A2CLearner(Learner):
-    """Scalar critic on u(r_t)."""
+    """A2C for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: A2CConfig
 
-    def input_size(self, worlds: EnvAdapter) -> int:
-        return worlds.observation_size
+    def __init__(
+        self,
+        env: EnvAdapter,
+        vehicle: int,
+        utility: Utility,
+        config: A2CConfig,
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        super().__init__(env, vehicle, utility, config, generator, device)
+        hidden = config.hidden
+        self.input_size = env.observation_size
+        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = mlp(self.input_size + self.others_size, hidden, 1, generator, output_gain=1.0).to(device)
+        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
 
-    def value_size(self, worlds: EnvAdapter) -> int:
-        return 1
+    # ------------------------------------------------------------------------------------------- what the networks see
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """The scaled observation (..., o); the accrued reward and the discount are not used."""
+        del accrued, discounts
         return observations / self.observation_scales
 
+    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
+        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
+
     def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        return self.config.value_scale * self.critic(critic_inputs)
+        """v(s) (...), in the units of the return."""
+        return self.config.value_scale * self.critic(critic_inputs).squeeze(-1)
 
-    def estimates(
-        self, rollout: VehicleRollout, values: torch.Tensor, following: torch.Tensor
+    # ------------------------------------------------------------------------------------------------------ the update
+
+    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """One gradient step of eq. 4 on a rollout of T steps in N environments; the losses by name."""
+        losses = self.losses(rollout, entropy_coefficient)
+        set_learning_rate(self.optimiser, learning_rate)
+        self.optimiser.zero_grad()
+        losses["total"].backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
+        self.optimiser.step()
+        return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
+
+    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, torch.Tensor]:
+        """L of eq. 4 as "total", and its parts, over the samples in which the vehicle acted."""
+        config = self.config
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        critic_inputs = self.critic_inputs(inputs, rollout.others)
+        values = self.values(critic_inputs[:-1])
+        next_values = self.next_values(rollout, critic_inputs, values)
+        advantages, targets = self.advantages(rollout, values.detach(), next_values)
+
+        weights = rollout.acted.to(advantages.dtype)
+        weights = weights / weights.sum().clamp(min=1.0)
+        if config.normalise_advantages:
+            advantages = normalise(advantages, weights)
+
+        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        policy_loss = -(weights * advantages * log_prob).sum()
+        value_loss = (weights * ((targets - values) / config.value_scale).square()).sum()
+        entropy = (weights * entropies).sum()
+        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return {"total": total, "loss/policy": policy_loss, "loss/value": value_loss, "policy/entropy": entropy}
+
+    @torch.no_grad()
+    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """v(s_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            critic_inputs: (T + 1, N, ...) of s_0 to s_T.
+            values: (T, N) v(s_t).
+        """
+        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
+        next_values[rollout.terminated] = 0.0
+        truncated = rollout.truncated & ~rollout.terminated
+        if truncated.any():
+            final = self.inputs(*rollout.final_states(truncated, self.config.gamma))
+            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
+        return next_values
+
+    def advantages(
+        self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t and y_t of eqs. 1 to 3, each (T, N), from v(s_t) and v(s_{t+1}), each (T, N)."""
         gamma = self.config.gamma
-        going_on = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        deltas = self.utility(rollout.rewards) + gamma * following.squeeze(-1) - values.squeeze(-1)
-        advantages = discounted_sum(deltas, going_on, gamma * self.config.gae_lambda)
-        return advantages, advantages.unsqueeze(-1) + values
-
-    def value_losses(self, values: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-        return ((targets - values) / self.config.value_scale).square().squeeze(-1)
+        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        deltas = self.utility(rollout.rewards) + gamma * next_values - values
+        advantages = generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
+        return advantages, advantages + values
 
 
 class A2C(ActorCritic):
-    """Advantage actor-critic on time-step scalarised rewards."""
+    """Advantage actor-critic on scalarised rewards, one independent learner per vehicle."""
 
     name = "a2c"
     Config = A2CConfig

@@ -1,7 +1,12 @@
-"""The actor-critic agent: one independent learner per vehicle."""
+"""What A2C, MO-A2C, PPO and MO-PPO share apart from the algorithm: collecting, acting, checkpoints.
+
+An :class:`ActorCritic` has one :class:`Learner` per vehicle. All learners act on one rollout, and each then learns from
+its own vehicle's part of it. The file of an algorithm defines its Learner, from the networks to the update.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -10,13 +15,99 @@ import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from algorithms.agent import Agent, EvaluationPlan
+from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import below
-from algorithms.common.rollout import Collector, Episodes, Rollout
-from algorithms.evaluation.evaluate import evaluate
-from algorithms.learner import ActorCriticConfig, Learner
+from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.networks import Actor
+from algorithms.common.optimisers import geometric_schedule, linear_schedule, optimiser_state, set_optimiser_state
+from algorithms.common.rollout import Collector, VehicleRollout
 from mo_deepdrive.utilities import Utility
+
+
+class Learner(ABC):
+    """One vehicle's networks and how they learn; a subclass makes the networks and says what they see.
+
+    Args:
+        env: where the vehicle drives.
+        vehicle: its index.
+        utility: what it maximises.
+        config: hyperparameters.
+        generator: draws the initial weights.
+        device: of the networks.
+
+    Attributes:
+        input_size: width of what the actor sees.
+        others_size: width of what a centralised critic sees of the other vehicles; 0 without one.
+        observation_scales, objective_scales: (o,) and (d,) nominal magnitudes.
+
+    Raises:
+        ValueError: for hyperparameters that do not fit the environment.
+    """
+
+    input_size: int
+    actor: Actor
+    critic: torch.nn.Module
+    optimiser: torch.optim.Optimizer
+
+    def __init__(
+        self,
+        env: EnvAdapter,
+        vehicle: int,
+        utility: Utility,
+        config: Any,
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        del generator  # for the networks of the subclass
+        self.vehicle = vehicle
+        self.utility = utility
+        self.config = config
+        self.device = device
+        self.observation_scales = torch.tensor(env.observation_scales, device=device)
+        self.objective_scales = torch.tensor(env.chosen_objective_scales(config.objective_scales), device=device)
+        if config.centralised_critic and env.vehicles == 1:
+            raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
+        self.others_size = (env.vehicles - 1) * env.observation_size if config.centralised_critic else 0
+
+    @abstractmethod
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """What the actor sees, (..., input_size).
+
+        Args:
+            observations: (..., o).
+            accrued: (..., d) accrued reward R_t.
+            discounts: (...) discount that belongs to it.
+        """
+
+    @abstractmethod
+    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """Learn from a rollout of this vehicle; the losses by name."""
+
+    def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
+        """Called before an update with the discounted returns (E, d) of the episodes that ended; ignored by default."""
+        return
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights and the optimiser's state as named tensors."""
+        state = self.get_policy()
+        state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
+        state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
+        return state
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        self.set_policy(state)
+        self.critic.load_state_dict(strip_prefix(state, "critic."))
+        set_optimiser_state(self.optimiser, strip_prefix(state, "optimiser."))
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The actor's weights as named tensors."""
+        return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`."""
+        self.actor.load_state_dict(strip_prefix(state, "actor."))
 
 
 class ActorCritic(Agent):
@@ -26,14 +117,13 @@ class ActorCritic(Agent):
         env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
         utility: the known utility, or one per vehicle.
         seed: determines the run, bit for bit on one machine.
-        device: where the networks live.
+        device: of the networks.
         **hyperparameters: fields of the class's Config.
 
     Raises:
         ValueError: for unknown or unfit hyperparameters, spaces or utilities.
     """
 
-    Config: ClassVar[type[ActorCriticConfig]]
     learner: ClassVar[type[Learner]]
     known_utility = True
 
@@ -47,44 +137,41 @@ class ActorCritic(Agent):
         **hyperparameters: Any,
     ):
         super().__init__(env, seed=seed, device=device, hyperparameters=hyperparameters)
-        utilities = [utility] * self.env.vehicles if isinstance(utility, Utility) else list(utility)
-        if len(utilities) != self.env.vehicles:
-            raise ValueError(f"{len(utilities)} utilities for {self.env.vehicles} vehicles")
-        for each in utilities:
-            if len(each.objectives) != len(self.env.objectives):
-                raise ValueError(
-                    f"utility {each.name!r} reads {each.objectives}; the environment emits {self.env.objectives}"
-                )
-            if self.env.native and each.objectives != self.env.objectives:
-                raise ValueError(
-                    f"utility {each.name!r} reads {each.objectives} in this order; "
-                    f"the environment emits {self.env.objectives}"
-                )
-        self.utilities = utilities
+        self.utilities = self._checked(utility)
         self.learners = [
-            self.learner(self.env, v, each, self.config, self._initial, self.device) for v, each in enumerate(utilities)
+            self.learner(self.env, v, each, self.config, self.initial, self.device)
+            for v, each in enumerate(self.utilities)
         ]
-        self.collector = Collector(self.env, self.config.accrual, self.config.steps)
-        self._unlogged: list[Episodes] = []
+        self.collector = Collector(self.env, self.gamma, self.config.steps)
+
+    def _checked(self, utility: Utility | Sequence[Utility]) -> list[Utility]:
+        """One utility per vehicle, over the objectives of the environment."""
+        env = self.env
+        utilities = [utility] * env.vehicles if isinstance(utility, Utility) else list(utility)
+        if len(utilities) != env.vehicles:
+            raise ValueError(f"{len(utilities)} utilities for {env.vehicles} vehicles")
+        for each in utilities:
+            # Other libraries' objectives have no names; only their number can be checked.
+            fits = each.objectives == env.objectives if env.native else len(each.objectives) == len(env.objectives)
+            if not fits:
+                raise ValueError(
+                    f"utility {each.name!r} reads {each.objectives} in this order; the environment emits "
+                    f"{env.objectives}"
+                )
+        return utilities
 
     @property
     def gamma(self) -> float:
         """Discount of the accrued reward."""
-        return float(self.config.accrual)
+        return float(self.config.gamma)
 
-    @property
-    def updates(self) -> int:
-        """Updates made so far."""
-        return self.step // (self.config.steps * self.env.num_envs)
+    # --------------------------------------------------------------------------------------------- acting and learning
 
     @torch.inference_mode()
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) in episodes that have come to ``accrued_reward``.
-
-        ``generator`` None acts greedily.
-        """
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
         chosen = []
         for v, learner in enumerate(self.learners):
             x = learner.inputs(
@@ -117,108 +204,69 @@ class ActorCritic(Agent):
     def _explore(self, observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
         return self.act(observations, accrued_reward, self.generator)
 
-    def _begin(self) -> None:
-        self.collector.reset(self._worlds_seed)
+    def begin(self) -> None:
+        """Reset the environments."""
+        self.collector.reset(self.env_seed)
 
-    def _update(self, progress: float) -> dict[str, float]:
+    def update(self, progress: float) -> dict[str, float]:
+        """Collect one rollout; each learner learns from its vehicle's part."""
+        config = self.config
         rollout, episodes = self.collector.collect(self._explore)
-        self.step += self.config.steps * self.env.num_envs
-        return self._learn(rollout, episodes, progress)
+        self.episodes.append(episodes)
+        self.step += config.steps * self.env.num_envs
+        self.updates += 1
 
-    def _learn(self, rollout: Rollout, episodes: Episodes, progress: float) -> dict[str, float]:
-        learning_rate = self.config.learning_rate_at(progress)
-        entropy_weight = self.config.entropy_at(progress)
-        metrics: dict[str, float] = {"policy/learning_rate": learning_rate, "policy/entropy_weight": entropy_weight}
-        self._unlogged.append(episodes)
+        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
+        entropy_coefficient = geometric_schedule(
+            config.entropy_start, config.entropy_end, progress / config.entropy_until
+        )
+        metrics = {"policy/learning_rate": learning_rate, "policy/entropy_coefficient": entropy_coefficient}
         for v, learner in enumerate(self.learners):
-            learner.finished(episodes.discounted[episodes.vehicles == v])
-            losses = learner.update(rollout, learning_rate, entropy_weight)
+            learner.on_episodes_end(episodes.discounted[episodes.vehicles == v])
+            losses = learner.update(rollout.of_vehicle(v, self.device), learning_rate, entropy_coefficient)
             prefix = f"vehicle_{v}/" if len(self.learners) > 1 else ""
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
 
-    def _training_metrics(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last line of the log."""
-        metrics: dict[str, float] = {}
-        for v, utility in enumerate(self.utilities):
-            prefix = f"train/vehicle_{v}/" if len(self.utilities) > 1 else "train/"
-            parts = [(e, e.vehicles == v) for e in self._unlogged]
-            returns = np.concatenate([e.returns[mine] for e, mine in parts])
-            if not len(returns):
-                continue
-            metrics[prefix + "utility"] = float(np.mean(utility(returns)))
-            metrics[prefix + "success"] = float(np.mean(np.concatenate([e.succeeded[mine] for e, mine in parts])))
-            metrics[prefix + "length"] = float(np.mean(np.concatenate([e.lengths[mine] for e, mine in parts])))
-            for objective, mean in zip(self.env.objectives, returns.mean(axis=0), strict=True):
-                metrics[f"{prefix}return/{objective}"] = float(mean)
-        self._unlogged = []
-        return metrics
+    # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def _forget(self) -> None:
-        self._unlogged.clear()
-
-    def _evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], None]:
-        metrics: dict[str, float] = {}
-        for policy in ("greedy", "stochastic"):
-            result = evaluate(
-                self,
-                plan.env,
-                episodes=plan.episodes,
-                seed=plan.seed,
-                greedy=policy == "greedy",
-                gamma=plan.gamma,
-            )
-            metrics |= {f"eval/{policy}/{name}": value for name, value in result.metrics().items()}
-        return metrics, None
-
-    def _get_state(self) -> dict[str, torch.Tensor]:
-        tensors = self._tensors()
-        for name in ("vehicles", "returns", "discounted", "lengths", "succeeded"):
-            arrays = [getattr(episodes, name) for episodes in self._unlogged]
-            if arrays:
-                tensors[f"unlogged.{name}"] = torch.from_numpy(np.concatenate(arrays))
-        return tensors
-
-    def _tensors(self) -> dict[str, torch.Tensor]:
-        """Everything that determines the future, apart from episodes that wait for the log."""
-        tensors: dict[str, torch.Tensor] = {"generator": self.generator.get_state()}
-        for v, learner in enumerate(self.learners):
-            tensors |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
-        for name, array in self.collector.get_state().items():
-            tensors[f"collector.{name}"] = torch.from_numpy(np.ascontiguousarray(array))
-        return tensors
-
-    def _identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, Any]:
+        """What a checkpoint must share with the agent that reads it."""
         return {
-            **super()._identity(),
+            **super().identity(),
             "centralised_critic": self.config.centralised_critic,
-            "inputs": self.learners[0].input_size(self.env),
+            "inputs": self.learners[0].input_size,
         }
 
-    def _get_policy(self) -> dict[str, torch.Tensor]:
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Learners, generator, environments and running episodes."""
+        state = {"generator": self.generator.get_state()}
+        for v, learner in enumerate(self.learners):
+            state |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
+        for name, array in self.collector.get_state().items():
+            state[f"collector.{name}"] = torch.from_numpy(np.ascontiguousarray(array))
+        return state
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        for v, learner in enumerate(self.learners):
+            learner.set_state(strip_prefix(state, f"vehicle_{v}."))
+        self.generator.set_state(state["generator"])
+        self.collector.set_state({name: t.numpy() for name, t in strip_prefix(state, "collector.").items()})
+        self.updates = self.step // (self.config.steps * self.env.num_envs)
+        if not self.env.native:
+            # Other libraries' environments cannot be saved: their episodes start anew, from other seeds.
+            self.collector.reset(self.env_seed + self.step)
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The actors' weights."""
         return {
             f"vehicle_{v}.{name}": tensor
             for v, learner in enumerate(self.learners)
             for name, tensor in learner.get_policy().items()
         }
 
-    def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
-        needed = self._get_policy() if policy_only else self._tensors()
-        return {name: tuple(tensor.shape) for name, tensor in needed.items()}
-
-    def _set_policy(self, tensors: dict[str, torch.Tensor]) -> None:
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Take the actors' weights."""
         for v, learner in enumerate(self.learners):
-            learner.set_policy(below(tensors, f"vehicle_{v}."))
-
-    def _set_state(self, tensors: dict[str, torch.Tensor]) -> None:
-        for v, learner in enumerate(self.learners):
-            learner.set_state(below(tensors, f"vehicle_{v}."))
-        self.generator.set_state(tensors["generator"])
-        self.collector.set_state({name: t.numpy() for name, t in below(tensors, "collector.").items()})
-        unlogged = {name: t.numpy() for name, t in below(tensors, "unlogged.").items()}
-        self._unlogged = [Episodes(**unlogged)] if unlogged else []
-
-    def _resumed(self) -> None:
-        if not self.env.native:
-            # Other environments cannot give their state: their episodes begin anew, on other seeds.
-            self.collector.reset(self._worlds_seed + self.step)
+            learner.set_policy(strip_prefix(state, f"vehicle_{v}."))

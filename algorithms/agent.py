@@ -1,4 +1,7 @@
-"""What every agent is: seeded, trained in updates, evaluated as it goes, saved and resumed."""
+"""What every agent offers: acting, training with evaluations on the way, saving and loading.
+
+A new algorithm defines ``act``, ``update``, ``get_state`` and ``set_state``; everything else has a default.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,18 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import POLICY_ONLY, read_checkpoint, write_checkpoint
+from algorithms.common.checkpoints import POLICY_ONLY, read_checkpoint, strip_prefix, write_checkpoint
 from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.rollout import Episodes
+from algorithms.evaluation.evaluate import evaluate
 from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings, parse
 from mo_deepdrive.utilities import Utility
 
-# EnvAdapter are trained on seeds from here on; evaluation uses smaller ones.
+# Training environments are seeded from here on; evaluations use smaller seeds.
 FIRST_TRAINING_SEED = 2**32
 EVALUATION_INTERVALS = 20
+EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
 
 Log = Callable[[int, dict[str, float]], None]
 LogFront = Callable[[int, Front], None]
@@ -31,13 +37,13 @@ LogFront = Callable[[int, Front], None]
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """How an agent is measured while it trains.
+    """How an agent is evaluated while it trains.
 
     Attributes:
-        env: a raw environment of its own.
-        episodes: of every evaluation (of every policy of a front).
-        seed: of the first.
-        gamma: discount of what is reported.
+        env: a raw environment, used for nothing else.
+        episodes: per evaluation (per policy of a front).
+        seed: of the first episode.
+        gamma: discount of the reported returns.
         reference_point: (d,) of the hypervolume of a front; None for no hypervolume.
         reference_front: (k, d) best-known front; None where there is none.
     """
@@ -51,18 +57,25 @@ class EvaluationPlan:
 
 
 class Agent(ABC):
-    """Base of the agents.
+    """Base of all agents.
 
     Args:
         env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
-        device: where the networks live.
+        device: of the networks.
         hyperparameters: fields of the class's Config.
 
     Attributes:
-        known_utility: whether the agent learns for a utility that it is given, or a front for every utility.
+        known_utility: whether the agent learns for a known utility, or a front for every utility.
+        varying_shapes: prefixes of tensors whose shapes are not known before a checkpoint is read.
+        env: the training environment in the trainers' shapes.
         utilities: one per vehicle; empty where none is known.
-        step: environment steps taken.
+        step: environment steps taken, over all parallel environments.
+        updates: calls of :meth:`update`.
+        episodes: those that ended since training metrics were last logged.
+        initial: generator of the initial weights.
+        generator: generator of the exploring actions.
+        env_seed: of the first reset of the training environment.
 
     Raises:
         ValueError: for unknown or unfit hyperparameters or spaces.
@@ -71,6 +84,7 @@ class Agent(ABC):
     name: ClassVar[str]
     Config: ClassVar[type[Settings]]
     known_utility: ClassVar[bool]
+    varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
     config: Any
 
     def __init__(self, env: VectorEnv, *, seed: int, device: str, hyperparameters: Mapping[str, Any]):
@@ -79,25 +93,88 @@ class Agent(ABC):
         self.seed = seed
         self.device = torch.device(device)
         self.utilities: list[Utility] = []
-        weights_seed, actions_seed, worlds_seed = np.random.SeedSequence(seed).generate_state(3)
-        self._initial = torch.Generator().manual_seed(int(weights_seed))
+        weights_seed, actions_seed, env_seed = np.random.SeedSequence(seed).generate_state(3)
+        self.initial = torch.Generator().manual_seed(int(weights_seed))
         self.generator = torch.Generator(self.device).manual_seed(int(actions_seed))
-        self._worlds_seed = FIRST_TRAINING_SEED + int(worlds_seed)
+        self.env_seed = FIRST_TRAINING_SEED + int(env_seed)
         self.step = 0
+        self.updates = 0
+        self.episodes: list[Episodes] = []
 
     @property
     def gamma(self) -> float:
         """Discount of the accrued reward."""
         return float(self.config.gamma)
 
-    @property
-    @abstractmethod
-    def updates(self) -> int:
-        """Updates made so far."""
-
     def get_config(self) -> dict[str, Any]:
         """The resolved hyperparameters, for logs."""
         return {"algorithm": self.name, "seed": self.seed, **self.config.model_dump()}
+
+    # ---------------------------------------------------------------------------------------- what an algorithm defines
+
+    @abstractmethod
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) and the accrued rewards of the running episodes.
+
+        ``generator`` None acts greedily.
+        """
+
+    def begin(self) -> None:
+        """Prepare the first update: reset environments, collect first episodes."""
+        return
+
+    @abstractmethod
+    def update(self, progress: float) -> dict[str, float]:
+        """Act and learn once, and return the losses by name.
+
+        Adds to ``step`` and ``updates``, and to ``episodes`` those that ended.
+
+        Args:
+            progress: fraction of training that is done, in [0, 1), for schedules.
+        """
+
+    @abstractmethod
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Everything that determines the future, as named tensors."""
+
+    @abstractmethod
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`; ``step`` is set already."""
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """What acting needs: a part of :meth:`get_state`, or a summary of it."""
+        return self.get_state()
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
+        self.set_state(state)
+
+    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front | None]:
+        """Metrics of the current policy, greedy and stochastic; a front too where the agent learns one."""
+        metrics: dict[str, float] = {}
+        for policy in ("greedy", "stochastic"):
+            result = evaluate(
+                self, plan.env, episodes=plan.episodes, seed=plan.seed, greedy=policy == "greedy", gamma=plan.gamma
+            )
+            metrics |= {f"eval/{policy}/{name}": value for name, value in result.metrics().items()}
+        return metrics, None
+
+    def identity(self) -> dict[str, Any]:
+        """What a checkpoint must share with the agent that reads it."""
+        return {
+            "algorithm": self.name,
+            "environment": self.env.name,
+            "observation_size": self.env.observation_size,
+            "objectives": list(self.env.objectives),
+            "cost_sign": self.env.cost_sign,
+            "actions": [self.env.actions, self.env.continuous],
+            "hidden": list(self.config.hidden),
+            "num_envs": self.env.num_envs,
+        }
+
+    # -------------------------------------------------------------------------------------------------------- training
 
     def train(
         self,
@@ -115,16 +192,16 @@ class Agent(ABC):
         log_interval: int = 10,
         after_update: Callable[[Any], bool] | None = None,
     ) -> None:
-        """Learn until ``total_timesteps`` environment steps have been taken, counted over all worlds.
+        """Learn until ``total_timesteps`` environment steps have been taken, over all parallel environments together.
 
         Args:
-            total_timesteps: also what the schedules run over; a resumed run passes the same number.
-            eval_env: environment of its own for evaluations before, during and after; None for none.
+            total_timesteps: also the length of schedules; a resumed run passes the same number.
+            eval_env: a separate environment for evaluations before, during and after training; None for none.
             eval_interval: environment steps between evaluations; a twentieth of the total if None.
             eval_episodes, eval_seed, eval_gamma, reference_point, reference_front: see :class:`EvaluationPlan`.
             log: called as ``log(step, metrics)``.
             log_front: called as ``log_front(step, front)`` by agents that learn a front.
-            log_interval: updates between two lines of the log.
+            log_interval: updates between two rows of training metrics.
             after_update: called as ``after_update(agent)``; True stops training.
         """
         interval = eval_interval or max(1, total_timesteps // EVALUATION_INTERVALS)
@@ -132,132 +209,92 @@ class Agent(ABC):
         if eval_env is not None:
             plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)
         if self.step == 0:
-            self._begin()
-            self._measure(plan, log, log_front)
+            self.begin()
+            self._log_evaluation(plan, log, log_front)
         started, first = perf_counter(), self.step
         while self.step < total_timesteps:
             before = self.step
-            metrics = self._update(before / total_timesteps)
+            metrics = self.update(before / total_timesteps)
             last = self.step >= total_timesteps
             if log is None:
-                self._forget()
+                self.episodes.clear()
             elif self.updates % log_interval == 0 or last:
                 rate = (self.step - first) / (perf_counter() - started)
                 log(self.step, {**self._training_metrics(), **metrics, "time/steps_per_second": rate})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
-                self._measure(plan, log, log_front)
+                self._log_evaluation(plan, log, log_front)
                 started += perf_counter() - paused
             if after_update is not None and after_update(self):
                 return
 
-    def _measure(self, plan: EvaluationPlan | None, log: Log | None, log_front: LogFront | None) -> None:
+    def _log_evaluation(self, plan: EvaluationPlan | None, log: Log | None, log_front: LogFront | None) -> None:
         if plan is None or (log is None and log_front is None):
             return
-        metrics, front = self._evaluate(plan)
+        metrics, front = self.evaluate(plan)
         if log is not None:
             log(self.step, metrics)
         if log_front is not None and front is not None:
             log_front(self.step, front)
 
-    @abstractmethod
-    def _begin(self) -> None:
-        """Get ready for the first update."""
-
-    @abstractmethod
-    def _update(self, progress: float) -> dict[str, float]:
-        """Act and learn once at ``progress`` in [0, 1): count the steps taken, give the losses by name."""
-
-    @abstractmethod
     def _training_metrics(self) -> dict[str, float]:
-        """Means over the episodes that ended since the last line of the log."""
+        """Means over the episodes that ended since the last call, which are then forgotten."""
+        episodes, self.episodes = Episodes.join(self.episodes, len(self.env.objectives)), []
+        metrics: dict[str, float] = {}
+        for v in range(self.env.vehicles):
+            prefix = f"train/vehicle_{v}/" if self.env.vehicles > 1 else "train/"
+            mine = episodes.vehicles == v
+            returns = episodes.returns[mine]
+            if not len(returns):
+                continue
+            if self.utilities:
+                metrics[prefix + "utility"] = float(np.mean(self.utilities[v](returns)))
+            metrics[prefix + "success"] = float(np.mean(episodes.succeeded[mine]))
+            metrics[prefix + "length"] = float(np.mean(episodes.lengths[mine]))
+            for objective, mean in zip(self.env.objectives, returns.mean(axis=0), strict=True):
+                metrics[f"{prefix}return/{objective}"] = float(mean)
+        return metrics
 
-    @abstractmethod
-    def _forget(self) -> None:
-        """Drop the episodes that wait for the log."""
-
-    @abstractmethod
-    def _evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front | None]:
-        """Metrics of the present policies, and their front where the agent learns one."""
-
-    @abstractmethod
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o) in episodes that have come to ``accrued_reward``.
-
-        ``generator`` None acts greedily.
-        """
+    # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def save(self, path: str | Path) -> None:
         """Write everything that determines the future to one safetensors file, atomically."""
-        write_checkpoint(path, self._get_state(), {**self._identity(), "step": self.step})
+        episodes = Episodes.join(self.episodes, len(self.env.objectives))
+        unlogged = {f"{EPISODES}{name}": torch.from_numpy(array) for name, array in vars(episodes).items()}
+        write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), "step": self.step})
 
     def save_policy(self, path: str | Path) -> None:
-        """Write only what driving needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
+        """Write only what acting needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
 
         Raises:
             ValueError: if there is no policy yet.
         """
-        write_checkpoint(path, self._get_policy(), {**self._identity(), "step": self.step, POLICY_ONLY: True})
+        write_checkpoint(path, self.get_policy(), {**self.identity(), "step": self.step, POLICY_ONLY: True})
 
     def load(self, path: str | Path, *, policy_only: bool = False) -> None:
-        """Resume from :meth:`save`; no code runs from the file.
+        """Resume from :meth:`save`; no code is run from the file.
 
         Args:
             path: the checkpoint.
-            policy_only: take the policy alone, for evaluation with any number of worlds; :meth:`save_policy` is enough.
+            policy_only: load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
 
         Raises:
             ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, or
                 holds the policy alone where more is needed.
         """
         may_differ = ("num_envs",) if policy_only else ()
-        tensors, found = read_checkpoint(path, self._identity(), may_differ, whole=not policy_only)
-        for name, shape in self._shapes(policy_only).items():
+        tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
+        expected = self.get_policy() if policy_only else self.get_state()
+        for name, tensor in expected.items():
             stored = tuple(tensors[name].shape) if name in tensors else None
-            if stored != shape:
-                raise ValueError(f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {shape}")
+            if stored != tuple(tensor.shape) and not name.startswith(self.varying_shapes):
+                raise ValueError(
+                    f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
+                )
         if policy_only:
-            self._set_policy(tensors)
+            self.set_policy(tensors)
             return
-        self._set_state(tensors)
         self.step = found["step"]
-        self._resumed()
-
-    def _identity(self) -> dict[str, Any]:
-        """What a checkpoint must share with the agent that reads it."""
-        return {
-            "algorithm": self.name,
-            "environment": self.env.name,
-            "observation_size": self.env.observation_size,
-            "objectives": list(self.env.objectives),
-            "cost_sign": self.env.cost_sign,
-            "actions": [self.env.actions, self.env.continuous],
-            "hidden": list(self.config.hidden),
-            "num_envs": self.env.num_envs,
-        }
-
-    @abstractmethod
-    def _get_state(self) -> dict[str, torch.Tensor]:
-        """Everything that determines the future."""
-
-    @abstractmethod
-    def _get_policy(self) -> dict[str, torch.Tensor]:
-        """What driving needs: a part of :meth:`_get_state`, or a summary of it."""
-
-    @abstractmethod
-    def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
-        """Tensors that a checkpoint must hold, in shapes that the agent knows before it reads one."""
-
-    @abstractmethod
-    def _set_state(self, tensors: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`_get_state`."""
-
-    @abstractmethod
-    def _set_policy(self, tensors: dict[str, torch.Tensor]) -> None:
-        """Drive as the agent of :meth:`_get_policy` or :meth:`_get_state` does."""
-
-    def _resumed(self) -> None:
-        """Called when a checkpoint has been read whole and ``step`` is known."""
-        return
+        self.set_state(tensors)
+        unlogged = strip_prefix(tensors, EPISODES)
+        self.episodes = [Episodes(**{name: tensor.numpy() for name, tensor in unlogged.items()})] if unlogged else []

@@ -1,22 +1,23 @@
 """MO-A2C: advantage actor-critic with a vector critic on the accrued-reward-augmented state, for a known utility.
 
-State S_t = (s_t, R_t) with the accrued reward R_t = sum_{i<t} gamma^i r_i. The critic predicts one value per
-objective, v(S_t), with targets r_t + gamma v(S_{t+1}) (lambda-returns per objective). The actor follows one of three
-advantages (paper, section 4.2; Reymond et al. 2023; Hayes et al. 2022):
+The state is augmented by the accrued reward R_t and by the discount g^t that belongs to it; the critic v predicts one
+discounted return per objective, and the utility u enters through the advantage (Ajridi et al. 2023, section 4.2; Hayes
+et al. 2022; Reymond et al. 2023):
 
-- ``utility_difference``: sums, decaying by lambda, of
-  U_t = u(R_{t+1} + gamma^{t+1} v(S_{t+1})) - u(R_t + gamma^t v(S_t));
-- ``as_printed``: the same without gamma^{t+1}, as the paper prints eq. 4.2;
-- ``utility_gradient``: the advantages per objective weighted with the gradient of u at the expected return, which is
-  the policy gradient of u(E[R]) (SER).
+    R_t     = sum_{i<t} g^i r_i,    S_t = (s_t, R_t, g^t)                                              (1)
+    delta_t = r_t + gamma v(S_{t+1}) - v(S_t)                                                          (2)
+    D_t     = delta_t + gamma lambda D_{t+1},    y_t = D_t + v(S_t)    targets of the critic           (3)
+    U_t     = u(R_t + g^t (r_t + gamma v(S_{t+1}))) - u(R_t + g^t v(S_t))                              (4)
+    A_t     = U_t + (gamma / g) lambda A_{t+1}                                                         (5)
+    L       = E[-A_t log pi(a_t | S_t)] + c_v E[|(y_t - v(S_t)) / scales|^2 / d] - c_e E[H(pi)]        (6)
 
-With ``accrued_gamma`` g the past counts in full or nearly so: R_t = sum_{i<t} g^i r_i, and a difference is taken at
+In the paper g = gamma; then eq. 4 is its eq. 4.2 with the factor gamma^{t+1} that the print leaves out of the first
+term (``advantage: as_printed`` leaves it out too). With ``accrued_gamma: 1`` the past counts in full, and a linear
+utility gives the advantage of A2C at every step, where g = gamma gives gamma^t times that.
 
-    U_t = u(R_t + g^t (r_t + gamma v(S_{t+1}))) - u(R_t + g^t v(S_t)),
-
-whose sums decay by lambda gamma / g. At g = 1 a linear utility gives the advantage of A2C at every step, where
-g = gamma gives gamma^t times that: a decision late in a long episode hardly counts then, and a product of two
-discounted returns is discounted twice.
+``advantage: utility_gradient`` replaces eqs. 4 and 5 by A_t = grad u(E[R]) . D_t, the policy gradient of the utility of
+the expected return (SER). Equation 5 is the gradient of the expected utility (ESR) where whole episodes are in the
+rollout and lambda is 1; otherwise what lies beyond enters as its mean, which is SER for that part.
 """
 
 from __future__ import annotations
@@ -24,67 +25,116 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import model_validator
 
-from algorithms.actor_critic import ActorCritic
-from algorithms.common.advantages import AdvantageForm, discounted_sum, utility_differences, utility_gradient
+from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.advantages import (
+    AdvantageForm,
+    generalised_advantages,
+    normalise,
+    utility_differences,
+    utility_gradient,
+)
 from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.hyperparameters import (
+    Count,
+    FinalLearningRate,
+    Fraction,
+    HiddenSizes,
+    LearningRate,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+    check_entropy_schedule,
+)
+from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.rollout import VehicleRollout
-from algorithms.learner import ActorCriticConfig, Learner
+from algorithms.common.running_mean import RunningMean
+from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 
-# Weight of the past when an episode's return enters the running mean that utility_gradient needs.
-RETURN_MEMORY = 0.99
 
-
-class MOA2CConfig(ActorCriticConfig):
+class MOA2CConfig(Settings):
     """Hyperparameters of MO-A2C.
 
     Attributes:
-        advantage: "utility_difference", "as_printed" or "utility_gradient".
-        accrued_gamma: discount g of the accrued reward; None for gamma, as in the paper.
-        observe_accrued: append the accrued reward to the state, as theory asks for; without it the policy is as blind
-            to the past as the baseline's.
-        observe_discount: append gamma^t to the augmented state, on which the consistent advantage depends too.
+        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        gamma: discount of the critic.
+        gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
+        advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
+        accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
+        observe_accrued: include R_t in the state, as theory asks; without it the policy cannot depend on the past.
+        observe_discount: include g^t in the state, on which eq. 4 depends too.
+        steps: T, time steps per environment and update.
+        hidden: sizes of the hidden layers of actor and critic.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
+            fraction of training.
+        value_coefficient: c_v.
+        max_grad_norm: clipping of the gradient's norm.
+        normalise_advantages: bring the advantages of an update to mean 0 and standard deviation 1.
+        objective_scales: nominal size of each objective's return; None for the environment's own.
+        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
 
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: Fraction = 0.99
+    gae_lambda: Fraction = 0.95
     advantage: AdvantageForm = "utility_difference"
-    accrued_gamma: float | None = Field(default=None, gt=0.0, le=1.0)
+    accrued_gamma: PositiveFraction | None = None
     observe_accrued: bool = True
     observe_discount: bool = True
+    steps: Count = 16
+    hidden: HiddenSizes = [64, 32]
+    entropy_start: NonNegative = 0.01
+    entropy_end: NonNegative = 0.01
+    entropy_until: PositiveFraction = 1.0
+    value_coefficient: Positive = 0.5
+    max_grad_norm: Positive = 0.5
+    normalise_advantages: bool = True
+    objective_scales: Scales | None = None
+    centralised_critic: bool = False
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MOA2CConfig:
+        check_entropy_schedule(self.entropy_start, self.entropy_end)
+        return self
 
     @property
-    def accrual(self) -> float:
+    def accrued_discount(self) -> float:
+        """g: ``accrued_gamma``, or gamma where that is None."""
         return self.gamma if self.accrued_gamma is None else self.accrued_gamma
 
 
 class MOA2CLearner(Learner):
-    """Vector critic on the augmented state."""
+    """MO-A2C for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MOA2CConfig
 
     def __init__(
         self,
-        worlds: EnvAdapter,
+        env: EnvAdapter,
         vehicle: int,
         utility: Utility,
         config: MOA2CConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        super().__init__(worlds, vehicle, utility, config, generator, device)
-        # Running mean (d,) of the discounted returns of finished episodes, and how many there were.
-        self._expected_return = torch.zeros(len(worlds.objectives), device=device)
-        self._episodes = 0
+        super().__init__(env, vehicle, utility, config, generator, device)
+        hidden, d = config.hidden, len(env.objectives)
+        self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
+        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = mlp(self.input_size + self.others_size, hidden, d, generator, output_gain=1.0).to(device)
+        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
 
-    def input_size(self, worlds: EnvAdapter) -> int:
-        accrued = len(worlds.objectives) if self.config.observe_accrued else 0
-        return worlds.observation_size + accrued + self.config.observe_discount
-
-    def value_size(self, worlds: EnvAdapter) -> int:
-        return len(worlds.objectives)
+    # ------------------------------------------------------------------------------------------- what the networks see
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """S_t of eq. 1, scaled: (..., o + d + 1) from s_t (..., o), R_t (..., d) and g^t (...)."""
         parts = [observations / self.observation_scales]
         if self.config.observe_accrued:
             parts.append(accrued / self.objective_scales)
@@ -92,57 +142,114 @@ class MOA2CLearner(Learner):
             parts.append(discounts.unsqueeze(-1))
         return torch.cat(parts, dim=-1)
 
+    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
+        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
+
     def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        """v(S) (..., d), in the units of the returns."""
         return self.objective_scales * self.critic(critic_inputs)
 
-    def estimates(
-        self, rollout: VehicleRollout, values: torch.Tensor, following: torch.Tensor
+    # ------------------------------------------------------------------------------------------------------ the update
+
+    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """One gradient step of eq. 6 on a rollout of T steps in N environments; the losses by name."""
+        losses = self.losses(rollout, entropy_coefficient)
+        set_learning_rate(self.optimiser, learning_rate)
+        self.optimiser.zero_grad()
+        losses["total"].backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
+        self.optimiser.step()
+        return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
+
+    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, torch.Tensor]:
+        """L of eq. 6 as "total", and its parts, over the samples in which the vehicle acted."""
+        config = self.config
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        critic_inputs = self.critic_inputs(inputs, rollout.others)
+        values = self.values(critic_inputs[:-1])
+        next_values = self.next_values(rollout, critic_inputs, values)
+        advantages, targets = self.advantages(rollout, values.detach(), next_values)
+
+        weights = rollout.acted.to(advantages.dtype)
+        weights = weights / weights.sum().clamp(min=1.0)
+        if config.normalise_advantages:
+            advantages = normalise(advantages, weights)
+
+        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        policy_loss = -(weights * advantages * log_prob).sum()
+        value_loss = (weights * ((targets - values) / self.objective_scales).square().mean(-1)).sum()
+        entropy = (weights * entropies).sum()
+        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return {"total": total, "loss/policy": policy_loss, "loss/value": value_loss, "policy/entropy": entropy}
+
+    @torch.no_grad()
+    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, d): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            critic_inputs: (T + 1, N, ...) of S_0 to S_T.
+            values: (T, N, d) v(S_t).
+        """
+        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
+        next_values[rollout.terminated] = 0.0
+        truncated = rollout.truncated & ~rollout.terminated
+        if truncated.any():
+            final = self.inputs(*rollout.final_states(truncated, self.config.accrued_discount))
+            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
+        return next_values
+
+    def advantages(
+        self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        gamma, decay = self.config.gamma, self.config.gae_lambda
-        going_on = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
-        deltas = rollout.rewards + gamma * following - values
-        vector_advantages = discounted_sum(deltas, going_on.unsqueeze(-1), gamma * decay)
+        """A_t (T, N) and y_t (T, N, d) of eqs. 2 to 5, from v(S_t) and v(S_{t+1}), each (T, N, d)."""
+        config, gamma, decay = self.config, self.config.gamma, self.config.gae_lambda
+        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        deltas = rollout.rewards + gamma * next_values - values
+        vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
         targets = vector_advantages + values
-        if self.config.advantage == "utility_gradient":
-            return vector_advantages @ utility_gradient(self.utility, self._expected_return), targets
+
+        if config.advantage == "utility_gradient":
+            return vector_advantages @ utility_gradient(self.utility, self.expected_return.value), targets
         differences = utility_differences(
             self.utility,
             rollout.accrued[:-1],
             rollout.rewards,
             rollout.discounts[:-1],
             values,
-            following,
+            next_values,
             gamma,
-            as_printed=self.config.advantage == "as_printed",
+            as_printed=config.advantage == "as_printed",
         )
-        if self.config.accrued_gamma is not None:
-            decay *= gamma / self.config.accrued_gamma
-        return discounted_sum(differences, going_on, decay), targets
+        if config.accrued_gamma is not None:
+            decay *= gamma / config.accrued_gamma
+        return generalised_advantages(differences, not_done, decay), targets
 
-    def value_losses(self, values: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-        return ((targets - values) / self.objective_scales).square().mean(-1)
+    def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
+        """Update E[R] with the discounted returns (E, d) of episodes that ended."""
+        self.expected_return.add(discounted_returns)
 
-    def finished(self, discounted_returns: NDArray[np.float64]) -> None:
-        if not len(discounted_returns):
-            return
-        mean = torch.tensor(discounted_returns.mean(axis=0), dtype=torch.float32, device=self.device)
-        keep = RETURN_MEMORY ** len(discounted_returns) if self._episodes else 0.0
-        self._expected_return = keep * self._expected_return + (1.0 - keep) * mean
-        self._episodes += len(discounted_returns)
+    # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        own = {"expected_return": self._expected_return, "episodes": torch.tensor(self._episodes)}
-        return {**super().get_state(), **own}
+        """Weights, the optimiser's state and E[R]."""
+        return {**super().get_state(), **self.expected_return.get_state()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
         super().set_state(state)
-        self._expected_return = state["expected_return"].to(self.device)
-        self._episodes = int(state["episodes"])
+        self.expected_return.set_state(state)
 
 
 class MOA2C(ActorCritic):
-    """Multi-objective advantage actor-critic for a known utility."""
+    """Multi-objective advantage actor-critic for a known utility, one independent learner per vehicle."""
 
     name = "mo_a2c"
     Config = MOA2CConfig
     learner = MOA2CLearner
+
+    @property
+    def gamma(self) -> float:
+        """Discount g of the accrued reward."""
+        return float(self.config.accrued_discount)

@@ -1,29 +1,315 @@
-"""MO-PPO: proximal policy optimisation with MO-A2C's vector critic and advantages, for a known utility.
+"""MO-PPO: proximal policy optimisation with a vector critic on the accrued-reward-augmented state.
 
-Critic, augmented state and advantages are those of :mod:`algorithms.mo_a2c`, the clipped steps those of
-:mod:`algorithms.ppo`.
+State, critic, targets y_t and advantages A_t are those of MO-A2C (:mod:`algorithms.mo_a2c`), for a known utility u:
+
+    R_t     = sum_{i<t} g^i r_i,    S_t = (s_t, R_t, g^t)                                              (1)
+    delta_t = r_t + gamma v(S_{t+1}) - v(S_t)                                                          (2)
+    D_t     = delta_t + gamma lambda D_{t+1},    y_t = D_t + v(S_t)    targets of the critic           (3)
+    U_t     = u(R_t + g^t (r_t + gamma v(S_{t+1}))) - u(R_t + g^t v(S_t))                              (4)
+    A_t     = U_t + (gamma / g) lambda A_{t+1}                                                         (5)
+
+and every rollout serves several epochs of minibatches of the clipped surrogate (Schulman et al. 2017, eq. 7):
+
+    rho_t = pi(a_t | S_t) / pi_old(a_t | S_t)                                                          (6)
+    L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
+            + c_v E[|(y_t - v(S_t)) / scales|^2 / d] - c_e E[H(pi)]                                    (7)
+
+What ``accrued_gamma`` (g), ``advantage: as_printed`` and ``advantage: utility_gradient`` change, and which objective
+(ESR or SER) each form follows, is said in :mod:`algorithms.mo_a2c`.
 """
 
 from __future__ import annotations
 
-from algorithms.actor_critic import ActorCritic
-from algorithms.mo_a2c import MOA2CConfig, MOA2CLearner
-from algorithms.ppo import ClippedConfig, ClippedLearner
+from collections.abc import Iterator
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.advantages import (
+    AdvantageForm,
+    generalised_advantages,
+    normalise,
+    utility_differences,
+    utility_gradient,
+)
+from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.hyperparameters import (
+    Count,
+    FinalLearningRate,
+    Fraction,
+    HiddenSizes,
+    LearningRate,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+    check_entropy_schedule,
+)
+from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.optimisers import set_learning_rate
+from algorithms.common.rollout import VehicleRollout
+from algorithms.common.running_mean import RunningMean
+from mo_deepdrive.config import Settings
+from mo_deepdrive.utilities import Utility
 
 
-class MOPPOConfig(ClippedConfig, MOA2CConfig):
-    """Hyperparameters of MO-PPO: those of MO-A2C and of the clipped steps."""
+class MOPPOConfig(Settings):
+    """Hyperparameters of MO-PPO.
+
+    Attributes:
+        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        gamma: discount of the critic.
+        gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
+        advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
+        accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
+        observe_accrued: include R_t in the state, as theory asks; without it the policy cannot depend on the past.
+        observe_discount: include g^t in the state, on which eq. 4 depends too.
+        steps: T, time steps per environment and update.
+        epochs: passes over every rollout.
+        minibatches: gradient steps per pass.
+        clip: epsilon of eq. 7.
+        hidden: sizes of the hidden layers of actor and critic.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
+            fraction of training.
+        value_coefficient: c_v.
+        max_grad_norm: clipping of the gradient's norm.
+        normalise_advantages: bring the advantages of a rollout to mean 0 and standard deviation 1.
+        objective_scales: nominal size of each objective's return; None for the environment's own.
+        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
+    """
+
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: Fraction = 0.99
+    gae_lambda: Fraction = 0.95
+    advantage: AdvantageForm = "utility_difference"
+    accrued_gamma: PositiveFraction | None = None
+    observe_accrued: bool = True
+    observe_discount: bool = True
+    steps: Count = 16
+    epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    minibatches: Count = 4
+    clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    hidden: HiddenSizes = [64, 32]
+    entropy_start: NonNegative = 0.01
+    entropy_end: NonNegative = 0.01
+    entropy_until: PositiveFraction = 1.0
+    value_coefficient: Positive = 0.5
+    max_grad_norm: Positive = 0.5
+    normalise_advantages: bool = True
+    objective_scales: Scales | None = None
+    centralised_critic: bool = False
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MOPPOConfig:
+        check_entropy_schedule(self.entropy_start, self.entropy_end)
+        return self
+
+    @property
+    def accrued_discount(self) -> float:
+        """g: ``accrued_gamma``, or gamma where that is None."""
+        return self.gamma if self.accrued_gamma is None else self.accrued_gamma
 
 
-class MOPPOLearner(ClippedLearner, MOA2CLearner):
-    """Clipped steps with a vector critic on the augmented state."""
+class Samples(NamedTuple):
+    """M samples of one vehicle.
+
+    Attributes:
+        inputs: (M, i) what the actor saw.
+        critic_inputs: (M, ...) what the critic saw.
+        actions: (M,) or (M, k).
+        log_prob: (M,) log-probability of the actions under pi_old.
+        advantages: (M,) A_t.
+        targets: (M, d) y_t.
+    """
+
+    inputs: torch.Tensor
+    critic_inputs: torch.Tensor
+    actions: torch.Tensor
+    log_prob: torch.Tensor
+    advantages: torch.Tensor
+    targets: torch.Tensor
+
+    def at(self, where: torch.Tensor) -> Samples:
+        """The samples at indices, or where a mask is True; the axes of the mask become one."""
+        return Samples(*(tensor[where] for tensor in self))
+
+
+class MOPPOLearner(Learner):
+    """MO-PPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MOPPOConfig
 
+    def __init__(
+        self,
+        env: EnvAdapter,
+        vehicle: int,
+        utility: Utility,
+        config: MOPPOConfig,
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        super().__init__(env, vehicle, utility, config, generator, device)
+        hidden, d = config.hidden, len(env.objectives)
+        self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
+        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = mlp(self.input_size + self.others_size, hidden, d, generator, output_gain=1.0).to(device)
+        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        # Shuffles the minibatches.
+        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
+        self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
+
+    # ------------------------------------------------------------------------------------------- what the networks see
+
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """S_t of eq. 1, scaled: (..., o + d + 1) from s_t (..., o), R_t (..., d) and g^t (...)."""
+        parts = [observations / self.observation_scales]
+        if self.config.observe_accrued:
+            parts.append(accrued / self.objective_scales)
+        if self.config.observe_discount:
+            parts.append(discounts.unsqueeze(-1))
+        return torch.cat(parts, dim=-1)
+
+    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
+        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
+
+    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        """v(S) (..., d), in the units of the returns."""
+        return self.objective_scales * self.critic(critic_inputs)
+
+    # ------------------------------------------------------------------------------------------------------ the update
+
+    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """Epochs of minibatch steps of eq. 7 on a rollout of T steps in N environments; mean losses by name."""
+        set_learning_rate(self.optimiser, learning_rate)
+        samples = self.samples(rollout)
+        count = len(samples.actions)
+        if count == 0:
+            return {}
+        steps = [self.gradient_step(samples.at(rows), entropy_coefficient) for rows in self.minibatches(count)]
+        return {name: float(torch.stack([step[name] for step in steps]).mean()) for name in steps[0]}
+
+    @torch.no_grad()
+    def samples(self, rollout: VehicleRollout) -> Samples:
+        """The samples in which the vehicle acted, with A_t, y_t and log pi_old of the networks as they are now."""
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        critic_inputs = self.critic_inputs(inputs, rollout.others)
+        values = self.values(critic_inputs[:-1])
+        next_values = self.next_values(rollout, critic_inputs, values)
+        advantages, targets = self.advantages(rollout, values, next_values)
+        if self.config.normalise_advantages:
+            weights = rollout.acted.to(advantages.dtype)
+            advantages = normalise(advantages, weights / weights.sum().clamp(min=1.0))
+        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        all_samples = Samples(inputs[:-1], critic_inputs[:-1], rollout.actions, log_prob, advantages, targets)
+        return all_samples.at(rollout.acted)
+
+    @torch.no_grad()
+    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, d): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            critic_inputs: (T + 1, N, ...) of S_0 to S_T.
+            values: (T, N, d) v(S_t).
+        """
+        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
+        next_values[rollout.terminated] = 0.0
+        truncated = rollout.truncated & ~rollout.terminated
+        if truncated.any():
+            final = self.inputs(*rollout.final_states(truncated, self.config.accrued_discount))
+            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
+        return next_values
+
+    def advantages(
+        self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t (T, N) and y_t (T, N, d) of eqs. 2 to 5, from v(S_t) and v(S_{t+1}), each (T, N, d)."""
+        config, gamma, decay = self.config, self.config.gamma, self.config.gae_lambda
+        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        deltas = rollout.rewards + gamma * next_values - values
+        vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
+        targets = vector_advantages + values
+
+        if config.advantage == "utility_gradient":
+            return vector_advantages @ utility_gradient(self.utility, self.expected_return.value), targets
+        differences = utility_differences(
+            self.utility,
+            rollout.accrued[:-1],
+            rollout.rewards,
+            rollout.discounts[:-1],
+            values,
+            next_values,
+            gamma,
+            as_printed=config.advantage == "as_printed",
+        )
+        if config.accrued_gamma is not None:
+            decay *= gamma / config.accrued_gamma
+        return generalised_advantages(differences, not_done, decay), targets
+
+    def minibatches(self, count: int) -> Iterator[torch.Tensor]:
+        """Indices of the minibatches of every epoch, drawn without replacement from ``count`` samples."""
+        for _ in range(self.config.epochs):
+            order = torch.randperm(count, generator=self.shuffle).to(self.device)
+            yield from order.tensor_split(min(self.config.minibatches, count))
+
+    def gradient_step(self, samples: Samples, entropy_coefficient: float) -> dict[str, torch.Tensor]:
+        """One gradient step of eq. 7; its losses, the fraction of clipped samples and the KL divergence from pi_old."""
+        config = self.config
+        log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+        log_ratio = log_prob - samples.log_prob
+        ratio = log_ratio.exp()
+        clipped_ratio = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+        policy_loss = -torch.minimum(ratio * samples.advantages, clipped_ratio * samples.advantages).mean()
+        value_errors = (samples.targets - self.values(samples.critic_inputs)) / self.objective_scales
+        value_loss = value_errors.square().mean(-1).mean()
+        entropy = entropies.mean()
+        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, config.max_grad_norm)
+        self.optimiser.step()
+        with torch.no_grad():
+            return {
+                "loss/policy": policy_loss.detach(),
+                "loss/value": value_loss.detach(),
+                "policy/entropy": entropy.detach(),
+                "policy/clip_fraction": ((ratio - 1.0).abs() > config.clip).to(ratio.dtype).mean(),
+                "policy/approx_kl": (ratio - 1.0 - log_ratio).mean(),
+            }
+
+    def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
+        """Update E[R] with the discounted returns (E, d) of episodes that ended."""
+        self.expected_return.add(discounted_returns)
+
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights, the optimiser's state, the generator of the minibatches and E[R]."""
+        return {**super().get_state(), "generator": self.shuffle.get_state(), **self.expected_return.get_state()}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        super().set_state(state)
+        self.shuffle.set_state(state["generator"])
+        self.expected_return.set_state(state)
+
 
 class MOPPO(ActorCritic):
-    """Multi-objective proximal policy optimisation for a known utility."""
+    """Multi-objective proximal policy optimisation for a known utility, one independent learner per vehicle."""
 
     name = "mo_ppo"
     Config = MOPPOConfig
     learner = MOPPOLearner
+
+    @property
+    def gamma(self) -> float:
+        """Discount g of the accrued reward."""
+        return float(self.config.accrued_discount)

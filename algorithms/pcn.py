@@ -1,39 +1,63 @@
-"""Pareto Conditioned Networks: one network that obeys commands, and with it a front (Reymond et al. 2022).
+"""PCN: Pareto Conditioned Networks (Reymond, Bargiacchi and Nowe 2022), for a utility that is not known yet.
 
-The utility is unknown. The policy sees a command, the return that is wanted from here on and the decisions that are
-left for it, and learns by supervised learning to do what past episodes did that got it. New episodes follow commands
-that ask for a little more than the best ones so far. Assumes that the environment is deterministic.
+One network acts under a command (R, h): the discounted return R in R^d that is desired from here on, and the number h
+of decisions in which to get it. It is trained by supervised learning to take the actions of past episodes that got what
+the command asks for, with returns-to-go R_t and lengths T of the episodes in a buffer:
 
-Ours differs from the paper's in that N commands are tried side by side, one per world, and in that the wanted return is
-kept consistent under a discount: after r it is (R - r) / gamma.
+    L = -E[log pi(a_t | s_t, R_t, T - t)]                                    discrete actions      (1)
+    L =  E[|a_t - mu(s_t, R_t, T - t)|^2]                                    continuous actions    (2)
+
+New episodes follow commands that ask for a little more than a non-dominated episode i of the buffer got (section 4):
+
+    R = R_0^i + e_k x,  x ~ U(0, return_noise * std_k),    h = T^i - horizon_reduction            (3)
+
+with a random objective k and the standard deviation std_k over the non-dominated episodes. After a reward r the command
+becomes
+
+    R <- (R - r) / gamma,    h <- max(h - 1, 1).                                                     (4)
+
+Assumes that the environment is deterministic. Two things differ from the paper: N commands are followed side by side,
+one per parallel environment, and eq. 4 divides by gamma, without which commands are inconsistent under a discount.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 from torch import nn
 
 from algorithms.agent import Agent, EvaluationPlan
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import below
+from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
+from algorithms.common.hyperparameters import (
+    FinalLearningRate,
+    HiddenSizes,
+    LearningRate,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+)
 from algorithms.common.networks import CommandNetwork
-from algorithms.common.optimisers import linear, optimiser_state, set_optimiser_state
+from algorithms.common.optimisers import linear_schedule, optimiser_state, set_learning_rate, set_optimiser_state
 from algorithms.common.pareto import indicators, spread
+from algorithms.common.rollout import Episodes
 from algorithms.evaluation.evaluate import Evaluation, evaluate_each
 from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 
 HORIZON = "horizon"
+
+AtLeastOne = Annotated[int, Field(ge=1)]
 
 
 class PCNConfig(Settings):
@@ -43,19 +67,18 @@ class PCNConfig(Settings):
         learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
         gamma: discount of the returns that commands ask for.
         hidden: width of the two embeddings, then of the layers after them.
-        batch_size: decisions of a gradient step.
-        gradient_steps: gradient steps after every round of episodes, one episode per world.
-        warmup_episodes: episodes of random actions at the beginning.
-        persistence: chance that a random action is the one before once more.
+        batch_size: time steps of a gradient step.
+        gradient_steps: per update, which collects one episode per environment.
+        warmup_episodes: episodes of random actions before the first update.
+        persistence: probability that a random action repeats the previous one.
         buffer_size: episodes kept.
-        crowding: crowding distance below which episodes of the store are too much alike.
-        return_noise: how much more a command asks for in one objective, in standard deviations over the non-dominated
-            episodes: uniform between 0 and this.
-        horizon_reduction: how many decisions fewer a command leaves than its episode took.
-        action_noise: deviation of exploring actions, continuous ones only; discrete ones are sampled.
+        crowding: crowding distance below which episodes of the buffer count as too similar.
+        return_noise: largest increase of the desired return, in standard deviations (eq. 3).
+        horizon_reduction: decisions by which the desired horizon is shorter than the episode's (eq. 3).
+        action_noise: standard deviation of exploring continuous actions; discrete ones are sampled.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         horizon_scale: nominal number of decisions of an episode.
-        max_policies: the policies of a front at most; where the store knows more, those that cover them.
+        max_policies: largest size of a front; a subset that covers it represents a larger one.
     """
 
     renamed = {
@@ -65,72 +88,22 @@ class PCNConfig(Settings):
         "updates": "gradient_steps",
     }
 
-    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
-    learning_rate_end: float | None = Field(default=None, ge=0.0, le=1.0)
-    gamma: float = Field(default=0.99, gt=0.0, le=1.0)
-    hidden: list[int] = Field(default=[64, 64], min_length=1)
-    batch_size: int = Field(default=256, ge=1)
-    gradient_steps: int = Field(default=50, ge=1)
-    warmup_episodes: int = Field(default=64, ge=1)
-    persistence: float = Field(default=0.0, ge=0.0, lt=1.0)
-    buffer_size: int = Field(default=256, ge=2)
-    crowding: float = Field(default=0.2, ge=0.0)
-    return_noise: float = Field(default=1.0, ge=0.0)
-    horizon_reduction: int = Field(default=2, ge=0)
-    action_noise: float = Field(default=0.1, ge=0.0)
-    objective_scales: list[float] | None = None
-    horizon_scale: float = Field(default=100.0, gt=0.0)
-    max_policies: int = Field(default=100, ge=1)
-
-    @model_validator(mode="after")
-    def _consistent(self) -> PCNConfig:
-        if any(size < 1 for size in self.hidden):
-            raise ValueError(f"hidden = {self.hidden} must be positive layer sizes")
-        if self.objective_scales is not None and any(scale <= 0.0 for scale in self.objective_scales):
-            raise ValueError(f"objective_scales = {self.objective_scales} must be positive")
-        return self
-
-
-@dataclass(frozen=True)
-class CommandPolicy:
-    """The agent under one command per world: a policy that can be evaluated.
-
-    Attributes:
-        agent: who obeys.
-        desired: (N, d) discounted return that is wanted from the whole episode.
-        horizon: (N,) decisions for it.
-    """
-
-    agent: PCN
-    desired: NDArray[np.float32]
-    horizon: NDArray[np.float32]
-
-    @property
-    def env(self) -> EnvAdapter:
-        return self.agent.env
-
-    @property
-    def gamma(self) -> float:
-        return self.agent.gamma
-
-    @property
-    def device(self) -> torch.device:
-        return self.agent.device
-
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        return ()
-
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
-        wanted = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
-        low, high = self.agent.bounds
-        # What no decision was ever worth means nothing to the network, except that the command itself may ask for it.
-        wanted = np.clip(wanted, np.minimum(low, self.desired), np.maximum(high, self.desired))
-        left = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
-        return self.agent.choose(observations[:, 0], wanted, left, generator)[:, None]
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: PositiveFraction = 0.99
+    hidden: HiddenSizes = [64, 64]
+    batch_size: AtLeastOne = 256
+    gradient_steps: AtLeastOne = 50
+    warmup_episodes: AtLeastOne = 64
+    persistence: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    buffer_size: Annotated[int, Field(ge=2)] = 256
+    crowding: NonNegative = 0.2
+    return_noise: NonNegative = 1.0
+    horizon_reduction: Annotated[int, Field(ge=0)] = 2
+    action_noise: NonNegative = 0.1
+    objective_scales: Scales | None = None
+    horizon_scale: Positive = 100.0
+    max_policies: AtLeastOne = 100
 
 
 class PCN(Agent):
@@ -139,11 +112,11 @@ class PCN(Agent):
     Args:
         env: a vector environment with vector rewards and one vehicle, from `algorithms.common.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
-        device: where the network lives.
+        device: of the network.
         **hyperparameters: fields of PCNConfig.
 
     Attributes:
-        bounds: (d,) least and greatest return that the store knows from any decision on.
+        bounds: (d,) lowest and highest return-to-go in the buffer.
 
     Raises:
         ValueError: for unknown or unfit hyperparameters or spaces.
@@ -152,224 +125,115 @@ class PCN(Agent):
     name = "pcn"
     Config = PCNConfig
     known_utility = False
+    varying_shapes = ("optimiser.", "store.", "attained.")
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, hyperparameters=hyperparameters)
         if self.env.vehicles != 1:
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
-        d = len(self.env.objectives)
-        scales = self.env.objective_scales if self.config.objective_scales is None else self.config.objective_scales
-        if len(scales) != d:
-            raise ValueError(f"objective_scales = {list(scales)} needs {d} numbers: {self.env.objectives}")
-        self.scales = np.asarray(scales, dtype=np.float32)
+        config, d = self.config, len(self.env.objectives)
+        self.scales = self.env.chosen_objective_scales(config.objective_scales)
         self.network = CommandNetwork(
-            self.env.observation_size, d + 1, self.config.hidden, self.env.actions, self._initial
+            self.env.observation_size, d + 1, config.hidden, self.env.actions, self.initial
         ).to(self.device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=self.config.learning_rate, fused=True)
-        self.store = EpisodeBuffer(self.config.buffer_size, self.scales, self.config.crowding)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=True)
+        self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
-        # What the best episodes got, where a policy came without them.
+        # Draws commands, random actions and batches.
+        self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
+        self._warmed_up = 0
+        # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
-        # Draws commands and batches.
-        self._draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self._initial)))
-        self._rounds = 0
-        self._seen = 0
-        self._unlogged: list[NDArray[np.float64]] = []
         self._observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
-        self._command_scales = torch.tensor([*self.scales, self.config.horizon_scale], device=self.device)
+        self._command_scales = torch.tensor([*self.scales, config.horizon_scale], device=self.device)
 
-    @property
-    def updates(self) -> int:
-        """Rounds of episodes so far."""
-        return self._rounds
+    # ------------------------------------------------------------------------------------------------------ the update
 
-    # ------------------------------------------------------------------------------------------------------- policies
-
-    @torch.inference_mode()
-    def choose(
-        self,
-        observations: NDArray[np.float32],
-        wanted: NDArray[np.float32],
-        left: NDArray[np.float32],
-        generator: torch.Generator | None,
-    ) -> NDArray[Any]:
-        """Actions (N,) or (N, k) for observations (N, o) when ``wanted`` (N, d) is asked for in ``left`` (N,)."""
-        outputs = self._outputs(observations, wanted, left)
-        if self.env.continuous:
-            if generator is not None:
-                noise = torch.randn(outputs.shape, generator=generator, device=self.device)
-                outputs = (outputs + self.config.action_noise * noise).clamp(-1.0, 1.0)
-            return outputs.cpu().numpy()
-        if generator is not None:
-            # The largest of logits plus Gumbel noise is a draw from their softmax.
-            noise = torch.empty_like(outputs).exponential_(generator=generator).log()
-            outputs = outputs - noise
-        return outputs.argmax(-1).cpu().numpy()
-
-    def _outputs(self, observations: NDArray, wanted: NDArray, left: NDArray) -> torch.Tensor:
-        """Logits (n, actions), or continuous actions (n, k)."""
-        command = np.concatenate([wanted, left[:, None]], axis=1, dtype=np.float32)
-        outputs = self.network(
-            torch.from_numpy(observations).to(self.device) / self._observation_scales,
-            torch.from_numpy(command).to(self.device) / self._command_scales,
-        )
-        return outputs.tanh() if self.env.continuous else outputs
-
-    def commanded(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
-        """The policies that ``desired`` (N, d) discounted returns in ``horizon`` (N,) decisions make, one per world.
-
-        Raises:
-            ValueError: if a command is of the wrong shape, or asks for what is outside the scale of the store.
-        """
-        low, high = self.bounds
-        wanted = np.atleast_2d(np.asarray(desired, dtype=np.float32))
-        left = np.atleast_1d(np.asarray(horizon, dtype=np.float32))
-        if wanted.shape != (len(left), len(self.scales)):
-            raise ValueError(
-                f"desired return of shape {wanted.shape} and horizon of shape {left.shape}: "
-                f"expected (n, {len(self.scales)}) and (n,)"
-            )
-        if not (left >= 1.0).all():
-            raise ValueError(f"horizon = {left.min():g} must be at least 1 decision")
-        for i, objective in enumerate(self.env.objectives):
-            least, most = low[i] - self.scales[i], high[i] + self.scales[i]
-            outside = wanted[~((wanted[:, i] >= least) & (wanted[:, i] <= most)), i]
-            if len(outside):
-                raise ValueError(
-                    f"desired return of {objective} = {outside[0]:g} is outside of what was ever seen; "
-                    f"it must be between {least:g} and {most:g}"
-                )
-        return CommandPolicy(self, wanted, left)
-
-    def policy(self, condition: ArrayLike) -> CommandPolicy:
-        """The policy of a row (d + 1,) of a front's ``conditions``, in any number of worlds.
-
-        Raises:
-            ValueError: as :meth:`commanded`.
-        """
-        *desired, horizon = np.asarray(condition, dtype=np.float32).tolist()
-        return self.commanded([desired], [horizon])
-
-    def commands(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Commands (K, d) and (K,) that the front is made of: what the non-dominated episodes of the store got.
-
-        Raises:
-            ValueError: if the store is empty and no policy was loaded.
-        """
-        returns, lengths = self._best()
-        chosen = spread(returns, self.config.max_policies, self.scales)
-        return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
-
-    def _best(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Discounted returns (K, d) and decisions (K,) of the best episodes: the store's, else the loaded policy's."""
-        if self._attained is not None and not len(self.store):
-            return self._attained
-        return self.store.attained()
-
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Refused: which action is right depends on the command; see :meth:`commanded`."""
-        raise TypeError("PCN acts under a command: agent.commanded(desired, horizon).act(...)")
-
-    def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
-        """The greedy action for one observation.
-
-        Args:
-            obs: as one environment gives it.
-            desired_return: (d,) discounted return that is wanted from here on.
-            desired_horizon: decisions left for it.
-
-        Returns:
-            An action as the environment takes it.
-        """
-        observations = self.env.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
-        wanted = np.reshape(np.asarray(desired_return, dtype=np.float32), (1, -1))
-        left = np.full(1, desired_horizon, dtype=np.float32)
-        return self.env.environment_actions(self.choose(observations, wanted, left, None)[:, None])[0]
-
-    # ------------------------------------------------------------------------------------------------------- learning
-
-    def _begin(self) -> None:
-        while self._seen < self.config.warmup_episodes:
+    def begin(self) -> None:
+        """Fill the buffer with episodes of random actions."""
+        while self._warmed_up < self.config.warmup_episodes:
             self._collect(None)
+            self._warmed_up += self.env.num_envs
 
-    def _update(self, progress: float) -> dict[str, float]:
-        learning_rate = linear(self.config.learning_rate, self.config.learning_rate_end, progress)
-        for group in self.optimiser.param_groups:
-            group["lr"] = learning_rate
-        policy = self._ambitious()
+    def update(self, progress: float) -> dict[str, float]:
+        """Follow one command per environment for an episode, then imitate the buffer; the losses by name."""
+        config = self.config
+        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
+        set_learning_rate(self.optimiser, learning_rate)
+        policy = self._sample_commands()
         attained = self._collect(policy)
-        error = np.abs(attained - policy.desired) / self.scales
-        losses = [self._learn() for _ in range(self.config.gradient_steps)]
+        losses = [self._gradient_step() for _ in range(config.gradient_steps)]
         return {
             "loss/policy": float(torch.stack(losses).mean()),
             "policy/learning_rate": learning_rate,
-            "policy/command_error": float(error.mean()),
-            "policy/non_dominated": float(len(self.store.best())),
+            "policy/command_error": float((np.abs(attained - policy.desired) / self.scales).mean()),
+            "policy/non_dominated": float(len(self.buffer.best())),
         }
 
-    def _ambitious(self) -> CommandPolicy:
-        """One command per world: a non-dominated episode's, with more of one objective in fewer decisions."""
-        best = self.store.best()
-        returns, n = self.store.returns[best], self.env.num_envs
-        chosen = torch.randint(len(best), (n,), generator=self._draws).numpy()
-        objective = torch.randint(returns.shape[1], (n,), generator=self._draws).numpy()
-        more = self.config.return_noise * torch.rand(n, generator=self._draws).numpy()
+    def _sample_commands(self) -> CommandPolicy:
+        """One command per environment, by eq. 3."""
+        config, n = self.config, self.env.num_envs
+        best = self.buffer.best()
+        returns = self.buffer.returns[best]
+        chosen = torch.randint(len(best), (n,), generator=self.draws).numpy()
+        objective = torch.randint(returns.shape[1], (n,), generator=self.draws).numpy()
+        noise = config.return_noise * torch.rand(n, generator=self.draws).numpy()
         desired = returns[chosen].astype(np.float32)
-        desired[np.arange(n), objective] += more * returns.std(axis=0)[objective]
-        horizon = np.maximum(self.store.lengths[best][chosen] - self.config.horizon_reduction, 1)
+        desired[np.arange(n), objective] += noise * returns.std(axis=0)[objective]
+        horizon = np.maximum(self.buffer.lengths[best][chosen] - config.horizon_reduction, 1)
         return CommandPolicy(self, desired, horizon.astype(np.float32))
 
     def _collect(self, policy: CommandPolicy | None) -> NDArray[np.float32]:
-        """One episode per world under ``policy`` (None: random actions) into the store; the returns (N, d) they got."""
-        worlds, n = self.env, self.env.num_envs
-        accrued_reward = AccruedReward.begin(n, 1, len(self.scales))
-        observations = worlds.reset(self._worlds_seed + n * self._rounds)
+        """One episode per environment into the buffer, of ``policy`` or of random actions; their returns (N, d)."""
+        env, n, d = self.env, self.env.num_envs, len(self.scales)
+        accrued_reward = AccruedReward.begin(n, 1, d)
+        observations = env.reset(self.env_seed + n * self.updates)
         running = np.ones(n, dtype=np.bool_)
         succeeded = np.zeros(n, dtype=np.bool_)
         lengths = np.zeros(n, dtype=np.int64)
-        seen: list[tuple[NDArray, NDArray, NDArray]] = []
+        steps: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
         while running.any():
             if policy is None:
-                actions = self._random(seen[-1][1][:, None] if seen else None)
+                actions = self._random_actions(steps[-1][1][:, None] if steps else None)
             else:
                 actions = policy.act(observations, accrued_reward, self.generator)
-            step = worlds.step(actions)
-            seen.append((observations[:, 0], actions[:, 0], step.rewards[:, 0]))
+            step = env.step(actions)
+            steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0]))
             accrued_reward.add(step.rewards, self.gamma)
             lengths += running
             succeeded |= running & step.succeeded[:, 0]
             running &= ~(step.terminated | step.truncated)[:, 0]
             observations = step.observations
-        columns = [np.stack(column, axis=1) for column in zip(*seen, strict=True)]
-        episodes = []
-        for i, length in enumerate(lengths):
-            taken, done, rewards = (column[i, :length] for column in columns)
-            episodes.append(Episode(taken.copy(), done.copy(), returns_to_go(rewards, self.gamma)))
-            self._unlogged.append(np.array([succeeded[i], length, *rewards.sum(axis=0, dtype=np.float64)]))
-        self.store.add(episodes)
-        self.bounds = self.store.bounds()
-        self.step += int(lengths.sum())
-        self._rounds += 1
-        self._seen += n
-        return np.stack([episode.returns[0] for episode in episodes])
 
-    def _random(self, before: NDArray[Any] | None) -> NDArray[Any]:
-        """Random actions (N, 1) or (N, 1, k), some of which persist from ``before``."""
+        columns = [np.stack(column, axis=1) for column in zip(*steps, strict=True)]
+        episodes, returns = [], np.zeros((n, d))
+        for i, length in enumerate(lengths):
+            seen, taken, rewards = (column[i, :length] for column in columns)
+            episodes.append(Episode(seen.copy(), taken.copy(), returns_to_go(rewards, self.gamma)))
+            returns[i] = rewards.sum(axis=0, dtype=np.float64)
+        discounted = np.stack([episode.returns[0] for episode in episodes])
+        self.buffer.add(episodes)
+        self.bounds = self.buffer.bounds()
+        self.step += int(lengths.sum())
+        self.updates += 1
+        self.episodes.append(Episodes(np.zeros_like(lengths), returns, discounted.astype(float), lengths, succeeded))
+        return discounted
+
+    def _random_actions(self, previous: NDArray[Any] | None) -> NDArray[Any]:
+        """Random actions (N, 1) or (N, 1, k), some of which repeat the ``previous`` ones."""
         n, k = self.env.num_envs, self.env.actions
         if self.env.continuous:
-            actions = 2.0 * torch.rand(n, 1, k, generator=self._draws).numpy() - 1.0
+            actions = 2.0 * torch.rand(n, 1, k, generator=self.draws).numpy() - 1.0
         else:
-            actions = torch.randint(k, (n, 1), generator=self._draws).numpy()
-        if before is not None:
-            persist = torch.rand(n, generator=self._draws).numpy() < self.config.persistence
-            actions[persist] = before[persist]
+            actions = torch.randint(k, (n, 1), generator=self.draws).numpy()
+        if previous is not None:
+            repeat = torch.rand(n, generator=self.draws).numpy() < self.config.persistence
+            actions[repeat] = previous[repeat]
         return actions
 
-    def _learn(self) -> torch.Tensor:
-        """One gradient step on a batch of the store; the loss."""
-        observations, actions, returns, left = self.store.sample(self.config.batch_size, self._draws)
+    def _gradient_step(self) -> torch.Tensor:
+        """One gradient step of eq. 1 or 2 on a batch of the buffer; the loss."""
+        observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
         outputs = self._outputs(observations, returns, left)
         targets = torch.from_numpy(actions).to(self.device)
         loss = (
@@ -382,24 +246,126 @@ class PCN(Agent):
         self.optimiser.step()
         return loss.detach()
 
-    # ------------------------------------------------------------------------------------------------------- measuring
+    def _outputs(
+        self, observations: NDArray[np.float32], desired: NDArray[np.float32], horizon: NDArray[np.float32]
+    ) -> torch.Tensor:
+        """Logits (n, actions), or continuous actions (n, k), under commands (n, d) and (n,)."""
+        command = np.concatenate([desired, horizon[:, None]], axis=1, dtype=np.float32)
+        outputs: torch.Tensor = self.network(
+            torch.from_numpy(observations).to(self.device) / self._observation_scales,
+            torch.from_numpy(command).to(self.device) / self._command_scales,
+        )
+        return outputs.tanh() if self.env.continuous else outputs
 
-    def _training_metrics(self) -> dict[str, float]:
-        """Means over the exploring episodes since the last line of the log."""
-        if not self._unlogged:
-            return {}
-        success, length, *returns = np.mean(self._unlogged, axis=0).tolist()
-        self._unlogged = []
-        named = {f"train/return/{name}": value for name, value in zip(self.env.objectives, returns, strict=True)}
-        return {"train/success": success, "train/length": length, **named}
+    # ---------------------------------------------------------------------------------------------------------- acting
 
-    def _forget(self) -> None:
-        self._unlogged.clear()
+    @torch.inference_mode()
+    def choose_actions(
+        self,
+        observations: NDArray[np.float32],
+        desired: NDArray[np.float32],
+        horizon: NDArray[np.float32],
+        generator: torch.Generator | None,
+    ) -> NDArray[Any]:
+        """Actions (N,) or (N, k) under the commands ``desired`` (N, d) and ``horizon`` (N,).
+
+        Args:
+            observations: (N, o).
+            desired: discounted return that is desired from here on.
+            horizon: decisions in which to get it.
+            generator: samples actions; None acts greedily.
+        """
+        outputs = self._outputs(observations, desired, horizon)
+        if self.env.continuous:
+            if generator is not None:
+                noise = torch.randn(outputs.shape, generator=generator, device=self.device)
+                outputs = (outputs + self.config.action_noise * noise).clamp(-1.0, 1.0)
+            return outputs.cpu().numpy()
+        if generator is not None:
+            # The largest of logits plus Gumbel noise is a draw from their softmax.
+            noise = torch.empty_like(outputs).exponential_(generator=generator).log()
+            outputs = outputs - noise
+        return outputs.argmax(-1).cpu().numpy()
+
+    def command(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
+        """The policy that follows the commands ``desired`` (N, d) and ``horizon`` (N,), one per environment.
+
+        Raises:
+            ValueError: if a command has the wrong shape, or asks for returns far outside those of the buffer.
+        """
+        low, high = self.bounds
+        returns = np.atleast_2d(np.asarray(desired, dtype=np.float32))
+        left = np.atleast_1d(np.asarray(horizon, dtype=np.float32))
+        if returns.shape != (len(left), len(self.scales)):
+            raise ValueError(
+                f"desired return of shape {returns.shape} and horizon of shape {left.shape}: "
+                f"expected (n, {len(self.scales)}) and (n,)"
+            )
+        if not (left >= 1.0).all():
+            raise ValueError(f"horizon = {left.min():g} must be at least 1 decision")
+        for i, objective in enumerate(self.env.objectives):
+            least, most = low[i] - self.scales[i], high[i] + self.scales[i]
+            outside = returns[~((returns[:, i] >= least) & (returns[:, i] <= most)), i]
+            if len(outside):
+                raise ValueError(
+                    f"desired return of {objective} = {outside[0]:g} is outside the range of past episodes; "
+                    f"it must be between {least:g} and {most:g}"
+                )
+        return CommandPolicy(self, returns, left)
+
+    def policy(self, condition: ArrayLike) -> CommandPolicy:
+        """The policy of one row (d + 1,) of a front's ``conditions``, for any number of environments.
+
+        Raises:
+            ValueError: as :meth:`command`.
+        """
+        *desired, horizon = np.asarray(condition, dtype=np.float32).tolist()
+        return self.command([desired], [horizon])
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Refused: the action depends on a command; see :meth:`command`."""
+        raise TypeError("PCN acts under a command: agent.command(desired, horizon).act(...)")
+
+    def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
+        """The greedy action for one observation.
+
+        Args:
+            obs: as one environment gives it.
+            desired_return: (d,) discounted return that is desired from here on.
+            desired_horizon: decisions in which to get it.
+
+        Returns:
+            An action as the environment takes it.
+        """
+        observations = self.env.policy_observations(np.asarray(obs)[None])[:, 0].astype(np.float32)
+        desired = np.reshape(np.asarray(desired_return, dtype=np.float32), (1, -1))
+        horizon = np.full(1, desired_horizon, dtype=np.float32)
+        return self.env.environment_actions(self.choose_actions(observations, desired, horizon, None)[:, None])[0]
+
+    # ------------------------------------------------------------------------------------------------------- the front
+
+    def commands(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Commands (K, d) and (K,) of the front: returns and lengths of the buffer's non-dominated episodes.
+
+        Raises:
+            ValueError: if the buffer is empty and no policy was loaded.
+        """
+        returns, lengths = self._best_episodes()
+        chosen = spread(returns, self.config.max_policies, self.scales)
+        return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
+
+    def _best_episodes(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Discounted returns (K, d) and lengths (K,) of the non-dominated episodes: the buffer's, else the loaded."""
+        if self._attained is not None and not len(self.buffer):
+            return self._attained
+        return self.buffer.attained()
 
     def evaluate_policies(
         self, conditions: ArrayLike, env: VectorEnv, *, episodes: int, seed: int, gamma: float
     ) -> list[Evaluation]:
-        """Episodes of the greedy policy under each of ``conditions`` (K, d + 1), all on the same seeds.
+        """Evaluate the greedy policy under each of ``conditions`` (K, d + 1), all on the same seeds.
 
         Args:
             conditions: desired discounted returns and horizons.
@@ -416,20 +382,21 @@ class PCN(Agent):
         )
 
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
-        """The front, as greedy policies under :meth:`commands` show it when they are evaluated anew.
+        """The non-dominated ones among the greedy policies under :meth:`commands`, evaluated anew.
 
         Args:
             env: a raw environment, from `algorithms.common.env_adapter.make_env`; not the one that trains.
-            episodes: of every policy; one is enough where every episode is the same.
-            seed: of the first.
-            gamma: discount of the returns that dominance goes by.
+            episodes: per policy; one is enough where every episode is the same.
+            seed: of the first episode.
+            gamma: discount of the returns by which policies dominate each other.
         """
         conditions = np.column_stack(self.commands())
         evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
         names = (*self.env.objectives, HORIZON)
         return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
 
-    def _evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
+    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
+        """The front and its indicators."""
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
         found = indicators(
             front.discounted,
@@ -444,61 +411,115 @@ class PCN(Agent):
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
-    def _identity(self) -> dict[str, Any]:
-        # Under other scales or another discount the same numbers are other commands.
-        return {**super()._identity(), "command_scales": self._command_scales.tolist(), "gamma": self.gamma}
+    def identity(self) -> dict[str, Any]:
+        """What a checkpoint must share; with other scales or another discount a command means something else."""
+        return {**super().identity(), "command_scales": self._command_scales.tolist(), "gamma": self.gamma}
 
-    def _get_state(self) -> dict[str, torch.Tensor]:
-        state = {
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Network, optimiser, buffer, generators and counts."""
+        return {
             "generator": self.generator.get_state(),
-            "draws": self._draws.get_state(),
-            "counts": torch.tensor([self._rounds, self._seen, self._worlds_seed]),
-            **self._obedience(),
+            "draws": self.draws.get_state(),
+            "counts": torch.tensor([self.updates, self._warmed_up, self.env_seed]),
+            **self._policy_tensors(),
+            **{f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()},
+            **{f"store.{name}": tensor for name, tensor in self.buffer.get_state().items()},
         }
-        if self._unlogged:
-            state["unlogged"] = torch.from_numpy(np.stack(self._unlogged))
-        state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
-        return state | {f"store.{name}": tensor for name, tensor in self.store.get_state().items()}
 
-    def _obedience(self) -> dict[str, torch.Tensor]:
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        self.set_policy(state)
+        self.updates, self._warmed_up, self.env_seed = state["counts"].tolist()
+        set_optimiser_state(self.optimiser, strip_prefix(state, "optimiser."))
+        self.generator.set_state(state["generator"])
+        self.draws.set_state(state["draws"])
+
+    def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""
         network = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         return {"bounds": torch.from_numpy(np.stack(self.bounds)), **network}
 
-    def _get_policy(self) -> dict[str, torch.Tensor]:
-        # Of the store's episodes, which take megabytes, only what the commands are made of.
-        returns, lengths = self._best()
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The network, and in place of the buffer the returns and lengths that commands are made of."""
+        if self._attained is None and not len(self.buffer):
+            return self._policy_tensors()
+        returns, lengths = self._best_episodes()
         attained = {"returns": torch.from_numpy(returns.astype(np.float32)), "lengths": torch.from_numpy(lengths)}
-        return {**self._obedience(), **{f"attained.{name}": tensor for name, tensor in attained.items()}}
+        return {**self._policy_tensors(), **{f"attained.{name}": tensor for name, tensor in attained.items()}}
 
-    def _shapes(self, policy_only: bool) -> dict[str, tuple[int, ...]]:
-        names = ("network.", "bounds") if policy_only else ("network.", "bounds", "generator", "draws", "counts")
-        return {name: tuple(t.shape) for name, t in self._get_state().items() if name.startswith(names)}
-
-    def _set_policy(self, tensors: dict[str, torch.Tensor]) -> None:
-        attained = below(tensors, "attained.")
-        self._attained = self._read_attained(attained) if attained else None
-        self.network.load_state_dict(below(tensors, "network."))
-        low, high = tensors["bounds"].numpy()
-        self.bounds = low, high
-        self.store.set_state(below(tensors, "store."))
-
-    def _read_attained(self, state: dict[str, torch.Tensor]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Discounted returns (K, d) and decisions (K,) of the best episodes, as :meth:`_get_policy` wrote them.
+    def save_policy(self, path: str | Any) -> None:
+        """Write only what acting needs, as :meth:`Agent.save_policy`.
 
         Raises:
-            ValueError: if a part is missing or of another shape.
+            ValueError: if the buffer is empty.
         """
+        self._best_episodes()
+        super().save_policy(path)
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Act as the agent of :meth:`get_policy` or :meth:`get_state`.
+
+        Raises:
+            ValueError: if a part of the best episodes or of the buffer is missing or has the wrong shape.
+        """
+        attained = strip_prefix(state, "attained.")
+        self._attained = self._read_attained(attained) if attained else None
+        self.network.load_state_dict(strip_prefix(state, "network."))
+        low, high = state["bounds"].numpy()
+        self.bounds = low, high
+        self.buffer.set_state(strip_prefix(state, "store."))
+
+    def _read_attained(self, state: dict[str, torch.Tensor]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Returns (K, d) and lengths (K,) of the best episodes, as :meth:`get_policy` wrote them."""
         shapes = {name: tuple(state[name].shape) for name in ("returns", "lengths") if name in state}
         count = shapes.get("returns", (0,))[0]
         if not count or shapes != {"returns": (count, len(self.scales)), "lengths": (count,)}:
             raise ValueError(f"the best episodes of the policy are broken: {shapes}, for {len(self.scales)} objectives")
         return state["returns"].numpy().astype(np.float64), state["lengths"].numpy().astype(np.int64)
 
-    def _set_state(self, tensors: dict[str, torch.Tensor]) -> None:
-        self._set_policy(tensors)
-        self._rounds, self._seen, self._worlds_seed = tensors["counts"].tolist()
-        set_optimiser_state(self.optimiser, below(tensors, "optimiser."))
-        self.generator.set_state(tensors["generator"])
-        self._draws.set_state(tensors["draws"])
-        self._unlogged = list(tensors["unlogged"].numpy()) if "unlogged" in tensors else []
+
+@dataclass(frozen=True)
+class CommandPolicy:
+    """PCN under one command per environment: a policy in the sense of `algorithms.evaluation.evaluate.Policy`.
+
+    Attributes:
+        agent: whose network acts.
+        desired: (N, d) discounted return that is desired from the whole episode.
+        horizon: (N,) decisions in which to get it.
+    """
+
+    agent: PCN
+    desired: NDArray[np.float32]
+    horizon: NDArray[np.float32]
+
+    @property
+    def env(self) -> EnvAdapter:
+        """The agent's training environment."""
+        return self.agent.env
+
+    @property
+    def gamma(self) -> float:
+        """Discount of the accrued reward."""
+        return self.agent.gamma
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the network."""
+        return self.agent.device
+
+    @property
+    def utilities(self) -> tuple[Utility, ...]:
+        """None is known."""
+        return ()
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
+        # Equation 4, applied t times.
+        desired = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
+        horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
+        # The network knows nothing of returns outside those it was trained on, except what the command itself asks for.
+        low, high = self.agent.bounds
+        desired = np.clip(desired, np.minimum(low, self.desired), np.maximum(high, self.desired))
+        return self.agent.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]

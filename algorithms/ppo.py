@@ -1,156 +1,258 @@
-"""PPO on time-step scalarised rewards, and the clipped steps that it shares with MO-PPO.
+"""PPO: proximal policy optimisation (Schulman et al. 2017) on scalarised rewards, as A2C is scalarised.
 
-Instead of one step along the policy gradient, every rollout serves several epochs of minibatches that ascend the
-clipped surrogate (Schulman et al. 2017, eq. 7)
+The advantages A_t and the critic's targets y_t are those of A2C (:mod:`algorithms.a2c`):
 
-    E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)],   rho_t = pi(a_t | S_t) / pi_old(a_t | S_t),
+    delta_t = u(r_t) + gamma v(s_{t+1}) - v(s_t)                                            (1)
+    A_t     = delta_t + gamma lambda A_{t+1},    y_t = A_t + v(s_t)                         (2)
 
-so that a policy can learn from a rollout more than once without moving far from the one that collected it. Critic,
-inputs and advantages A_t are those of the learner that it is mixed into: of :mod:`algorithms.a2c` here.
+but instead of one gradient step, every rollout serves several epochs of minibatches of the clipped surrogate (Schulman
+et al. 2017, eq. 7), so that the policy can learn from a rollout more than once without moving far from the policy
+pi_old that collected it:
+
+    rho_t = pi(a_t | s_t) / pi_old(a_t | s_t)                                               (3)
+    L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
+            + c_v E[(y_t - v(s_t))^2] - c_e E[H(pi)]                                        (4)
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from algorithms.a2c import A2CConfig, A2CLearner
-from algorithms.actor_critic import ActorCritic
+from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.hyperparameters import (
+    Count,
+    FinalLearningRate,
+    Fraction,
+    HiddenSizes,
+    LearningRate,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+    check_entropy_schedule,
+)
+from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.rollout import VehicleRollout
-from algorithms.learner import ActorCriticConfig, Learner, normalised
+from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 
 
-class ClippedConfig(ActorCriticConfig):
-    """Hyperparameters of the clipped steps.
+class PPOConfig(Settings):
+    """Hyperparameters of PPO.
 
     Attributes:
+        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        gamma: discount.
+        gae_lambda: lambda of eq. 2; 0 gives one-step advantages, 1 uses the whole rollout.
+        steps: T, time steps per environment and update.
         epochs: passes over every rollout.
         minibatches: gradient steps per pass.
-        clip: epsilon, how far the probability ratio counts.
+        clip: epsilon of eq. 4.
+        hidden: sizes of the hidden layers of actor and critic.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
+            fraction of training.
+        value_coefficient: c_v.
+        value_scale: nominal size of a scalar return, by which the critic's output is multiplied.
+        max_grad_norm: clipping of the gradient's norm.
+        normalise_advantages: bring the advantages of a rollout to mean 0 and standard deviation 1.
+        objective_scales: nominal size of each objective's return; None for the environment's own.
+        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
 
-    epochs: int = Field(default=4, ge=1, le=100)
-    minibatches: int = Field(default=4, ge=1, le=4096)
-    clip: float = Field(default=0.2, gt=0.0, lt=1.0)
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: Fraction = 0.99
+    gae_lambda: Fraction = 0.95
+    steps: Count = 16
+    epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    minibatches: Count = 4
+    clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    hidden: HiddenSizes = [64, 32]
+    entropy_start: NonNegative = 0.01
+    entropy_end: NonNegative = 0.01
+    entropy_until: PositiveFraction = 1.0
+    value_coefficient: Positive = 0.5
+    value_scale: Positive = 10.0
+    max_grad_norm: Positive = 0.5
+    normalise_advantages: bool = True
+    objective_scales: Scales | None = None
+    centralised_critic: bool = False
+
+    @model_validator(mode="after")
+    def _consistent(self) -> PPOConfig:
+        check_entropy_schedule(self.entropy_start, self.entropy_end)
+        return self
 
 
 class Samples(NamedTuple):
     """M samples of one vehicle.
 
     Attributes:
-        inputs: (M, inputs) what the actor saw.
+        inputs: (M, i) what the actor saw.
         critic_inputs: (M, ...) what the critic saw.
         actions: (M,) or (M, k).
-        log_probability: (M,) of the actions under the policy that took them.
-        advantages: (M,).
-        targets: (M, value size) of the critic.
+        log_prob: (M,) log-probability of the actions under pi_old.
+        advantages: (M,) A_t.
+        targets: (M,) y_t.
     """
 
     inputs: torch.Tensor
     critic_inputs: torch.Tensor
     actions: torch.Tensor
-    log_probability: torch.Tensor
+    log_prob: torch.Tensor
     advantages: torch.Tensor
     targets: torch.Tensor
 
-    def at(self, chosen: torch.Tensor) -> Samples:
-        """The samples at indices or where a mask is True; the masked axes become one."""
-        return Samples(*(tensor[chosen] for tensor in self))
+    def at(self, where: torch.Tensor) -> Samples:
+        """The samples at indices, or where a mask is True; the axes of the mask become one."""
+        return Samples(*(tensor[where] for tensor in self))
 
 
-class ClippedLearner(Learner):
-    """Clipped steps, to be mixed into a learner that says what is seen and predicted."""
+class PPOLearner(Learner):
+    """PPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
-    config: ClippedConfig
+    config: PPOConfig
 
     def __init__(
         self,
-        worlds: EnvAdapter,
+        env: EnvAdapter,
         vehicle: int,
         utility: Utility,
-        config: ClippedConfig,
+        config: PPOConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
-        super().__init__(worlds, vehicle, utility, config, generator, device)
-        # Draws the minibatches.
-        self._generator = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
+        super().__init__(env, vehicle, utility, config, generator, device)
+        hidden = config.hidden
+        self.input_size = env.observation_size
+        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = mlp(self.input_size + self.others_size, hidden, 1, generator, output_gain=1.0).to(device)
+        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        # Shuffles the minibatches.
+        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
 
-    def learn(self, rollout: VehicleRollout, entropy_weight: float) -> dict[str, float]:
-        """Several epochs of clipped steps on the rollout of this vehicle."""
-        samples = self._samples(rollout)
+    # ------------------------------------------------------------------------------------------- what the networks see
+
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """The scaled observation (..., o); the accrued reward and the discount are not used."""
+        del accrued, discounts
+        return observations / self.observation_scales
+
+    def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
+        return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
+
+    def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
+        """v(s) (...), in the units of the return."""
+        return self.config.value_scale * self.critic(critic_inputs).squeeze(-1)
+
+    # ------------------------------------------------------------------------------------------------------ the update
+
+    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """Epochs of minibatch steps of eq. 4 on a rollout of T steps in N environments; mean losses by name."""
+        set_learning_rate(self.optimiser, learning_rate)
+        samples = self.samples(rollout)
         count = len(samples.actions)
         if count == 0:
             return {}
-        steps = [self._step(samples.at(chosen), entropy_weight) for chosen in self._minibatches(count)]
+        steps = [self.gradient_step(samples.at(rows), entropy_coefficient) for rows in self.minibatches(count)]
         return {name: float(torch.stack([step[name] for step in steps]).mean()) for name in steps[0]}
 
     @torch.no_grad()
-    def _samples(self, rollout: VehicleRollout) -> Samples:
-        """What the vehicle did itself, with the estimates of the networks as they are now."""
+    def samples(self, rollout: VehicleRollout) -> Samples:
+        """The samples in which the vehicle acted, with A_t, y_t and log pi_old of the networks as they are now."""
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         critic_inputs = self.critic_inputs(inputs, rollout.others)
         values = self.values(critic_inputs[:-1])
-        following = self.next_values(rollout, critic_inputs, values)
-        advantages, targets = self.estimates(rollout, values, following)
+        next_values = self.next_values(rollout, critic_inputs, values)
+        advantages, targets = self.advantages(rollout, values, next_values)
         if self.config.normalise_advantages:
-            weight = rollout.acted.to(advantages.dtype)
-            advantages = normalised(advantages, weight / weight.sum().clamp(min=1.0))
-        log_probability, _ = self.actor.log_probability(inputs[:-1], rollout.actions)
-        everything = Samples(inputs[:-1], critic_inputs[:-1], rollout.actions, log_probability, advantages, targets)
-        return everything.at(rollout.acted)
+            weights = rollout.acted.to(advantages.dtype)
+            advantages = normalise(advantages, weights / weights.sum().clamp(min=1.0))
+        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        all_samples = Samples(inputs[:-1], critic_inputs[:-1], rollout.actions, log_prob, advantages, targets)
+        return all_samples.at(rollout.acted)
 
-    def _minibatches(self, count: int) -> Iterator[torch.Tensor]:
-        """Indices of the minibatches of every epoch, drawn without replacement."""
+    @torch.no_grad()
+    def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """v(s_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            critic_inputs: (T + 1, N, ...) of s_0 to s_T.
+            values: (T, N) v(s_t).
+        """
+        next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
+        next_values[rollout.terminated] = 0.0
+        truncated = rollout.truncated & ~rollout.terminated
+        if truncated.any():
+            final = self.inputs(*rollout.final_states(truncated, self.config.gamma))
+            next_values[truncated] = self.values(self.critic_inputs(final, rollout.final_others[truncated]))
+        return next_values
+
+    def advantages(
+        self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t and y_t of eqs. 1 and 2, each (T, N), from v(s_t) and v(s_{t+1}), each (T, N)."""
+        gamma = self.config.gamma
+        not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        deltas = self.utility(rollout.rewards) + gamma * next_values - values
+        advantages = generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
+        return advantages, advantages + values
+
+    def minibatches(self, count: int) -> Iterator[torch.Tensor]:
+        """Indices of the minibatches of every epoch, drawn without replacement from ``count`` samples."""
         for _ in range(self.config.epochs):
-            order = torch.randperm(count, generator=self._generator).to(self.device)
+            order = torch.randperm(count, generator=self.shuffle).to(self.device)
             yield from order.tensor_split(min(self.config.minibatches, count))
 
-    def _step(self, samples: Samples, entropy_weight: float) -> dict[str, torch.Tensor]:
-        """One gradient step; its losses, the share of samples that were clipped and the KL divergence."""
-        clip = self.config.clip
-        log_probability, entropies = self.actor.log_probability(samples.inputs, samples.actions)
-        log_ratio = log_probability - samples.log_probability
+    def gradient_step(self, samples: Samples, entropy_coefficient: float) -> dict[str, torch.Tensor]:
+        """One gradient step of eq. 4; its losses, the fraction of clipped samples and the KL divergence from pi_old."""
+        config = self.config
+        log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+        log_ratio = log_prob - samples.log_prob
         ratio = log_ratio.exp()
-        bounded = ratio.clamp(1.0 - clip, 1.0 + clip)
-        policy_loss = -torch.minimum(ratio * samples.advantages, bounded * samples.advantages).mean()
-        value_loss = self.value_losses(self.values(samples.critic_inputs), samples.targets).mean()
+        clipped_ratio = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+        policy_loss = -torch.minimum(ratio * samples.advantages, clipped_ratio * samples.advantages).mean()
+        value_loss = ((samples.targets - self.values(samples.critic_inputs)) / config.value_scale).square().mean()
         entropy = entropies.mean()
-        self.descend(policy_loss + self.config.value_coefficient * value_loss - entropy_weight * entropy)
+        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, config.max_grad_norm)
+        self.optimiser.step()
         with torch.no_grad():
             return {
                 "loss/policy": policy_loss.detach(),
                 "loss/value": value_loss.detach(),
                 "policy/entropy": entropy.detach(),
-                "policy/clipped": ((ratio - 1.0).abs() > clip).to(ratio.dtype).mean(),
-                "policy/kl": (ratio - 1.0 - log_ratio).mean(),
+                "policy/clip_fraction": ((ratio - 1.0).abs() > config.clip).to(ratio.dtype).mean(),
+                "policy/approx_kl": (ratio - 1.0 - log_ratio).mean(),
             }
 
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
     def get_state(self) -> dict[str, torch.Tensor]:
-        return {**super().get_state(), "generator": self._generator.get_state()}
+        """Weights, the optimiser's state and the generator of the minibatches."""
+        return {**super().get_state(), "generator": self.shuffle.get_state()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
         super().set_state(state)
-        self._generator.set_state(state["generator"])
-
-
-class PPOConfig(ClippedConfig, A2CConfig):
-    """Hyperparameters of PPO: those of A2C and of the clipped steps."""
-
-
-class PPOLearner(ClippedLearner, A2CLearner):
-    """Clipped steps with a scalar critic on u(r_t)."""
-
-    config: PPOConfig
+        self.shuffle.set_state(state["generator"])
 
 
 class PPO(ActorCritic):
-    """Proximal policy optimisation on time-step scalarised rewards."""
+    """Proximal policy optimisation on scalarised rewards, one independent learner per vehicle."""
 
     name = "ppo"
     Config = PPOConfig

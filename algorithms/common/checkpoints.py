@@ -17,7 +17,7 @@ FORMAT = 1
 POLICY_ONLY = "policy_only"  # stated by files that hold the policy alone
 
 
-def below(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
     """The entries whose names start with ``prefix``, without it."""
     return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
 

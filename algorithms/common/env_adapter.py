@@ -8,6 +8,7 @@ samples that count.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,6 +129,20 @@ class EnvAdapter:
             raise ValueError(f"action space {space} is neither Discrete nor Box")
         self.observation_size = len(self.observation_scales)
         self._was_over = np.zeros((self.num_envs, 1), dtype=np.bool_)
+
+    def chosen_objective_scales(self, scales: Sequence[float] | None) -> NDArray[np.float32]:
+        """``scales`` (d,), or the environment's own where they are None.
+
+        Raises:
+            ValueError: if there is not one scale per objective.
+        """
+        if scales is None:
+            return self.objective_scales
+        if len(scales) != len(self.objectives):
+            raise ValueError(
+                f"objective_scales = {list(scales)} needs {len(self.objectives)} numbers: {self.objectives}"
+            )
+        return np.asarray(scales, dtype=np.float32)
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
         """Start every world anew; world i is seeded with ``seed + i``, or ``seed[i]``. Observations (N, V, o)."""

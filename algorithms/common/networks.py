@@ -1,4 +1,4 @@
-"""Small multilayer perceptrons, action distributions, and the network that obeys a command."""
+"""Multilayer perceptrons, actors (policy networks) and the command-conditioned network of PCN."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CategoricalActor(nn.Module):
         """The most probable action per row."""
         return self.body(x).argmax(-1)
 
-    def log_probability(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-probability of ``actions`` and entropy of the policy, each (...)."""
         log_p = self.body(x).log_softmax(-1)
         entropy = -(log_p.exp() * log_p).sum(-1)
@@ -73,7 +73,7 @@ class GaussianActor(nn.Module):
         """The mean action per row."""
         return self.body(x)
 
-    def log_probability(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-density of ``actions`` and entropy of the policy, each (...)."""
         z = (actions - self.body(x)) / self.log_std.exp()
         log_density = (-0.5 * z.square() - self.log_std - 0.5 * LOG_TWO_PI).sum(-1)
@@ -81,11 +81,27 @@ class GaussianActor(nn.Module):
         return log_density, entropy.expand(log_density.shape)
 
 
-class CommandNetwork(nn.Module):
-    """What to do on an observation under a command: the network of Pareto Conditioned Networks.
+Actor = CategoricalActor | GaussianActor
 
-    Observation and command each pass a linear layer and a sigmoid; their product goes through a multilayer
-    perceptron (Reymond et al. 2022, figure 2).
+
+def make_actor(
+    inputs: int, hidden: Sequence[int], actions: int, generator: torch.Generator, *, continuous: bool
+) -> Actor:
+    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many."""
+    return (GaussianActor if continuous else CategoricalActor)(inputs, hidden, actions, generator)
+
+
+def centralised_inputs(inputs: torch.Tensor, others: torch.Tensor, observation_scales: torch.Tensor) -> torch.Tensor:
+    """What a centralised critic sees: ``inputs`` (..., i), and the other vehicles' observations (..., (V - 1) * o)."""
+    scaled = others.unflatten(-1, (-1, len(observation_scales))) / observation_scales
+    return torch.cat([inputs, scaled.flatten(-2)], dim=-1)
+
+
+class CommandNetwork(nn.Module):
+    """The network of Pareto Conditioned Networks: from an observation and a command to an action.
+
+    Observation and command each pass a linear layer and a sigmoid; their product passes a multilayer perceptron
+    (Reymond et al. 2022, figure 2).
 
     Args:
         inputs: o, width of an observation.

@@ -1,4 +1,4 @@
-"""Schedules of optimisers, and their state as named tensors for checkpoints."""
+"""Schedules of hyperparameters, and the state of an optimiser as named tensors for checkpoints."""
 
 from __future__ import annotations
 
@@ -7,13 +7,24 @@ from collections.abc import Mapping
 import torch
 
 
-def linear(start: float, end: float | None, progress: float) -> float:
-    """What has come at ``progress`` in [0, 1] of the way from ``start`` to ``end``; ``start`` where there is no end."""
+def linear_schedule(start: float, end: float | None, progress: float) -> float:
+    """The value at ``progress`` in [0, 1] on the line from ``start`` to ``end``; ``start`` if ``end`` is None."""
     return start if end is None else start + (end - start) * min(1.0, progress)
 
 
+def geometric_schedule(start: float, end: float, progress: float) -> float:
+    """The value at ``progress`` in [0, 1] between ``start`` and ``end``, by a constant factor; 0 if ``start`` is 0."""
+    return 0.0 if start == 0.0 else start * (end / start) ** min(1.0, progress)
+
+
+def set_learning_rate(optimiser: torch.optim.Optimizer, learning_rate: float) -> None:
+    """Use ``learning_rate`` for all parameters from now on."""
+    for group in optimiser.param_groups:
+        group["lr"] = learning_rate
+
+
 def optimiser_state(optimiser: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """Everything that the optimiser remembers, as ``index.name``."""
+    """The state of the optimiser as tensors named ``index.entry``."""
     return {
         f"{index}.{name}": tensor
         for index, entries in optimiser.state_dict()["state"].items()
@@ -25,7 +36,7 @@ def set_optimiser_state(optimiser: torch.optim.Optimizer, state: Mapping[str, to
     """Resume from :func:`optimiser_state`.
 
     Raises:
-        ValueError: if the state is of some of the optimiser's parameters only.
+        ValueError: if the state covers only some of the optimiser's parameters.
     """
     entries: dict[int, dict[str, torch.Tensor]] = {}
     for name, tensor in state.items():
@@ -33,5 +44,5 @@ def set_optimiser_state(optimiser: torch.optim.Optimizer, state: Mapping[str, to
         entries.setdefault(int(index), {})[entry] = tensor
     count = sum(len(group["params"]) for group in optimiser.param_groups)
     if entries and sorted(entries) != list(range(count)):
-        raise ValueError(f"the optimiser's state is of parameters {sorted(entries)}; it has {count}")
+        raise ValueError(f"the optimiser's state covers the parameters {sorted(entries)}; it has {count}")
     optimiser.load_state_dict({**optimiser.state_dict(), "state": entries})

@@ -1,9 +1,10 @@
-"""The one collection loop: per step one forward pass, one sample and one step of all worlds."""
+"""The collection loop of all actor-critics: T steps of N environments with V vehicles each, as one rollout."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,22 +13,22 @@ from numpy.typing import NDArray
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter
 
-# From observations (N, V, o) and what the episodes have come to, to actions (N, V) or (N, V, k).
-Act = Callable[[NDArray[np.float32], AccruedReward], NDArray]
+# act(observations (N, V, o), accrued_reward) -> actions (N, V) or (N, V, k)
+Act = Callable[[NDArray[np.float32], AccruedReward], NDArray[Any]]
 
 
 @dataclass
 class Rollout:
-    """T steps of N worlds with V vehicles, time-major.
+    """T steps of N environments with V vehicles, time-major.
 
     Attributes:
-        observations: (T + 1, N, V, o); the last is what follows the rollout.
+        observations: (T + 1, N, V, o) before each step, and after the last.
         final: (T, N, V, o) true observations after each step where a vehicle's episode ended there, else undefined.
         actions: (T, N, V) or (T, N, V, k).
         rewards: (T, N, V, d).
-        accrued: (T + 1, N, V, d) accrued reward R_t of the running episode (before each step).
+        accrued: (T + 1, N, V, d) accrued reward R_t of the running episode.
         discounts: (T + 1, N, V) gamma^t of the running episode.
-        terminated, truncated, acted: (T, N, V); samples that did not act carry no information.
+        terminated, truncated, acted: (T, N, V); samples in which a vehicle did not act carry no information.
     """
 
     observations: torch.Tensor
@@ -52,7 +53,7 @@ class Rollout:
 
 @dataclass
 class VehicleRollout(Rollout):
-    """One vehicle's part of a rollout: the fields of Rollout without the vehicle axis, and what the others see.
+    """One vehicle's part of a rollout: the fields of Rollout without the vehicle axis, and what the other vehicles see.
 
     Attributes:
         others: (T + 1, N, (V - 1) * o) observations of the other vehicles.
@@ -62,15 +63,28 @@ class VehicleRollout(Rollout):
     others: torch.Tensor
     final_others: torch.Tensor
 
+    def final_states(
+        self, where: torch.Tensor, accrued_discount: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The true states in which episodes ended: observation (M, o), accrued reward (M, d) and discount (M,).
+
+        Args:
+            where: (T, N) mask of the M steps at whose end the states are taken.
+            accrued_discount: g, discount of the accrued reward.
+        """
+        discounts = self.discounts[:-1][where]
+        accrued = self.accrued[:-1][where] + discounts.unsqueeze(-1) * self.rewards[where]
+        return self.final[where], accrued, discounts * accrued_discount
+
 
 @dataclass
 class Episodes:
-    """Episodes that ended during a rollout, in order of their end: one row each.
+    """Episodes that ended during a rollout, one row each, in the order in which they ended.
 
     Attributes:
-        vehicles: (E,) which vehicle.
+        vehicles: (E,) index of the vehicle.
         returns: (E, d) undiscounted.
-        discounted: (E, d).
+        discounted: (E, d) with the discount of the accrued reward.
         lengths: (E,) decisions.
         succeeded: (E,) whether the goal was reached.
     """
@@ -81,42 +95,54 @@ class Episodes:
     lengths: NDArray[np.int64]
     succeeded: NDArray[np.bool_]
 
+    @classmethod
+    def none(cls, objectives: int) -> Episodes:
+        """No episodes, of rewards with ``objectives`` components."""
+        no_returns, no_counts = np.zeros((0, objectives)), np.zeros(0, dtype=np.int64)
+        return cls(no_counts, no_returns, no_returns, no_counts, np.zeros(0, dtype=np.bool_))
+
+    @classmethod
+    def join(cls, parts: Sequence[Episodes], objectives: int) -> Episodes:
+        """All episodes of ``parts``, in order."""
+        columns = zip(*(vars(part).values() for part in (cls.none(objectives), *parts)), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
 
 class Collector:
-    """Steps worlds and keeps what runs on between rollouts: observations, histories, returns.
+    """Steps environments and keeps what continues from one rollout to the next: observations and running episodes.
 
     Args:
-        worlds: where to act.
+        env: the environments.
         gamma: discount of the accrued reward.
         steps: T, length of a rollout.
     """
 
-    def __init__(self, worlds: EnvAdapter, gamma: float, steps: int):
-        n, v, o, d = worlds.num_envs, worlds.vehicles, worlds.observation_size, len(worlds.objectives)
-        self.env = worlds
+    def __init__(self, env: EnvAdapter, gamma: float, steps: int):
+        n, v, o, d = env.num_envs, env.vehicles, env.observation_size, len(env.objectives)
+        self.env = env
         self.gamma = gamma
         self.steps = steps
         self.observations = np.zeros((n, v, o), dtype=np.float32)
         self.accrued_reward = AccruedReward.begin(n, v, d)
         self.returns = np.zeros((n, v, d), dtype=np.float64)
-        # Reused by every rollout; final observations are written only in worlds where an episode ends.
+        # Reused by every rollout; final observations are written only in environments where an episode ends.
         self._observations = np.zeros((steps + 1, n, v, o), dtype=np.float32)
         self._final = np.zeros((steps, n, v, o), dtype=np.float32)
-        action_shape = (worlds.actions,) if worlds.continuous else ()
-        self._actions = np.zeros((steps, n, v, *action_shape), dtype=np.float32 if worlds.continuous else np.int64)
+        action_shape = (env.actions,) if env.continuous else ()
+        self._actions = np.zeros((steps, n, v, *action_shape), dtype=np.float32 if env.continuous else np.int64)
         self._rewards = np.zeros((steps, n, v, d), dtype=np.float32)
         self._accrued = np.zeros((steps + 1, n, v, d), dtype=np.float32)
         self._discounts = np.ones((steps + 1, n, v), dtype=np.float32)
         self._flags = np.zeros((3, steps, n, v), dtype=np.bool_)
 
     def reset(self, seed: int) -> None:
-        """Start every world anew."""
+        """Reset every environment; the i-th is seeded with ``seed + i``."""
         self.observations = self.env.reset(seed)
         self._restart(np.ones(self.returns.shape[:2], dtype=np.bool_))
 
     def collect(self, act: Act) -> tuple[Rollout, Episodes]:
-        """Run all worlds for T steps."""
-        ended: list[tuple[NDArray, ...]] = []
+        """Run all environments for T steps; the rollout's tensors are overwritten by the next call."""
+        ended: list[Episodes] = []
         for t in range(self.steps):
             self._observations[t] = self.observations
             self._accrued[t] = self.accrued_reward.value
@@ -135,12 +161,12 @@ class Collector:
                 rows = over.any(axis=1)
                 self._final[t, rows] = step.final[rows]
                 ended.append(
-                    (
-                        np.nonzero(over)[1],
-                        self.returns[over],
-                        self.accrued_reward.value[over],
-                        self.accrued_reward.decisions[over],
-                        step.succeeded[over],
+                    Episodes(
+                        vehicles=np.nonzero(over)[1],
+                        returns=self.returns[over],
+                        discounted=self.accrued_reward.value[over].astype(np.float64),
+                        lengths=self.accrued_reward.decisions[over],
+                        succeeded=step.succeeded[over],
                     )
                 )
                 self._restart(over)
@@ -161,21 +187,13 @@ class Collector:
             truncated=torch.from_numpy(self._flags[1]),
             acted=torch.from_numpy(self._flags[2]),
         )
-        return rollout, self._episodes(ended)
+        return rollout, Episodes.join(ended, self.returns.shape[-1])
 
     def _restart(self, where: NDArray[np.bool_]) -> None:
         self.accrued_reward.restart(where)
         self.returns[where] = 0.0
 
-    def _episodes(self, ended: list[tuple[NDArray, ...]]) -> Episodes:
-        if not ended:
-            d = self.returns.shape[-1]
-            nothing = np.zeros(0, dtype=np.int64)
-            return Episodes(nothing, np.zeros((0, d)), np.zeros((0, d)), nothing, np.zeros(0, dtype=np.bool_))
-        columns = [np.concatenate(column) for column in zip(*ended, strict=True)]
-        return Episodes(columns[0], columns[1], columns[2].astype(np.float64), columns[3], columns[4])
-
-    def _own(self) -> dict[str, NDArray]:
+    def _own(self) -> dict[str, NDArray[Any]]:
         accrued_reward = self.accrued_reward
         return {
             "observations": self.observations,
@@ -185,12 +203,12 @@ class Collector:
             "lengths": accrued_reward.decisions,
         }
 
-    def get_state(self) -> dict[str, NDArray]:
-        """What runs on between rollouts, the worlds included."""
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """What continues from one rollout to the next, the environments included."""
         own = {name: array.copy() for name, array in self._own().items()}
         return {**own, **{f"worlds.{name}": array for name, array in self.env.get_state().items()}}
 
-    def set_state(self, state: dict[str, NDArray]) -> None:
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from :meth:`get_state`."""
         for name, array in self._own().items():
             array[...] = state[name]

@@ -72,13 +72,13 @@ def scramble(agent: PCN, size: float) -> None:
 def collected(agent: PCN, monkeypatch: pytest.MonkeyPatch) -> list[list[Episode]]:
     """The episodes that go into the store from now on, one list per round."""
     rounds: list[list[Episode]] = []
-    add = agent.store.add
+    add = agent.buffer.add
 
     def spy(episodes: list[Episode]) -> None:
         rounds.append(episodes)
         add(episodes)
 
-    monkeypatch.setattr(agent.store, "add", spy)
+    monkeypatch.setattr(agent.buffer, "add", spy)
     return rounds
 
 
@@ -124,8 +124,11 @@ def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
     ("changed", "message"),
     [
         ({"hidden": []}, "'hidden' = []"),
-        ({"hidden": [8, 0]}, "hidden = [8, 0] must be positive layer sizes"),
-        ({"objective_scales": [1.0, 0.0, 1.0, 1.0]}, "objective_scales = [1.0, 0.0, 1.0, 1.0] must be positive"),
+        ({"hidden": [8, 0]}, "'hidden' = [8, 0]: layer sizes must be positive"),
+        (
+            {"objective_scales": [1.0, 0.0, 1.0, 1.0]},
+            "'objective_scales' = [1.0, 0.0, 1.0, 1.0]: scales must be positive",
+        ),
         ({"objective_scales": [1.0, 1.0]}, "objective_scales = [1.0, 1.0] needs 4 numbers: ('distance', "),
         ({"horizon_scale": 0.0}, "'horizon_scale' = 0.0"),
         ({"gamma": 0.0}, "'gamma' = 0.0"),
@@ -173,15 +176,15 @@ def test_a_command_far_outside_of_what_was_seen_is_refused_by_name(seasoned: PCN
     edge = (high if side > 0 else low) + side * seasoned.scales
     command = (low + high) / 2
     command[which] = edge[which] - 1e-3 * side
-    seasoned.commanded(command[None], [5])
+    seasoned.command(command[None], [5])
     command[which] = edge[which] + 1e-3 * side
     with pytest.raises(ValueError, match=f"desired return of objective_{which} = .* must be between"):
-        seasoned.commanded(command[None], [5])
+        seasoned.command(command[None], [5])
     with pytest.raises(ValueError, match=f"desired return of objective_{which} = "):
         seasoned.policy([*command, 5])
     command[which] = np.nan
     with pytest.raises(ValueError, match=f"desired return of objective_{which} = nan"):
-        seasoned.commanded(command[None], [5])
+        seasoned.command(command[None], [5])
 
 
 @pytest.mark.parametrize(
@@ -195,7 +198,7 @@ def test_a_command_far_outside_of_what_was_seen_is_refused_by_name(seasoned: PCN
 )
 def test_commands_of_another_form_are_refused(seasoned: PCN, desired: Any, horizon: Any, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
-        seasoned.commanded(desired, horizon)
+        seasoned.command(desired, horizon)
 
 
 # What the network is asked.
@@ -210,7 +213,7 @@ def asked_of(gamma: float, low: Any, high: Any, desired: Any, horizon: Any, rewa
         return np.zeros(len(wanted), dtype=np.int64)
 
     bounds = np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
-    agent: Any = SimpleNamespace(gamma=gamma, bounds=bounds, choose=choose, worlds=None, device=None)
+    agent: Any = SimpleNamespace(gamma=gamma, bounds=bounds, choose_actions=choose, env=None, device=None)
     policy = CommandPolicy(agent, np.array(desired, dtype=np.float32), np.array(horizon, dtype=np.float32))
     assert policy.gamma == gamma
     _, n, d = rewards.shape
@@ -285,7 +288,7 @@ def test_the_greedy_action_is_the_best_of_the_network(place: str, hidden: list[i
     agent = small_pcn(place, hidden=hidden, objective_scales=scales, horizon_scale=40.0)
     scramble(agent, 1.0)
     given = inputs(agent, 200)
-    outputs, actions = by_hand(agent, *given), agent.choose(*given, None)
+    outputs, actions = by_hand(agent, *given), agent.choose_actions(*given, None)
     if agent.env.continuous:
         np.testing.assert_allclose(actions, outputs, atol=2e-3)
     else:
@@ -304,7 +307,7 @@ def test_exploring_actions_are_as_frequent_as_the_softmax_says() -> None:
     logits = by_hand(agent, *inputs(agent, 1))[0]
     expected = np.exp(logits) / np.exp(logits).sum()
     assert expected.max() > 3 * expected.min()
-    actions = agent.choose(*given, torch.Generator().manual_seed(0))
+    actions = agent.choose_actions(*given, torch.Generator().manual_seed(0))
     found = np.bincount(actions, minlength=len(expected)) / n
     np.testing.assert_array_less(np.abs(found - expected), 4.5 * np.sqrt(expected * (1.0 - expected) / n))
 
@@ -313,13 +316,13 @@ def test_exploring_actions_are_as_frequent_as_the_softmax_says() -> None:
 def test_exploring_continuous_actions_scatter_around_the_greedy_one_within_the_box(noise: float) -> None:
     agent = small_pcn("one_waypoint, continuous", action_noise=noise)
     given = tuple(np.repeat(array, 5000, axis=0) for array in inputs(agent, 1))
-    greedy = agent.choose(*given, None)[0]
+    greedy = agent.choose_actions(*given, None)[0]
     assert np.abs(greedy).max() < 0.5
-    scattered = agent.choose(*given, torch.Generator().manual_seed(0))
+    scattered = agent.choose_actions(*given, torch.Generator().manual_seed(0))
     np.testing.assert_allclose(scattered.mean(axis=0), greedy, atol=5 * noise / 5000**0.5 + 1e-6)
     np.testing.assert_allclose(scattered.std(axis=0), noise, rtol=0.06, atol=1e-6)
     scramble(agent, 10.0)
-    assert np.abs(agent.choose(*given, torch.Generator().manual_seed(0))).max() <= 1.0
+    assert np.abs(agent.choose_actions(*given, torch.Generator().manual_seed(0))).max() <= 1.0
 
 
 # Episodes.
@@ -396,14 +399,14 @@ def test_ambitious_commands_ask_for_more_of_one_objective_in_less_time(
         "config",
         seasoned.config.model_copy(update={"return_noise": return_noise, "horizon_reduction": horizon_reduction}),
     )
-    monkeypatch.setattr(seasoned, "_draws", torch.Generator().manual_seed(0))
-    best = seasoned.store.best()
-    returns, lengths = seasoned.store.returns[best], seasoned.store.lengths[best]
+    monkeypatch.setattr(seasoned, "draws", torch.Generator().manual_seed(0))
+    best = seasoned.buffer.best()
+    returns, lengths = seasoned.buffer.returns[best], seasoned.buffer.lengths[best]
     assert len(best) > 2
     deviation = [float(np.sqrt(np.mean((column - column.mean()) ** 2))) for column in returns.T]
     raised: dict[tuple[int, int], list[float]] = {}
     for _ in range(150):
-        policy = seasoned._ambitious()
+        policy = seasoned._sample_commands()
         assert policy.desired.shape == (4, 2)
         for desired, horizon in zip(policy.desired, policy.horizon, strict=True):
             possible = []
@@ -437,8 +440,8 @@ def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(pl
     agent.train(1)
     scramble(agent, 0.5)
     draws = torch.Generator()
-    draws.set_state(agent._draws.get_state())
-    observations, actions, returns, left = agent.store.sample(50, draws)
+    draws.set_state(agent.draws.get_state())
+    observations, actions, returns, left = agent.buffer.sample(50, draws)
 
     def loss() -> float:
         total = 0.0
@@ -450,7 +453,7 @@ def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(pl
         return total / 50
 
     before, weights = loss(), [parameter.detach().clone() for parameter in agent.network.parameters()]
-    assert float(agent._learn()) == pytest.approx(before, rel=1e-4)
+    assert float(agent._gradient_step()) == pytest.approx(before, rel=1e-4)
     # The first step of Adam goes as far as the learning rate says, downhill.
     for old, new in zip(weights, agent.network.parameters(), strict=True):
         assert float((new.detach() - old).abs().max()) == pytest.approx(agent.config.learning_rate, rel=1e-2)
@@ -461,13 +464,13 @@ def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(pl
 def test_a_network_that_learns_long_enough_repeats_its_episodes_when_told_to(place: str) -> None:
     agent = small_pcn(place, hidden=[32, 32], buffer_size=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
     agent.train(1)
-    assert len(agent.store) == 2
-    losses = [float(agent._learn()) for _ in range(600)]
+    assert len(agent.buffer) == 2
+    losses = [float(agent._gradient_step()) for _ in range(600)]
     assert np.mean(losses[-20:]) < 0.3 * np.mean(losses[:5])
     if not agent.env.continuous:
-        for episode in agent.store.episodes:
+        for episode in agent.buffer.episodes:
             command = episode.returns, np.arange(len(episode), 0, -1, dtype=np.float32)
-            agreeing = agent.choose(episode.observations, *command, None) == episode.actions
+            agreeing = agent.choose_actions(episode.observations, *command, None) == episode.actions
             assert agreeing.mean() > 0.8
 
 
@@ -499,7 +502,7 @@ def test_what_is_logged_is_the_mean_over_the_exploring_episodes(
         assert metrics["policy/command_error"] == pytest.approx(error.mean(), rel=1e-5)
         assert np.isfinite(metrics["loss/policy"])
     assert begun == len(rounds)
-    assert lines[-1][1]["policy/non_dominated"] == len(agent.store.best())
+    assert lines[-1][1]["policy/non_dominated"] == len(agent.buffer.best())
 
 
 @EVERYWHERE
@@ -697,8 +700,8 @@ def test_a_front_is_what_episodes_driven_by_hand_give(env_id: str, arguments: di
 def test_the_commands_of_a_front_are_what_the_best_episodes_got(seasoned: PCN) -> None:
     desired, horizon = seasoned.commands()
     found = {(*row, length) for row, length in zip(desired.tolist(), horizon.tolist(), strict=True)}
-    best = seasoned.store.best()
-    assert found == {(*seasoned.store.returns[k].tolist(), float(seasoned.store.lengths[k])) for k in best}
+    best = seasoned.buffer.best()
+    assert found == {(*seasoned.buffer.returns[k].tolist(), float(seasoned.buffer.lengths[k])) for k in best}
 
 
 def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(

@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic
+from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import VehicleRollout
-from algorithms.learner import Learner
 from mo_deepdrive.utilities import Utility, make_utility
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -34,14 +33,14 @@ FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
 ALL_FORMS = pytest.mark.parametrize("form", FORMS)
 
 
-def plain_utility(worlds: EnvAdapter) -> Utility:
+def plain_utility(adapter: EnvAdapter) -> Utility:
     """The linear utility of our scenarios, or the sum of the objectives elsewhere."""
     for name in ("one_waypoint_linear", "static_obstacle_linear", "intersection_linear"):
         try:
-            return make_utility(name, worlds.objectives)
+            return make_utility(name, adapter.objectives)
         except ValueError:
             continue
-    return make_utility("linear", worlds.objectives, weights=[1.0] * len(worlds.objectives))
+    return make_utility("linear", adapter.objectives, weights=[1.0] * len(adapter.objectives))
 
 
 def make_agent(
@@ -95,10 +94,10 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
     """
-    worlds, gamma = agent.env, agent.gamma
-    n, o, d = worlds.num_envs, worlds.observation_size, len(worlds.objectives)
+    adapter, gamma = agent.env, agent.gamma
+    n, o, d = adapter.num_envs, adapter.observation_size, len(adapter.objectives)
     rng = np.random.default_rng(seed)
-    scales = worlds.observation_scales, worlds.objective_scales
+    scales = adapter.observation_scales, adapter.objective_scales
     observations = rng.normal(size=(steps + 1, n, o)) * scales[0]
     rewards = rng.normal(size=(steps, n, d)) * scales[1] / 10
     terminated, truncated, acted = np.zeros((3, steps, n), dtype=np.bool_)
@@ -119,10 +118,10 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
                 discounts[t + 1, i] = gamma * discounts[t, i]
             if masked:
                 absent = int(rng.integers(1, 4)) if kind <= 2 else max(0, absent - 1)
-    if worlds.continuous:
-        actions = torch.tensor(rng.normal(size=(steps, n, worlds.actions)), dtype=torch.float32)
+    if adapter.continuous:
+        actions = torch.tensor(rng.normal(size=(steps, n, adapter.actions)), dtype=torch.float32)
     else:
-        actions = torch.tensor(rng.integers(0, worlds.actions, (steps, n)))
+        actions = torch.tensor(rng.integers(0, adapter.actions, (steps, n)))
     arrays = {
         "observations": observations,
         "final": rng.normal(size=(steps, n, o)) * scales[0],
@@ -151,7 +150,7 @@ def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
     agent = make_agent(cls, num_envs=3, utility=NONLINEAR, gamma=0.9, **{**settings, **hyperparameters})
     exaggerate(agent)
     learner = agent.learners[0]
-    learner.finished(np.array([EXPECTED_RETURN]))
+    learner.on_episodes_end(np.array([EXPECTED_RETURN]))
     return agent, learner
 
 
@@ -167,4 +166,5 @@ def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discoun
 
 def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
     scale = learner.config.value_scale if form == "a2c" else learner.objective_scales
-    return (scale * learner.critic(seen_by(learner, form, *what))).detach()
+    value = (scale * learner.critic(seen_by(learner, form, *what))).detach()
+    return value.squeeze(-1) if form == "a2c" else value

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.common.advantages import discounted_sum, utility_differences, utility_gradient
+from algorithms.common.advantages import generalised_advantages, utility_differences, utility_gradient
 from mo_deepdrive.utilities import Utility, make_utility
 
 NAMES = ("a", "b", "c")
@@ -75,7 +75,7 @@ def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) 
 
 
 @given(c=collections(), decay=st.floats(0.0, 1.0))
-def test_discounted_sum_adds_up_to_the_end_of_the_episode_like_a_double_loop(
+def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_loop(
     c: dict[str, torch.Tensor], decay: float
 ) -> None:
     deltas, going_on = c["rewards"][..., 0], c["going_on"]
@@ -88,20 +88,20 @@ def test_discounted_sum_adds_up_to_the_end_of_the_episode_like_a_double_loop(
                 factor *= decay
                 if not going_on[k, n]:
                     break
-    torch.testing.assert_close(discounted_sum(deltas, going_on, decay), expected)
+    torch.testing.assert_close(generalised_advantages(deltas, going_on, decay), expected)
 
 
 @given(c=collections(), decay=st.floats(0.0, 1.0))
-def test_discounted_sum_of_vectors_is_that_of_every_component(c: dict[str, torch.Tensor], decay: float) -> None:
-    together = discounted_sum(c["rewards"], c["going_on"].unsqueeze(-1), decay)
-    apart = [discounted_sum(c["rewards"][..., i], c["going_on"], decay) for i in range(3)]
+def test_generalised_advantages_of_vectors_is_that_of_every_component(c: dict[str, torch.Tensor], decay: float) -> None:
+    together = generalised_advantages(c["rewards"], c["going_on"].unsqueeze(-1), decay)
+    apart = [generalised_advantages(c["rewards"][..., i], c["going_on"], decay) for i in range(3)]
     torch.testing.assert_close(together, torch.stack(apart, dim=-1))
 
 
-def test_discounted_sum_leaves_its_arguments_alone_and_keeps_their_precision() -> None:
+def test_generalised_advantages_leaves_its_arguments_alone_and_keeps_their_precision() -> None:
     for dtype in (torch.float32, torch.float64):
         deltas, going_on = torch.ones(4, 2, dtype=dtype), torch.ones(4, 1, dtype=dtype)
-        sums = discounted_sum(deltas, going_on, 0.5)
+        sums = generalised_advantages(deltas, going_on, 0.5)
         assert sums.dtype == dtype
         assert sums[:, 0].tolist() == [1.875, 1.75, 1.5, 1.0]
         assert (deltas == 1).all()
@@ -112,7 +112,7 @@ def test_discounted_sum_leaves_its_arguments_alone_and_keeps_their_precision() -
 def test_with_lambda_one_the_advantage_is_the_monte_carlo_return_minus_the_value(c: dict[str, torch.Tensor]) -> None:
     gamma = float(c["gamma"])
     deltas = c["rewards"] + gamma * c["next_values"] - c["values"]
-    advantages = discounted_sum(deltas, c["going_on"].unsqueeze(-1), gamma)
+    advantages = generalised_advantages(deltas, c["going_on"].unsqueeze(-1), gamma)
     steps, worlds, _ = deltas.shape
     for n in range(worlds):
         for t in range(steps):
@@ -180,7 +180,7 @@ def test_as_printed_equals_the_consistent_form_without_discounting_and_at_the_en
 def test_with_lambda_one_the_differences_telescope_to_the_utility_of_the_whole_return(
     c: dict[str, torch.Tensor],
 ) -> None:
-    advantages = discounted_sum(differences(c, CROOKED, as_printed=False), c["going_on"], 1.0)
+    advantages = generalised_advantages(differences(c, CROOKED, as_printed=False), c["going_on"], 1.0)
     steps, worlds, _ = c["rewards"].shape
     gamma = float(c["gamma"])
     for n in range(worlds):

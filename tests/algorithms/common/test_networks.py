@@ -96,8 +96,8 @@ def test_categorical_log_probabilities_and_entropies_are_those_of_torch(shape: t
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
     reference = distributions.Categorical(logits=actor.body(x))
     actions = torch.randint(22, shape, generator=seeded(3))
-    log_probability, entropy = actor.log_probability(x, actions)
-    torch.testing.assert_close(log_probability, reference.log_prob(actions))
+    log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    torch.testing.assert_close(log_prob, reference.log_prob(actions))
     torch.testing.assert_close(entropy, reference.entropy())
 
 
@@ -107,13 +107,13 @@ def test_gaussian_log_densities_and_entropies_are_those_of_torch(shape: tuple[in
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
     reference = distributions.Independent(distributions.Normal(actor.body(x), actor.log_std.exp()), 1)
     actions = torch.randn(*shape, 3, generator=seeded(3), dtype=torch.float64)
-    log_density, entropy = actor.log_probability(x, actions)
+    log_density, entropy = actor.log_prob_and_entropy(x, actions)
     torch.testing.assert_close(log_density, reference.log_prob(actions))
     torch.testing.assert_close(entropy, reference.entropy())
 
 
 @ACTORS
-def test_the_gradient_of_the_log_probability_is_that_of_torch(kind: type) -> None:
+def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: type) -> None:
     actor = randomised(kind, 6, 4)
     x = torch.randn(7, 6, generator=seeded(2), dtype=torch.float64)
     if kind is CategoricalActor:
@@ -123,8 +123,8 @@ def test_the_gradient_of_the_log_probability_is_that_of_torch(kind: type) -> Non
         actions = torch.randn(7, 4, generator=seeded(3), dtype=torch.float64)
         reference = distributions.Independent(distributions.Normal(actor.body(x), actor.log_std.exp()), 1)
     parameters = list(actor.parameters())
-    log_probability, entropy = actor.log_probability(x, actions)
-    ours = torch.autograd.grad((log_probability + 0.1 * entropy).sum(), parameters, allow_unused=True)
+    log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    ours = torch.autograd.grad((log_prob + 0.1 * entropy).sum(), parameters, allow_unused=True)
     theirs = torch.autograd.grad(
         (reference.log_prob(actions) + 0.1 * reference.entropy()).sum(), parameters, allow_unused=True
     )
@@ -134,10 +134,10 @@ def test_the_gradient_of_the_log_probability_is_that_of_torch(kind: type) -> Non
 
 def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradients() -> None:
     actor = with_outputs(CategoricalActor(2, [4], 3, seeded(0)), [1e4, 0.0, -1e4])
-    log_probability, entropy = actor.log_probability(torch.zeros(3, 2), torch.arange(3))
-    assert log_probability.tolist() == [0.0, -1e4, -2e4]
+    log_prob, entropy = actor.log_prob_and_entropy(torch.zeros(3, 2), torch.arange(3))
+    assert log_prob.tolist() == [0.0, -1e4, -2e4]
     assert entropy.tolist() == [0.0, 0.0, 0.0]
-    (log_probability + entropy).sum().backward()
+    (log_prob + entropy).sum().backward()
     assert all(parameter.grad.isfinite().all() for parameter in actor.parameters())
     assert actor.sample(torch.zeros(100, 2), seeded(0)).tolist() == [0] * 100
 
@@ -223,8 +223,8 @@ def everything(kind: type) -> Callable[[], None]:
         x = torch.zeros(10, 6)
         actions = actor.sample(x, seeded(1))
         actor.greedy(x)
-        log_probability, entropy = actor.log_probability(x, actions)
-        (log_probability + entropy).sum().backward()
+        log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+        (log_prob + entropy).sum().backward()
         mlp(6, [8, 8], 2, seeded(0), output_gain=1.0)
 
     return use

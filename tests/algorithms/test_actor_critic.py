@@ -1,0 +1,377 @@
+"""What the actor-critics share: hyperparameters, single observations, independent learners, centralised critics."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+
+from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.common.rollout import Rollout
+from mo_deepdrive.utilities import make_utility
+from tests.helpers.agents import (
+    CLASSES,
+    CONTINUOUS,
+    INTERSECTION,
+    exaggerate,
+    make_agent,
+    plain_utility,
+    recorded,
+    same,
+    state,
+)
+
+
+@CLASSES
+def test_the_networks_have_the_sizes_of_the_paper(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls)
+    shapes = {name: tuple(tensor.shape) for name, tensor in agent.learners[0].get_state().items()}
+    scalar = cls in (A2C, PPO)
+    inputs = 15 if scalar else 15 + 4 + 1
+    assert [shapes[f"actor.body.{i}.weight"] for i in (0, 2, 4)] == [(64, inputs), (32, 64), (22, 32)]
+    outputs = 1 if scalar else 4
+    assert [shapes[f"critic.{i}.weight"] for i in (0, 2, 4)] == [(64, inputs), (32, 64), (outputs, 32)]
+
+
+@CLASSES
+def test_eval_is_the_greedy_action_of_the_policy(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, INTERSECTION)
+    exaggerate(agent)
+    rng = np.random.default_rng(0)
+    observations = rng.normal(0.0, 5.0, (4, 2, agent.env.observation_size)).astype(np.float32)
+    accrued = rng.normal(0.0, 5.0, (4, 2, 6)).astype(np.float32)
+    accrued_reward = AccruedReward(accrued, np.full((4, 2), 0.5, dtype=np.float32), np.zeros((4, 2), dtype=np.int64))
+    together = agent.act(observations, accrued_reward, None)
+    for i in range(4):
+        np.testing.assert_array_equal(agent.eval(observations[i], accrued[i], 0.5), together[i])
+
+
+class Toy(gymnasium.Env[Any, Any]):
+    """Counts to three."""
+
+    def __init__(self, action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None):
+        self.action_space = action_space
+        self.observation_space = observation_space or spaces.Box(0.0, 9.0, (2,), dtype=np.float32)
+        self.reward_space = spaces.Box(-10.0, 10.0, (2,), dtype=np.float32)
+        self.count = 0
+
+    def _observed(self) -> Any:
+        if isinstance(self.observation_space, spaces.Discrete):
+            return self.count
+        return np.full(self.observation_space.shape, self.count, dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.count = 0
+        return self._observed(), {}
+
+    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action)
+        self.count += 1
+        return self._observed(), np.ones(2, dtype=np.float32), self.count == 3, False, {}
+
+
+def toy_agent(
+    cls: type[ActorCritic], action_space: spaces.Space[Any], observation_space: spaces.Space[Any] | None = None
+) -> ActorCritic:
+    env = MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2))
+    return cls(env, plain_utility(EnvAdapter(env)))
+
+
+@CLASSES
+@pytest.mark.parametrize(
+    "action_space",
+    [
+        spaces.Discrete(3, start=4),
+        spaces.Box(np.float32([2.0, -3.0]), np.float32([6.0, -1.0])),
+        spaces.Box(-1.0, 1.0, (1,), dtype=np.float32),
+    ],
+    ids=str,
+)
+def test_eval_gives_actions_in_the_terms_of_a_foreign_environment(
+    cls: type[ActorCritic], action_space: spaces.Space[Any]
+) -> None:
+    agent = toy_agent(cls, action_space)
+    agent.train(32)
+    exaggerate(agent, 3e4)
+    for value in np.linspace(0.0, 9.0, 7):
+        assert action_space.contains(agent.eval(np.full(2, value, dtype=np.float32)))
+
+
+@CLASSES
+def test_eval_of_a_continuous_policy_of_ours_stays_in_the_action_space(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, env=CONTINUOUS)
+    exaggerate(agent, 3e4)
+    for value in np.linspace(-9.0, 9.0, 7):
+        action = agent.eval(np.full(15, value, dtype=np.float32))
+        assert agent.env.vector_env.single_action_space.contains(action)
+
+
+@CLASSES
+def test_eval_understands_the_observations_of_a_foreign_discrete_space(cls: type[ActorCritic]) -> None:
+    agent = toy_agent(cls, spaces.Discrete(7), spaces.Discrete(9))
+    exaggerate(agent)
+    expected = agent.act(np.eye(9, dtype=np.float32)[:, None], AccruedReward.begin(9, 1, 2), None)[:, 0]
+    assert len(set(expected.tolist())) > 2
+    assert [int(agent.eval(i)) for i in range(9)] == expected.tolist()
+
+
+@CLASSES
+def test_schedules_move_from_their_first_value_to_their_last(cls: type[ActorCritic]) -> None:
+    settings = {"entropy_start": 0.1, "entropy_end": 0.001, "entropy_until": 0.5}
+    agent = make_agent(
+        cls, num_envs=4, steps=5, learning_rate=1e-3, learning_rate_end=0.0, **settings, env={"time_limit": 1.0}
+    )
+    lines = recorded(agent, 200, log_interval=1)
+    progress = np.arange(10) / 10
+    rates = [metrics["policy/learning_rate"] for _, metrics in lines]
+    np.testing.assert_allclose(rates, 1e-3 * (1 - progress), atol=1e-12)
+    weights = [metrics["policy/entropy_coefficient"] for _, metrics in lines]
+    np.testing.assert_allclose(weights, 0.1 * 0.01 ** np.minimum(1.0, progress / 0.5))
+    assert agent.learners[0].optimiser.param_groups[0]["lr"] == pytest.approx(1e-4)
+
+
+@CLASSES
+def test_the_learners_of_two_vehicles_do_not_share_anything(cls: type[ActorCritic]) -> None:
+    objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
+    mild = make_utility("intersection_linear", objectives)
+    strict = make_utility("linear", objectives, weights=[0.0, 0.0, 5.0, 0.0, 1.0, 1.0])
+    # Clipping by the common norm of actor and critic would tie the critic to the utility.
+    apart = {"steps": 16, "max_grad_norm": 1e9}
+    agents = [make_agent(cls, INTERSECTION, utility=[mild, other], **apart) for other in (mild, strict)]
+    for agent in agents:
+        agent.train(64)  # one update: afterwards the other vehicle drives differently
+    first, second = (state(agent) for agent in agents)
+    assert all(torch.equal(first[name], second[name]) for name in first if name.startswith("0."))
+    assert not torch.equal(first["1.actor.body.0.weight"], second["1.actor.body.0.weight"])
+    # A vector critic does not know the utility, a scalar one predicts it.
+    assert torch.equal(first["1.critic.0.weight"], second["1.critic.0.weight"]) is (cls not in (A2C, PPO))
+    assert not torch.equal(first["0.critic.0.weight"], first["1.critic.0.weight"])
+
+
+@CLASSES
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("learning_rat", "learning_rate"),
+        ("lr_learning_rate", "learning_rate"),
+        ("entropy_begin", "entropy_end"),
+        ("gae_lamda", "gae_lambda"),
+        ("n_steps", "steps"),
+    ],
+)
+def test_an_unknown_hyperparameter_is_refused_with_the_nearest_known_one(
+    cls: type[ActorCritic], name: str, near: str
+) -> None:
+    with pytest.raises(ValueError, match=f"hyperparameters of {cls.name}: '{name}' is unknown; did you mean '{near}'"):
+        make_agent(cls, **{name: 1})
+
+
+def test_a_hyperparameter_of_another_algorithm_is_refused() -> None:
+    with pytest.raises(ValueError, match="'value_scale' is unknown"):
+        make_agent(MOA2C, value_scale=3.0)
+    with pytest.raises(ValueError, match="'advantage' is unknown"):
+        make_agent(A2C, advantage="as_printed")
+
+
+@CLASSES
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("learning_rate", 0.0),
+        ("learning_rate", -1e-3),
+        ("learning_rate", 1.5),
+        ("learning_rate", "1e-3"),
+        ("learning_rate", math.nan),
+        ("learning_rate", None),
+        ("learning_rate_end", -1e-3),
+        ("gamma", 1.01),
+        ("gamma", -0.1),
+        ("gamma", math.inf),
+        ("gae_lambda", 2.0),
+        ("steps", 0),
+        ("steps", 1.5),
+        ("steps", "16"),
+        ("steps", True),
+        ("hidden", []),
+        ("hidden", [0]),
+        ("hidden", [64, -32]),
+        ("hidden", ["64"]),
+        ("hidden", 64),
+        ("entropy_start", -0.1),
+        ("entropy_start", 0.0),
+        ("entropy_end", 0.0),
+        ("entropy_until", 0.0),
+        ("entropy_until", 1.1),
+        ("value_coefficient", 0.0),
+        ("max_grad_norm", -0.5),
+        ("normalise_advantages", "yes"),
+        ("normalise_advantages", 1),
+        ("objective_scales", [1.0, 1.0, 1.0]),
+        ("objective_scales", [1.0, 1.0, 1.0, 0.0]),
+        ("objective_scales", [1.0, 1.0, 1.0, math.nan]),
+        ("objective_scales", 1.0),
+    ],
+)
+def test_an_ill_typed_or_unfit_hyperparameter_is_refused_by_name(
+    cls: type[ActorCritic], name: str, value: object
+) -> None:
+    with pytest.raises(ValueError, match=name):
+        make_agent(cls, **{name: value})
+
+
+def test_unfit_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="value_scale"):
+        make_agent(A2C, value_scale=0.0)
+    with pytest.raises(ValueError, match=r"'advantage' = 'as_print'.*'as_printed'"):
+        make_agent(MOA2C, advantage="as_print")
+    with pytest.raises(ValueError, match="observe_discount"):
+        make_agent(MOA2C, observe_discount="no")
+
+
+def test_every_unfit_hyperparameter_is_named_at_once() -> None:
+    with pytest.raises(ValueError, match="gamma") as refusal:
+        make_agent(A2C, gamma=2.0, steps=0, hiden=[3])
+    assert all(name in str(refusal.value) for name in ("'gamma' = 2.0", "'steps' = 0", "'hidden'"))
+
+
+@CLASSES
+def test_the_settings_of_a_run_are_plain_and_make_the_same_agent_again(cls: type[ActorCritic]) -> None:
+    settings = {"seed": 7, "gamma": 0.9, "hidden": [16], "objective_scales": [1.0, 2.0, 3.0, 4.0]}
+    agent = make_agent(cls, **settings)
+    config = json.loads(json.dumps(agent.get_config()))
+    assert config["algorithm"] == cls.name
+    assert settings.items() <= config.items()
+    assert config["gae_lambda"] == 0.95
+    again = make_agent(cls, **{name: value for name, value in config.items() if name != "algorithm"})
+    assert again.get_config() == agent.get_config()
+    assert same(state(again), state(agent))
+
+
+def test_objective_scales_replace_those_of_the_environment() -> None:
+    assert make_agent(MOA2C).learners[0].objective_scales.tolist() == [10.0, 1.0, 5.0, 500.0]
+    scaled = make_agent(MOA2C, objective_scales=[1.0, 2.0, 3.0, 4.0]).learners[0]
+    assert scaled.objective_scales.tolist() == [1.0, 2.0, 3.0, 4.0]
+    x = scaled.inputs(torch.zeros(15), torch.ones(4), torch.tensor(0.5))
+    torch.testing.assert_close(x[15:], torch.tensor([1.0, 1 / 2, 1 / 3, 1 / 4, 0.5]))
+
+
+@CLASSES
+def test_a_utility_of_another_width_is_refused(cls: type[ActorCritic]) -> None:
+    narrow = make_utility("linear", ("distance", "jerk"), weights=[1.0, 1.0])
+    with pytest.raises(ValueError, match=r"'linear' reads .*'distance', 'jerk'.*the environment emits"):
+        make_agent(cls, utility=narrow)
+
+
+@CLASSES
+def test_a_utility_that_reads_our_objectives_in_another_order_is_refused(cls: type[ActorCritic]) -> None:
+    utility = make_utility("one_waypoint_linear", ("distance", "destination", "g_force", "jerk"))
+    with pytest.raises(ValueError, match="one_waypoint_linear"):
+        make_agent(cls, env={"objectives": ["jerk", "distance", "destination", "g_force"]}, utility=utility)
+
+
+@CLASSES
+@pytest.mark.parametrize("number", [1, 3])
+def test_another_number_of_utilities_than_vehicles_is_refused(cls: type[ActorCritic], number: int) -> None:
+    objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
+    utility = make_utility("intersection_linear", objectives)
+    with pytest.raises(ValueError, match=f"{number} utilities for 2 vehicles"):
+        make_agent(cls, INTERSECTION, utility=[utility] * number)
+    assert make_agent(cls, INTERSECTION, utility=utility).utilities == [utility, utility]
+
+
+def joint_rollout(agent: ActorCritic) -> Rollout:
+    agent.collector.reset(3)
+    rollout, _ = agent.collector.collect(agent._explore)
+    return rollout
+
+
+@CLASSES
+def test_a_centralised_critic_sees_the_other_vehicle_and_the_actor_does_not(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, INTERSECTION, num_envs=3, steps=6, centralised_critic=True)
+    own = make_agent(cls, INTERSECTION, num_envs=3, steps=6)
+    size = agent.env.observation_size
+    for learner, alone in zip(agent.learners, own.learners, strict=True):
+        assert learner.actor.body[0].in_features == alone.actor.body[0].in_features
+        assert learner.critic[0].in_features == alone.critic[0].in_features + size
+    rollout = joint_rollout(agent)
+    for v, learner in enumerate(agent.learners):
+        mine = rollout.of_vehicle(v, agent.device)
+        inputs = learner.inputs(mine.observations, mine.accrued, mine.discounts)
+        seen = learner.critic_inputs(inputs, mine.others)
+        assert torch.equal(seen[..., : inputs.shape[-1]], inputs)
+        other = rollout.observations[:, :, 1 - v] / learner.observation_scales
+        assert torch.equal(seen[..., inputs.shape[-1] :], other)
+        assert torch.equal(mine.observations, rollout.observations[:, :, v])
+
+
+@CLASSES
+def test_a_critic_of_its_own_does_not_see_the_other_vehicle(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, INTERSECTION, num_envs=3, steps=6)
+    mine = joint_rollout(agent).of_vehicle(0, agent.device)
+    inputs = agent.learners[0].inputs(mine.observations, mine.accrued, mine.discounts)
+    assert agent.learners[0].critic_inputs(inputs, mine.others) is inputs
+
+
+@CLASSES
+def test_the_value_after_a_time_limit_is_that_of_what_both_vehicles_saw_last(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, INTERSECTION, num_envs=2, steps=6, env={"time_limit": 0.3}, centralised_critic=True)
+    rollout = joint_rollout(agent)
+    learner = agent.learners[1]
+    mine = rollout.of_vehicle(1, agent.device)
+    cut = mine.truncated & ~mine.terminated
+    assert cut.any()
+    inputs = learner.critic_inputs(learner.inputs(mine.observations, mine.accrued, mine.discounts), mine.others)
+    found = learner.next_values(mine, inputs, learner.values(inputs[:-1]).detach())
+    for t, i in cut.nonzero().tolist():
+        accrued = mine.accrued[t, i] + mine.discounts[t, i] * mine.rewards[t, i]
+        final = learner.inputs(rollout.final[t, i, 1], accrued, mine.discounts[t, i] * agent.config.gamma)
+        expected = learner.critic(torch.cat([final, rollout.final[t, i, 0] / learner.observation_scales]))
+        scale = getattr(learner.config, "value_scale", None) or learner.objective_scales
+        torch.testing.assert_close(found[t, i], (scale * expected).detach().reshape(found[t, i].shape))
+        # Not what the next episode begins with.
+        assert not torch.equal(rollout.final[t, i], rollout.observations[t + 1, i])
+
+
+def test_a_vehicle_that_ends_alone_leaves_what_the_other_saw_at_that_moment() -> None:
+    # A limit on the g-force that random driving soon exceeds.
+    agent = make_agent(MOPPO, INTERSECTION, num_envs=16, steps=64, env={"harmful_g_force": 0.3})
+    exaggerate(agent)
+    worlds, seen = agent.env, []
+    inner = worlds.step
+
+    def spy(actions: Any) -> Any:
+        seen.append(inner(actions))
+        return seen[-1]
+
+    worlds.step = spy  # type: ignore[method-assign]
+    rollout = joint_rollout(agent)
+    alone = 0
+    for t, step in enumerate(seen):
+        for i, v in zip(*np.nonzero(step.terminated | step.truncated), strict=True):
+            np.testing.assert_array_equal(rollout.of_vehicle(v, agent.device).final_others[t, i], step.final[i, 1 - v])
+            alone += int(not (step.terminated | step.truncated)[i].all())
+    assert alone > 5
+
+
+@CLASSES
+def test_a_centralised_critic_is_refused_for_one_vehicle(cls: type[ActorCritic]) -> None:
+    with pytest.raises(ValueError, match="centralised_critic = True needs an environment with more than one vehicle"):
+        make_agent(cls, centralised_critic=True)
+
+
+def test_a_checkpoint_of_a_centralised_critic_is_refused_by_one_of_its_own(tmp_path: Any) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    make_agent(MOPPO, INTERSECTION, centralised_critic=True).save(path)
+    with pytest.raises(ValueError, match="centralised_critic = True; this agent has False"):
+        make_agent(MOPPO, INTERSECTION).load(path)

@@ -1,0 +1,264 @@
+"""MO-A2C, and A2C as its scalar counterpart: values, advantages and losses against plain loops."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.rollout import VehicleRollout
+from mo_deepdrive.utilities import make_utility
+from tests.helpers.agents import (
+    ALL_FORMS,
+    CONTINUOUS,
+    exaggerate,
+    handmade,
+    learner_of,
+    make_agent,
+    seen_by,
+    value_of,
+)
+
+
+def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:
+    for cls, depends in ((A2C, False), (PPO, False), (MOA2C, True), (MOPPO, True)):
+        agent = make_agent(cls)
+        exaggerate(agent)
+        observation = np.ones(15, dtype=np.float32)
+        rng = np.random.default_rng(0)
+        actions = {int(agent.eval(observation, rng.normal(0.0, [20.0, 1.0, 5.0, 500.0]))) for _ in range(50)}
+        assert (len(actions) > 1) is depends
+
+
+@ALL_FORMS
+def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_state_after_truncation(form: str) -> None:
+    agent, learner = learner_of(form)
+    r = handmade(agent)
+    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
+    found = learner.next_values(r, inputs, learner.values(inputs[:-1]))
+    assert not found.requires_grad
+    kinds = set()
+    for t in range(len(r.rewards)):
+        for i in range(r.rewards.shape[1]):
+            terminated, truncated = bool(r.terminated[t, i]), bool(r.truncated[t, i])
+            kinds.add((terminated, truncated))
+            if terminated:
+                expected = torch.zeros_like(found[t, i])
+            elif truncated:
+                accrued = r.accrued[t, i] + r.discounts[t, i] * r.rewards[t, i]
+                expected = value_of(learner, form, r.final[t, i], accrued, 0.9 * r.discounts[t, i])
+            else:
+                expected = value_of(learner, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
+            torch.testing.assert_close(found[t, i], expected, rtol=1e-4, atol=1e-4)
+    assert len(kinds) == 4
+
+
+def test_with_the_past_in_full_a_linear_utility_gives_the_advantages_of_a2c() -> None:
+    weights = torch.tensor([0.5, 1.0, 0.03, 0.001])
+    utility = make_utility("linear", ("distance", "destination", "g_force", "jerk"), weights=weights.tolist())
+    agent = make_agent(MOA2C, num_envs=3, utility=utility, gamma=0.9, gae_lambda=0.8, accrued_gamma=1.0)
+    learner, r = agent.learners[0], handmade(agent)
+    assert (r.discounts == 1.0).all()
+    rng = np.random.default_rng(2)
+    values, following = (torch.tensor(rng.normal(size=r.rewards.shape), dtype=torch.float32) for _ in range(2))
+    advantages, targets = learner.advantages(r, values, following)
+    deltas = (r.rewards + 0.9 * following - values) @ weights
+    over = r.terminated | r.truncated
+    steps, n = deltas.shape
+    for i in range(n):
+        later = 0.0
+        for t in range(steps - 1, -1, -1):
+            later = float(deltas[t, i]) + (0.0 if over[t, i] else 0.9 * 0.8 * later)
+            assert float(advantages[t, i]) == pytest.approx(later, rel=1e-4, abs=1e-4)
+            # The targets of the critic are the same, one per objective.
+            assert float((targets - values)[t, i] @ weights) == pytest.approx(later, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("cls", [MOA2C, MOPPO])
+def test_the_discount_of_the_accrued_reward_is_its_own(cls: type[ActorCritic]) -> None:
+    usual = make_agent(cls, gamma=0.9)
+    full = make_agent(cls, gamma=0.9, accrued_gamma=1.0)
+    assert (usual.gamma, full.gamma) == (0.9, 1.0)
+    for agent in (usual, full):
+        agent.train(64)
+    expected = 1.0 if full.collector.accrued_reward.discounts.size else None
+    assert (full.collector.accrued_reward.discounts == expected).all()
+    assert usual.collector.accrued_reward.discounts.max() < 1.0
+    with pytest.raises(ValueError, match="accrued_gamma"):
+        make_agent(cls, accrued_gamma=0.0)
+
+
+@pytest.mark.parametrize("cls", [MOA2C, MOPPO])
+def test_the_accrued_reward_can_be_left_out_of_what_is_seen(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, observe_accrued=False)
+    exaggerate(agent)
+    assert agent.learners[0].input_size == 15 + 1
+    observation = np.ones(15, dtype=np.float32)
+    rng = np.random.default_rng(0)
+    assert len({int(agent.eval(observation, rng.normal(0.0, [20.0, 1.0, 5.0, 500.0]))) for _ in range(50)}) == 1
+    agent.train(200)
+
+
+@ALL_FORMS
+def test_what_follows_an_end_does_not_enter_the_next_value(form: str) -> None:
+    agent, learner = learner_of(form)
+    r = handmade(agent)
+
+    def next_values() -> torch.Tensor:
+        inputs = learner.inputs(r.observations, r.accrued, r.discounts)
+        return learner.next_values(r, inputs, learner.values(inputs[:-1]))
+
+    over = r.terminated | r.truncated
+    before = next_values()
+    r.observations[1:][over] += 1.0
+    after = next_values()
+    assert torch.equal(before[over], after[over])
+    r.final[r.truncated & ~r.terminated] += 1.0
+    changed = (next_values() != after).reshape(*over.shape, -1).any(-1)
+    assert torch.equal(changed, r.truncated & ~r.terminated)
+
+
+def u(returns: torch.Tensor) -> float:
+    """The non-linear utility of OneWaypoint on maximised returns, written out."""
+    d, r, g, j = (float(x) for x in returns)
+    if d > 2:
+        return 0.5 * d + d * r + 0.1 * g + 0.1 * j
+    return 0.5 * d + r - (0.1 * g) ** 2 - (0.1 * j) ** 2
+
+
+def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient: float) -> dict[str, float]:
+    """The losses by loops over single samples."""
+    gamma, decay = learner.config.gamma, learner.config.gae_lambda
+    steps, n = r.acted.shape
+    policy, critic, entropies, advantages = [], [], [], []
+    # The slope of u at EXPECTED_RETURN, by hand: there distance is above 2.
+    slope = torch.tensor([0.5 + 0.9, 12.0, 0.1, 0.1])
+    for t in range(steps):
+        for i in range(n):
+            if not r.acted[t, i]:
+                continue
+            advantage: Any = 0.0
+            vector: Any = 0.0
+            for k in range(t, steps):
+                now = r.observations[k, i], r.accrued[k, i], r.discounts[k, i]
+                value = value_of(learner, form, *now)
+                factor, reward = r.discounts[k, i], r.rewards[k, i]
+                if r.terminated[k, i]:
+                    following = torch.zeros_like(value)
+                elif r.truncated[k, i]:
+                    after = r.accrued[k, i] + factor * reward
+                    following = value_of(learner, form, r.final[k, i], after, gamma * factor)
+                else:
+                    following = value_of(
+                        learner, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
+                    )
+                gained = u(reward) if form == "a2c" else reward
+                vector = vector + (gamma * decay) ** (k - t) * (gained + gamma * following - value)
+                if form == "utility_gradient":
+                    advantage = vector @ slope
+                elif form == "a2c":
+                    advantage = vector
+                else:
+                    ahead = following if form == "as_printed" else gamma * factor * following
+                    difference = u(r.accrued[k, i] + factor * reward + ahead) - u(r.accrued[k, i] + factor * value)
+                    advantage = advantage + decay ** (k - t) * difference
+                if r.terminated[k, i] or r.truncated[k, i]:
+                    break
+            scale = learner.config.value_scale if form == "a2c" else learner.objective_scales
+            # The critic is at the value itself, so that its error is the advantage.
+            critic.append(float(((vector / scale) ** 2).mean()))
+            x = seen_by(learner, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
+            distribution = torch.distributions.Categorical(logits=learner.actor.body(x).detach())
+            policy.append(float(distribution.log_prob(r.actions[t, i])))
+            entropies.append(float(distribution.entropy()))
+            advantages.append(float(advantage))
+    used = np.array(advantages)
+    if learner.config.normalise_advantages:
+        used = (used - used.mean()) / used.std()
+    losses = {
+        "loss/policy": -float(np.mean(used * np.array(policy))),
+        "loss/value": float(np.mean(critic)),
+        "policy/entropy": float(np.mean(entropies)),
+    }
+    total = losses["loss/policy"] + learner.config.value_coefficient * losses["loss/value"]
+    return {"total": total - entropy_coefficient * losses["policy/entropy"], **losses}
+
+
+@ALL_FORMS
+@pytest.mark.parametrize("normalised", [False, True])
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised: bool, masked: bool) -> None:
+    agent, learner = learner_of(form, normalise_advantages=normalised, value_coefficient=0.3, gae_lambda=0.8)
+    rollout = handmade(agent, masked=masked, seed=3)
+    assert bool(rollout.acted.all()) is not masked
+    found = {name: float(loss.detach()) for name, loss in learner.losses(rollout, 0.05).items()}
+    expected = plain_losses(learner, form, rollout, 0.05)
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=1e-3, abs=1e-4), name
+
+
+def gradients(learner: Learner, rollout: VehicleRollout) -> list[torch.Tensor]:
+    return list(torch.autograd.grad(learner.losses(rollout, 0.05)["total"], learner.parameters, allow_unused=False))
+
+
+@ALL_FORMS
+@pytest.mark.parametrize("continuous", [False, True])
+def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, continuous: bool) -> None:
+    agent, learner = learner_of(form, env=CONTINUOUS if continuous else {})
+    rollout = handmade(agent, masked=True)
+    masked = ~rollout.acted
+    assert 0 < masked.sum() < masked.numel() / 2
+    before = gradients(learner, rollout)
+    generator = torch.Generator().manual_seed(1)
+    rollout.rewards[masked] = torch.randn(rollout.rewards[masked].shape, generator=generator) * 100
+    rollout.actions[masked] = 1 - rollout.actions[masked].clamp(max=1)
+    rollout.observations[:-1][masked] += 3.0
+    rollout.accrued[:-1][masked] += 3.0
+    after = gradients(learner, rollout)
+    for one, other in zip(before, after, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
+    rollout.rewards[rollout.acted] += 1.0 + torch.randn(rollout.rewards[rollout.acted].shape, generator=generator)
+    assert not all(torch.equal(one, other) for one, other in zip(after, gradients(learner, rollout), strict=True))
+
+
+@ALL_FORMS
+def test_a_rollout_in_which_nobody_acted_changes_the_policy_by_nothing(form: str) -> None:
+    agent, learner = learner_of(form)
+    rollout = handmade(agent)
+    rollout.acted[:] = False
+    assert all(not gradient.any() for gradient in gradients(learner, rollout))
+
+
+@pytest.mark.parametrize("cls", [A2C, MOA2C])
+def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, num_envs=3, max_grad_norm=0.01)
+    learner = agent.learners[0]
+    rollout = handmade(agent)
+    raw = gradients(learner, rollout)
+    norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
+    assert norm > 0.01
+    before = [parameter.detach().clone() for parameter in learner.parameters]
+    metrics = learner.update(rollout, 0.003, 0.05)
+    assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
+    for parameter, old, gradient in zip(learner.parameters, before, raw, strict=True):
+        clipped = gradient * 0.01 / norm
+        # Adam's first step: its running means are corrected to the gradient itself.
+        expected = old - 0.003 * clipped / (clipped.abs() + 1e-8)
+        torch.testing.assert_close(parameter.detach(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
+    learner = make_agent(MOA2C, num_envs=1).learners[0]
+    learner.on_episodes_end(np.zeros((0, 4)))
+    assert learner.get_state()["expected_return"].tolist() == [0.0] * 4
+    learner.on_episodes_end(np.array([[1.0, 2.0, 3.0, 4.0], [3.0, 2.0, 1.0, 0.0]]))
+    assert learner.get_state()["expected_return"].tolist() == [2.0] * 4
+    learner.on_episodes_end(np.array([[12.0] * 4, [2.0] * 4]))
+    expected = 0.99**2 * 2.0 + (1 - 0.99**2) * 7.0
+    assert learner.get_state()["expected_return"].tolist() == pytest.approx([expected] * 4)
+    assert int(learner.get_state()["episodes"]) == 4
