@@ -114,7 +114,8 @@ class A2CLearner(Learner):
 
     def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
         """v(s) (...), in the units of the return."""
-        return self.config.value_scale * self.critic(critic_inputs).squeeze(-1)
+        outputs: torch.Tensor = self.critic(critic_inputs)
+        return self.config.value_scale * outputs.squeeze(-1)
 
     # ------------------------------------------------------------------------------------------------------ the update
 

@@ -86,7 +86,7 @@ class Learner(ABC):
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Called before an update with the discounted returns (E, d) of the episodes that ended; ignored by default."""
-        return
+        del discounted_returns
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Weights and the optimiser's state as named tensors."""

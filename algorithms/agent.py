@@ -198,7 +198,11 @@ class Agent(ABC):
             total_timesteps: also the length of schedules; a resumed run passes the same number.
             eval_env: a separate environment for evaluations before, during and after training; None for none.
             eval_interval: environment steps between evaluations; a twentieth of the total if None.
-            eval_episodes, eval_seed, eval_gamma, reference_point, reference_front: see :class:`EvaluationPlan`.
+            eval_episodes: episodes per evaluation (per policy of a front).
+            eval_seed: seed of the first episode.
+            eval_gamma: discount of the reported returns.
+            reference_point: (d,) of the hypervolume of a front; None for no hypervolume.
+            reference_front: (k, d) best-known front; None where there is none.
             log: called as ``log(step, metrics)``.
             log_front: called as ``log_front(step, front)`` by agents that learn a front.
             log_interval: updates between two rows of training metrics.

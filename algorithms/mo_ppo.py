@@ -181,7 +181,8 @@ class MOPPOLearner(Learner):
 
     def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
         """v(S) (..., d), in the units of the returns."""
-        return self.objective_scales * self.critic(critic_inputs)
+        outputs: torch.Tensor = self.critic(critic_inputs)
+        return self.objective_scales * outputs
 
     # ------------------------------------------------------------------------------------------------------ the update
 

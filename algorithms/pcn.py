@@ -326,6 +326,7 @@ class PCN(Agent):
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Refused: the action depends on a command; see :meth:`command`."""
+        del observations, accrued_reward, generator
         raise TypeError("PCN acts under a command: agent.command(desired, horizon).act(...)")
 
     def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
@@ -369,7 +370,10 @@ class PCN(Agent):
 
         Args:
             conditions: desired discounted returns and horizons.
-            env, episodes, seed, gamma: as for :meth:`front`.
+            env: a raw environment; not the one that trains.
+            episodes: per policy.
+            seed: of the first episode.
+            gamma: discount of the reported returns.
         """
         rows = np.asarray(conditions, dtype=np.float32)
         return evaluate_each(

@@ -1,4 +1,4 @@
-"""What an episode has come to so far, as far as a policy may depend on it."""
+"""The part of an episode's past on which a policy may depend: accrued reward, discount and number of decisions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class AccruedReward:
-    """The running episodes of N worlds with V vehicles.
+    """Accrued rewards of the running episodes of N environments with V vehicles.
 
     Attributes:
         value: (N, V, d) accrued reward R_t = sum over i < t of gamma^i r_i.
@@ -23,26 +23,26 @@ class AccruedReward:
     decisions: NDArray[np.int64]
 
     @classmethod
-    def begin(cls, worlds: int, vehicles: int, objectives: int) -> AccruedReward:
-        """Episodes in which nothing has happened yet."""
+    def begin(cls, num_envs: int, vehicles: int, objectives: int) -> AccruedReward:
+        """Episodes before their first decision."""
         return cls(
-            value=np.zeros((worlds, vehicles, objectives), dtype=np.float32),
-            discounts=np.ones((worlds, vehicles), dtype=np.float32),
-            decisions=np.zeros((worlds, vehicles), dtype=np.int64),
+            value=np.zeros((num_envs, vehicles, objectives), dtype=np.float32),
+            discounts=np.ones((num_envs, vehicles), dtype=np.float32),
+            decisions=np.zeros((num_envs, vehicles), dtype=np.int64),
         )
 
     def add(self, rewards: NDArray[np.float32], gamma: float) -> None:
-        """One decision more in every world, with ``rewards`` (N, V, d)."""
+        """Add the ``rewards`` (N, V, d) of one decision."""
         self.value += self.discounts[..., None] * rewards
         self.discounts *= gamma
         self.decisions += 1
 
     def restart(self, where: NDArray[np.bool_]) -> None:
-        """Begin anew where the mask (N, V) says so."""
+        """Start new episodes where the mask (N, V) is True."""
         self.value[where] = 0.0
         self.discounts[where] = 1.0
         self.decisions[where] = 0
 
     def take(self, rows: NDArray[np.intp]) -> AccruedReward:
-        """Copies of the worlds at ``rows``."""
+        """Copies of the environments at ``rows``."""
         return AccruedReward(self.value[rows], self.discounts[rows], self.decisions[rows])

@@ -62,14 +62,15 @@ def utility_differences(
     factor = discounts.unsqueeze(-1)
     next_accrued = accrued + factor * rewards
     expected_rest = next_values if as_printed else factor * gamma * next_values
-    return utility(next_accrued + expected_rest) - utility(accrued + factor * values)
+    differences: torch.Tensor = utility(next_accrued + expected_rest) - utility(accrued + factor * values)
+    return differences
 
 
 def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
     """Gradient of the utility at the expected return (d,): the weights (d,) of the objectives under SER."""
     with torch.enable_grad():
         point = expected_return.detach().clone().requires_grad_(True)
-        (gradient,) = torch.autograd.grad(utility(point), point)
+        gradient: torch.Tensor = torch.autograd.grad(utility(point), point)[0]
     return gradient
 
 

@@ -1,4 +1,4 @@
-"""Writing files so that a crash or a full disk never costs the file that was there before."""
+"""Atomic writes: after a crash or on a full disk, the previous file is still whole."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def atomic_write(path: str | Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(name, path.stat().st_mode & 0o777 if path.exists() else 0o644)
-        os.replace(name, path)
+        Path(name).chmod(path.stat().st_mode & 0o777 if path.exists() else 0o644)
+        Path(name).replace(path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
 
 
 def leftovers(folder: Path) -> Iterator[Path]:
-    """What processes that were killed in :func:`atomic_write` have left in a folder."""
+    """Temporary files in a folder, left by processes that were killed in :func:`atomic_write`."""
     return folder.glob(".*.tmp")
 
 

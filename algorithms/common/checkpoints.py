@@ -1,4 +1,4 @@
-"""Checkpoints: named tensors and an identity in one safetensors file; no code runs from it."""
+"""Checkpoints: named tensors and the identity of their agent in one safetensors file; reading one runs no code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safetensors.torch import save as to_safetensors
 from algorithms.common.atomic_io import atomic_write
 
 FORMAT = 1
-POLICY_ONLY = "policy_only"  # stated by files that hold the policy alone
+POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
 
 
 def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -23,7 +23,7 @@ def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, to
 
 
 def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], identity: Mapping[str, Any]) -> None:
-    """Write named tensors and the identity of what they belong to, atomically."""
+    """Write named tensors and the identity of their agent, atomically."""
     plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     metadata = {"checkpoint": json.dumps({"format": FORMAT, **identity})}
     atomic_write(Path(path), to_safetensors(plain, metadata=metadata))
@@ -32,16 +32,16 @@ def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], iden
 def read_checkpoint(
     path: str | Path, identity: Mapping[str, Any], may_differ: tuple[str, ...] = (), *, whole: bool = False
 ) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """The tensors of a checkpoint and the identity that it states.
+    """The tensors of a checkpoint and the identity of the agent that wrote it.
 
     Args:
         path: the file.
-        identity: what the reader is; every entry must be the same in the file.
-        may_differ: entries that need not be.
+        identity: of the agent that reads; every entry must equal that in the file.
+        may_differ: entries that need not be equal.
         whole: refuse a file that holds the policy alone.
 
     Raises:
-        ValueError: if the file is missing or broken, its identity differs, or it lacks what must be whole.
+        ValueError: if the file is missing or broken, its identity differs, or it holds the policy alone.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -51,7 +51,7 @@ def read_checkpoint(
         raise ValueError(f"checkpoint {path} cannot be read: {error}") from None
     if whole and found.get(POLICY_ONLY):
         raise ValueError(
-            f"checkpoint {path} holds the policy alone, as those of the zoo do: it can drive, "
+            f"checkpoint {path} holds the policy alone, like those of the zoo: it can be evaluated, "
             "but training cannot be resumed from it"
         )
     for key, value in {"format": FORMAT, **identity}.items():

@@ -27,7 +27,7 @@ from mo_deepdrive.objectives import scales as objective_scales
 
 
 def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:
-    """``num_envs`` copies of a MO-Gymnasium environment as a vector environment with vector rewards (N, d).
+    """A vector environment with vector rewards (N, d) of ``num_envs`` copies of a MO-Gymnasium environment.
 
     Args:
         env_id: a registered id, or ``module:id`` to import the module that registers it first.
@@ -46,18 +46,18 @@ def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None
 
 @dataclass
 class Step:
-    """What one step of all worlds gives.
+    """One step of all environments.
 
     Attributes:
-        observations: (N, V, o) what the next action is taken on; after the end of an episode the next episode's.
+        observations: (N, V, o) for the next action; where an episode ended, the first of the next episode.
         rewards: (N, V, d).
         terminated, truncated: (N, V) whether the vehicle's episode ended in this step.
-        acted: (N, V) False where the sample does not count: the vehicle was not on the road, or the world was
-            only being reset.
-        final: (N, V, o) true observations after the step: those of the episode that ended where one did.
-        succeeded: (N, V) whether a vehicle's episode that ended in this step reached its goal; all False where the
-            environment does not say.
-        ends: (N,) or (N, V) why episodes ended, as the environment says in ``info["end"]``; None where it does not.
+        acted: (N, V) False where the sample does not count: the vehicle was not on the road, or the environment was
+            only reset.
+        final: (N, V, o) observations after the step; where an episode ended, the last of that episode.
+        succeeded: (N, V) whether an episode that ended in this step reached its goal; all False where the environment
+            does not report it.
+        ends: (N,) or (N, V) why episodes ended, from ``info["end"]``; None where the environment does not report it.
     """
 
     observations: NDArray[np.float32]
@@ -77,14 +77,14 @@ class EnvAdapter:
         env: a vector environment with vector rewards: DrivingVectorEnv under SAME_STEP, or MOSyncVectorEnv.
 
     Attributes:
-        name: the id of the environment; its class where it has none.
+        name: the id of the environment, or its class where it has no id.
         num_envs, vehicles: N and V.
         objectives: names of the d components of the reward.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
         actions: number of discrete actions, or of continuous axes.
-        continuous: which of the two.
+        continuous: whether actions are continuous.
 
     Raises:
         ValueError: for spaces that the trainers do not handle.
@@ -114,7 +114,7 @@ class EnvAdapter:
             d = int(inner.reward_space.shape[0])  # type: ignore[attr-defined]
             self.objectives = tuple(f"objective_{i}" for i in range(d))
             self.cost_sign = "maximise"
-            self.observation_scales = _foreign_scales(env.single_observation_space)
+            self.observation_scales = _scales_from_bounds(env.single_observation_space)
             self.objective_scales = np.ones(d, dtype=np.float32)
         if isinstance(space, spaces.Discrete):
             self.continuous, self.actions = False, int(space.n)
@@ -145,16 +145,16 @@ class EnvAdapter:
         return np.asarray(scales, dtype=np.float32)
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
-        """Start every world anew; world i is seeded with ``seed + i``, or ``seed[i]``. Observations (N, V, o)."""
+        """Reset every environment; the i-th is seeded with ``seed + i`` or ``seed[i]``. Observations (N, V, o)."""
         raw, _ = self.vector_env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
         self._was_over[:] = False
         return self.policy_observations(raw)
 
     def step(self, actions: NDArray[Any]) -> Step:
-        """Act in every world.
+        """Act in every environment.
 
         Args:
-            actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and stretched to the box).
+            actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box).
         """
         actions = self.environment_actions(actions)
         if self.native:
@@ -181,8 +181,8 @@ class EnvAdapter:
         if self.vehicles == 1:
             actions = actions[:, 0]
         if self.continuous:
-            stretched = self._centre + self._reach * np.clip(actions, -1.0, 1.0)
-            return stretched.astype(self.vector_env.single_action_space.dtype)
+            scaled = self._centre + self._reach * np.clip(actions, -1.0, 1.0)
+            return np.asarray(scaled).astype(self.vector_env.single_action_space.dtype)
         return actions + self._first_action
 
     def _native_step(self, actions: NDArray[Any]) -> Step:
@@ -201,23 +201,23 @@ class EnvAdapter:
         else:
             acted = infos["acted"]
             success = infos.get("arrived", success)
-            # The flags of a vehicle stay up until its world starts anew; here they mark the step of the end.
+            # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
             terminated, truncated = terminated & acted, truncated & acted
         return Step(observations, rewards, terminated, truncated, acted, final, success, ends)
 
     def policy_observations(self, raw: Any) -> NDArray[np.float32]:
-        """Observations (n, V, o) from what the environment gives for n worlds."""
-        if self.native:
-            return raw if self.vehicles > 1 else raw[:, None]
+        """Observations (n, V, o) from the raw observations of n environments."""
         space = self.vector_env.single_observation_space
-        if isinstance(space, spaces.Discrete):
-            one_hot = np.eye(int(space.n), dtype=np.float32)[np.asarray(raw) - int(space.start)]
+        if not self.native and isinstance(space, spaces.Discrete):
+            one_hot: NDArray[np.float32] = np.eye(int(space.n), dtype=np.float32)[np.asarray(raw) - int(space.start)]
             return one_hot[:, None]
         array = np.asarray(raw, dtype=np.float32)
+        if self.native:
+            return array if self.vehicles > 1 else array[:, None]
         return array.reshape(len(array), 1, -1)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """What resuming these worlds exactly takes, as arrays; empty where the environment cannot say."""
+        """The exact state of the environments as arrays; empty where they cannot be saved."""
         inner = self.vector_env.unwrapped
         return inner.get_state() if isinstance(inner, DrivingVectorEnv) else {}
 
@@ -228,8 +228,8 @@ class EnvAdapter:
             inner.set_state(state)
 
 
-def _foreign_scales(space: spaces.Space[Any]) -> NDArray[np.float32]:
-    """Magnitudes of a foreign observation: its bounds where they are finite and not huge, else 1."""
+def _scales_from_bounds(space: spaces.Space[Any]) -> NDArray[np.float32]:
+    """Nominal magnitudes of another library's observation: its bounds where they are finite and below 10^4, else 1."""
     if isinstance(space, spaces.Discrete):
         return np.ones(int(space.n), dtype=np.float32)
     if not isinstance(space, spaces.Box):

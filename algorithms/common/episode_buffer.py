@@ -1,9 +1,10 @@
-"""PCN's store of episodes: what it imitates, and where its commands come from (Reymond et al. 2022, section 4)."""
+"""PCN's buffer of episodes: training data, and the source of its commands (Reymond et al. 2022, section 4)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,13 +18,13 @@ class Episode:
     """One episode of T decisions.
 
     Attributes:
-        observations: (T, o) what each action was taken on.
+        observations: (T, o) before each action.
         actions: (T,) or (T, k).
-        returns: (T, d) discounted return from each decision on; the first is the episode's.
+        returns: (T, d) discounted returns-to-go; the first is the return of the episode.
     """
 
     observations: NDArray[np.float32]
-    actions: NDArray
+    actions: NDArray[Any]
     returns: NDArray[np.float32]
 
     def __len__(self) -> int:
@@ -31,7 +32,7 @@ class Episode:
 
 
 def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
-    """(T, d) discounted sums R_t = r_t + gamma R_{t+1} of ``rewards`` (T, d)."""
+    """Discounted returns-to-go R_t = r_t + gamma R_{t+1} (T, d) of ``rewards`` (T, d)."""
     returns = rewards.astype(np.float64)
     for t in range(len(returns) - 2, -1, -1):
         returns[t] += gamma * returns[t + 1]
@@ -39,17 +40,17 @@ def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.floa
 
 
 class EpisodeBuffer:
-    """The best episodes seen: close to the non-dominated ones, and not all alike.
+    """The best episodes so far: close to the non-dominated ones, and diverse.
 
     An episode's score is minus its distance to the nearest non-dominated return, in units of ``scales``. The distance
-    of all but the first of equal returns is a little larger, and it counts twice where the crowding distance is at
-    most ``crowding``. The worst scores leave when there are more than ``capacity`` episodes. Where more than that are
-    not dominated at all, those stay that cover them.
+    is doubled where the crowding distance is at most ``crowding``, and slightly larger for all but the first of equal
+    returns. When there are more than ``capacity`` episodes, those with the lowest scores are removed; when more than
+    ``capacity`` are non-dominated, a farthest-point subset of them is kept.
 
     Args:
         capacity: episodes kept.
         scales: (d,) nominal size of each objective's return.
-        crowding: crowding distance below which episodes are too much alike.
+        crowding: crowding distance below which episodes count as too similar.
     """
 
     REPEATED = 1e-5  # units of ``scales``
@@ -59,7 +60,7 @@ class EpisodeBuffer:
         self.scales = np.asarray(scales, dtype=np.float64)
         self.crowding = crowding
         self.episodes: list[Episode] = []
-        self._arrays: dict[str, NDArray] = {}
+        self._arrays: dict[str, NDArray[Any]] = {}
 
     def __len__(self) -> int:
         return len(self.episodes)
@@ -75,7 +76,7 @@ class EpisodeBuffer:
         return np.array([len(episode) for episode in self.episodes], dtype=np.int64)
 
     def add(self, episodes: list[Episode]) -> None:
-        """Take in ``episodes`` and keep the best."""
+        """Add ``episodes``, then remove the worst."""
         self.episodes += episodes
         if len(self.episodes) > self.capacity:
             kept = self.best()
@@ -87,7 +88,7 @@ class EpisodeBuffer:
         self._arrays = {}
 
     def scores(self) -> NDArray[np.float64]:
-        """(E,) how much each episode is worth keeping; at most 0."""
+        """(E,) scores; at most 0."""
         points = self.returns / self.scales
         best = points[non_dominated(points)]
         gaps = np.array([np.linalg.norm(best - point, axis=1).min() for point in points])
@@ -102,30 +103,30 @@ class EpisodeBuffer:
         """Indices of the episodes with non-dominated returns.
 
         Raises:
-            ValueError: if the store is empty.
+            ValueError: if the buffer is empty.
         """
         if not self.episodes:
-            raise ValueError("the store holds no episode yet: train first, or load a checkpoint")
+            raise ValueError("the buffer holds no episode yet: train first, or load a checkpoint")
         return np.flatnonzero(non_dominated(self.returns))
 
     def attained(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """(K, d) discounted returns and (K,) decisions of the episodes with non-dominated returns.
 
         Raises:
-            ValueError: if the store is empty.
+            ValueError: if the buffer is empty.
         """
         best = self.best()
         return self.returns[best], self.lengths[best]
 
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(d,) least and greatest return from any decision on, which is what a command may ask for."""
+        """(d,) lowest and highest return-to-go."""
         returns = self._flat()["returns"]
         return returns.min(axis=0), returns.max(axis=0)
 
-    def sample(self, count: int, generator: torch.Generator) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """Observations (n, o), actions, returns from there (n, d) and decisions left (n,) of random decisions.
+    def sample(self, count: int, generator: torch.Generator) -> tuple[NDArray[Any], ...]:
+        """Observations (n, o), actions, returns-to-go (n, d) and decisions left (n,) at random time steps.
 
-        Every episode is as likely as every other, whatever its length.
+        Every episode is equally likely, whatever its length.
         """
         flat = self._flat()
         lengths = flat["lengths"]
@@ -135,7 +136,7 @@ class EpisodeBuffer:
         left = (lengths[chosen] - t).astype(np.float32)
         return flat["observations"][rows], flat["actions"][rows], flat["returns"][rows], left
 
-    def _flat(self) -> dict[str, NDArray]:
+    def _flat(self) -> dict[str, NDArray[Any]]:
         if not self._arrays:
             lengths = self.lengths
             self._arrays = {
@@ -163,7 +164,7 @@ class EpisodeBuffer:
             names = ("observations", "actions", "returns")
             missing = [name for name in (*names, "lengths") if name not in state]
             if missing:
-                raise ValueError(f"the state of the store lacks {', '.join(missing)}")
+                raise ValueError(f"the state of the buffer lacks {', '.join(missing)}")
             ends = np.cumsum(state["lengths"].numpy())[:-1]
             columns = [np.split(state[name].numpy(), ends) for name in names]
             self.episodes = [Episode(*parts) for parts in zip(*columns, strict=True)]

@@ -37,18 +37,19 @@ class CategoricalActor(nn.Module):
         self.body = mlp(inputs, hidden, actions, generator, output_gain=0.01)
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row: argmax of p / e with e ~ Exp(1) is a draw from p."""
-        probabilities = self.body(x).softmax(-1)
+        """One action per row: the argmax of p / e with e ~ Exp(1) is a sample from p."""
+        probabilities: torch.Tensor = self.body(x).softmax(-1)
         noise = torch.empty_like(probabilities).exponential_(generator=generator)
         return (probabilities / noise).argmax(-1)
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The most probable action per row."""
-        return self.body(x).argmax(-1)
+        logits: torch.Tensor = self.body(x)
+        return logits.argmax(-1)
 
     def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-probability of ``actions`` and entropy of the policy, each (...)."""
-        log_p = self.body(x).log_softmax(-1)
+        log_p: torch.Tensor = self.body(x).log_softmax(-1)
         entropy = -(log_p.exp() * log_p).sum(-1)
         return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), entropy
 
@@ -71,7 +72,8 @@ class GaussianActor(nn.Module):
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The mean action per row."""
-        return self.body(x)
+        mean: torch.Tensor = self.body(x)
+        return mean
 
     def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-density of ``actions`` and entropy of the policy, each (...)."""
@@ -119,4 +121,5 @@ class CommandNetwork(nn.Module):
 
     def forward(self, observations: torch.Tensor, commands: torch.Tensor) -> torch.Tensor:
         """(n, outputs) for scaled observations (n, o) and commands (n, c)."""
-        return self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())
+        outputs: torch.Tensor = self.body(self.observation(observations).sigmoid() * self.command(commands).sigmoid())
+        return outputs

@@ -1,8 +1,8 @@
-"""Dominance and the indicators of a front, on moocore; every objective is maximised.
+"""Pareto dominance and quality indicators of fronts, with moocore; every objective is maximised.
 
 Hypervolume (Zitzler and Thiele 1999), IGD+ (Ishibuchi et al. 2015), additive epsilon (Zitzler et al. 2003) and
-expected utility over weights (Zintgraf et al. 2015). Distances and weights apply to returns divided by nominal scales,
-for jerk is a hundred times as large as distance.
+expected utility over weights (Zintgraf et al. 2015). Distances and weights apply to returns divided by nominal scales:
+jerk is a hundred times as large as distance.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 WEIGHTS = 50  # of the expected utility
-LATTICE = 5_000  # points at least, from which evenly spaced weights are chosen
+LATTICE = 5_000  # minimum number of points from which evenly spaced weights are chosen
 
 
 def _points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[np.float64]:
@@ -48,7 +48,7 @@ def _scales(scales: ArrayLike | None, d: int) -> NDArray[np.float64]:
 
 
 def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
-    """(n,) which of ``returns`` (n, d) no other dominates; the first one of equal points counts.
+    """Mask (n,) of the ``returns`` (n, d) that no other dominates; of equal points only the first.
 
     Raises:
         ValueError: for an empty or infinite set.
@@ -57,7 +57,7 @@ def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
 
 
 def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[str] | None = None) -> float:
-    """Volume that ``returns`` (n, d) dominate above ``reference`` (d,).
+    """Volume dominated by ``returns`` (n, d) above the reference point (d,).
 
     Points that do not dominate the reference add nothing. ``objectives`` are the d names, for messages.
 
@@ -79,7 +79,7 @@ def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[s
 
 
 def igd_plus(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
-    """Mean distance by which ``returns`` (n, d) fall short of ``reference_front`` (k, d), in units of ``scales``."""
+    """IGD+: mean distance by which ``returns`` (n, d) fall short of ``reference_front`` (k, d), in ``scales``."""
     points = _points(returns, "front")
     front = _points(reference_front, "reference front", points.shape[1])
     unit = _scales(scales, points.shape[1])
@@ -87,7 +87,7 @@ def igd_plus(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike |
 
 
 def additive_epsilon(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
-    """Least number to add to every objective of ``returns`` so that they cover ``reference_front``; of ``scales``."""
+    """Smallest number, in ``scales``, to add to all ``returns`` so that they weakly dominate ``reference_front``."""
     points = _points(returns, "front")
     front = _points(reference_front, "reference front", points.shape[1])
     unit = _scales(scales, points.shape[1])
@@ -102,9 +102,9 @@ def expected_utility(returns: ArrayLike, weights: ArrayLike, scales: ArrayLike |
 
 
 def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
-    """(n, d) weights that sum to 1, always the same: each as far as can be from those before, corners first.
+    """Weights (n, d) that sum to 1: the corners, then always the lattice point farthest from those chosen before.
 
-    Chosen from a simplex lattice (Das and Dennis 1998); with d = 2 exactly even.
+    The lattice is that of Das and Dennis (1998); with d = 2 the weights are exactly even.
 
     Raises:
         ValueError: if there are fewer weights than objectives, or no objective.
@@ -136,15 +136,15 @@ def indicators(
     reference_front: ArrayLike | None = None,
     scales: ArrayLike | None = None,
 ) -> dict[str, float]:
-    """Every indicator of the non-dominated part of ``returns`` (n, d) by name.
+    """All indicators of the non-dominated ones among ``returns`` (n, d), by name.
 
-    ``hypervolume`` needs the reference point (0 where no point dominates it: a front in the making), ``igd_plus`` and
-    ``additive_epsilon`` need the reference front; ``cardinality`` and ``expected_utility`` are always there.
+    ``hypervolume`` needs the reference point (and is 0 where no point dominates it), ``igd_plus`` and
+    ``additive_epsilon`` need the reference front; ``cardinality`` and ``expected_utility`` are always given.
 
     Args:
         returns: vector returns, maximised.
         reference_point: (d,).
-        reference_front: (k, d), the best-known one.
+        reference_front: (k, d), for example the best-known front.
         scales: (d,) nominal size of each objective's return; 1 if None.
 
     Raises:
@@ -182,7 +182,8 @@ def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:
         gaps = np.ones(n)
         gaps[1:-1] = (values[2:] - values[:-2]) / extent
         distances[order] += gaps
-    return distances / d
+    mean: NDArray[np.float64] = distances / d
+    return mean
 
 
 def spread(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> NDArray[np.intp]:

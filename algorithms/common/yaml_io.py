@@ -1,4 +1,4 @@
-"""Reading YAML as people write it: 3e-4 is a number, and a key that stands twice is a mistake."""
+"""Reading YAML as people write it: 3e-4 is a number, and a duplicated key is an error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FLOAT = re.compile(
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, with floats as above and repeated keys refused."""
+    """The safe loader, with floats as above and duplicated keys refused."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: dict[Any, int] = {}
@@ -29,7 +29,7 @@ class _Loader(yaml.SafeLoader):
             line = key_node.start_mark.line + 1
             if key in seen and key != "<<":
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} stands twice, in lines {seen[key]} and {line}"
+                    None, None, f"key {key!r} is duplicated, in lines {seen[key]} and {line}"
                 )
             if isinstance(key, str):
                 seen[key] = line
@@ -37,7 +37,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _ArgumentLoader(_Loader):
-    """For values on a command line, where sweep agents write Python's None."""
+    """For values on a command line, where sweep agents write Python's ``None`` for null."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -53,7 +53,7 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
 
     Raises:
         ValueError: naming the file and what is wrong with it: missing, unreadable, not YAML, not a mapping, a
-            repeated key.
+            duplicated key.
     """
     path = Path(path)
     try:
@@ -90,9 +90,10 @@ def dump(values: dict[str, Any]) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes the strings that the loader above would take for numbers; short lists stay on their line."""
+    """Quotes strings that the loader above would read as numbers; writes lists in one line."""
 
     def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> yaml.SequenceNode:
+        del flow_style
         return super().represent_sequence(tag, sequence, flow_style=True)
 
 

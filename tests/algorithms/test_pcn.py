@@ -70,7 +70,7 @@ def scramble(agent: PCN, size: float) -> None:
 
 
 def collected(agent: PCN, monkeypatch: pytest.MonkeyPatch) -> list[list[Episode]]:
-    """The episodes that go into the store from now on, one list per round."""
+    """The episodes that are added to the buffer from now on, one list per round."""
     rounds: list[list[Episode]] = []
     add = agent.buffer.add
 
