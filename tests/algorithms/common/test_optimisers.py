@@ -39,7 +39,7 @@ def step(parameters: list[torch.nn.Parameter], optimiser: torch.optim.Adam) -> N
 def test_a_restored_optimiser_takes_the_same_steps() -> None:
     (first, adam), (second, restored) = small_problem(), small_problem()
     step(first, adam)
-    set_optimiser_state(restored, optimiser_state(adam))
+    set_optimiser_state(restored, {name: tensor.clone() for name, tensor in optimiser_state(adam).items()})
     with torch.no_grad():
         for mine, theirs in zip(second, first, strict=True):
             mine.copy_(theirs)
