@@ -139,7 +139,7 @@ class BestFirstSearch:
         return SearchResult("", len(self.paths), exhausted=False)
 
     def _add(self, states: NDArray[Any], paths: list[str]) -> None:
-        """Add the most promising state of every bin that was not visited, as far as there is room."""
+        """Add the most promising state of every bin that was not visited, up to the capacity."""
         costs = estimated_costs(states)
         keys = bins(states, self.limits)
         rows = []

@@ -24,7 +24,7 @@ from mo_deepdrive.fronts import write as format_front
 
 @dataclass(frozen=True)
 class FrontSearchSettings:
-    """What a search does.
+    """Settings of a search, as on the command line of scripts/front.py.
 
     Attributes:
         scenario: "one_waypoint" or "static_obstacle".
@@ -32,7 +32,7 @@ class FrontSearchSettings:
         decisions: to simulate, at least; the last generation may exceed them.
         seed: of all random choices.
         anew: do not start from the shipped front.
-        episodes: sampled ones per policy of a recorded run; only reported.
+        episodes: sampled episodes per policy of the recorded runs; only for :meth:`command`.
     """
 
     scenario: str = "one_waypoint"
@@ -43,7 +43,7 @@ class FrontSearchSettings:
     episodes: int = 8
 
     def command(self, runs: Sequence[str] = ()) -> str:
-        """The command line that repeats the search, also from the runs of these names."""
+        """The command line that repeats the search, also from the named runs."""
         parts = [f"--scenario {self.scenario} --action-type {self.action_type}"]
         parts.append(f"--decisions {self.decisions} --seed {self.seed}")
         parts += ["--anew"] if self.anew else []
@@ -73,7 +73,11 @@ class FrontImprovement:
         return any(after < before for before, after in self.hypervolumes)
 
     def write(self, file: Path) -> int:
-        """Write the front found to ``file``, atomically; its size in characters."""
+        """Write the front found to ``file``, atomically; its size in characters.
+
+        Raises:
+            OSError: if the file cannot be written; it is then unchanged.
+        """
         text = format_front(self.settings.scenario, self.settings.action_type, self.policies)
         atomic_write(file, text.encode())
         return len(text)
@@ -97,6 +101,9 @@ def improve_front(
         shipped: file of the shipped front, which may be missing.
         recordings: of trained runs, from which the search also starts.
         on_progress: called after every generation with the number of decisions simulated.
+
+    Raises:
+        ValueError: if the shipped file is not a front of this action set.
     """
     search = FrontSearch(settings.scenario, settings.action_type, settings.seed)
     evaluator, plan_format = search.evaluator, search.evaluator.format
@@ -120,7 +127,7 @@ def improve_front(
         search.evolve(this_search)
         on_progress(evaluator.simulated_decisions)
 
-    # Plans of the start may have left the archive to another one of their box.
+    # The archive keeps one plan per box, so plans of the start that it dropped are candidates again.
     after = select_front(search.archive.append(start), search.references)
     volumes = zip(search.hypervolumes(before), search.hypervolumes(after), strict=True)
     return FrontImprovement(
