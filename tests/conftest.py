@@ -1,4 +1,4 @@
-"""What every test module shares: the hypothesis profile, the recorded trajectories, environments without wrappers."""
+"""Shared by all tests: the Hypothesis profile, the recorded trajectories, environments without wrappers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ hypothesis.settings.load_profile("mo-deepdrive")
 
 @pytest.fixture(autouse=True, scope="module")
 def _one_thread() -> Iterator[None]:
-    """Torch on one thread: tests run side by side, and its threads would wait for each other."""
+    """Run torch on one thread: tests run in parallel, and its threads would compete for the cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -97,7 +97,7 @@ def make_vector() -> Callable[..., Any]:
 
 @pytest.fixture(scope="session")
 def run_python() -> Callable[[str], str]:
-    """Run a snippet in a fresh interpreter and return what it prints; it fails the test if it fails."""
+    """Run a snippet in a new interpreter and return its output; the test fails if the snippet does."""
 
     def run(snippet: str) -> str:
         paths = [str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])]
@@ -115,7 +115,7 @@ WIDTH, LENGTH = 2.300675555555556, 5.17652
 
 
 class Shapes:
-    """Slow and plain geometry of convex shapes, independent of the package: a box is its four corners."""
+    """Slow, simple geometry of convex shapes, independent of the package; a box is given by its four corners."""
 
     width = WIDTH
     length = LENGTH
@@ -130,8 +130,11 @@ class Shapes:
 
     @staticmethod
     def gap(first: np.ndarray, second: np.ndarray) -> float:
-        """Largest gap between the projections of two convex shapes (n, 2) on the normals (and, for segments and
-        points, the directions) of all their edges: positive where they are apart, negative where they overlap."""
+        """Largest gap between the projections of two convex shapes (n, 2), by the separating axis theorem.
+
+        The axes are the normals of all edges and, for segments and points, their directions. Positive where the shapes
+        are apart, negative where they overlap.
+        """
         axes = [np.array([1.0, 0.0]), np.array([0.0, 1.0])]
         for shape in (first, second):
             for edge in np.roll(shape, -1, axis=0) - shape:
@@ -147,7 +150,7 @@ class Shapes:
 
 @pytest.fixture(scope="session")
 def shapes() -> type[Shapes]:
-    """Slow and plain geometry, to hold the package's against."""
+    """Slow, simple geometry with which the package's is compared."""
     return Shapes
 
 
@@ -161,5 +164,5 @@ def chase_waypoint(observation: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def chase() -> Callable[[np.ndarray], np.ndarray]:
-    """A policy for one vehicle: it arrives where nothing stands in its way."""
+    """A policy for one vehicle that arrives if nothing is in its way."""
     return chase_waypoint

@@ -1,6 +1,6 @@
-"""What the tests of the faces share: drives at the intersection, recorded once, and one player per face.
+"""Helpers of the tests of the APIs: trajectories at the intersection, recorded once, and one player per API.
 
-A player replays the joint actions of a :class:`Drive` through one face and returns what each vehicle was told in each
+A player replays the joint actions of a :class:`Drive` through one API and returns what each vehicle received in each
 episode. All players must return the same, bit for bit.
 """
 
@@ -29,7 +29,7 @@ _AT = {entry.name: k for k, entry in enumerate(layout(SCENARIOS["intersection"])
 
 @dataclass(frozen=True)
 class Report:
-    """What one vehicle is told at once; the first one of an episode, after the reset, has a reward of zeros."""
+    """What one vehicle receives in one step; the first report of an episode, after the reset, has a reward of zeros."""
 
     observation: np.ndarray
     reward: np.ndarray
@@ -43,11 +43,11 @@ Episode = tuple[list[Report], ...]  # the reports of every vehicle
 
 @dataclass(frozen=True)
 class Plan:
-    """How to drive one episode: a driver per vehicle, what is pinned, and how the vehicles then end.
+    """One episode: a driver per vehicle, the reset options, and why each vehicle's episode is expected to end.
 
     Attributes:
         drivers: one per vehicle.
-        ends: why each vehicle ends.
+        ends: why each vehicle's episode ends.
         ends_together: the same under ``end_together=True``.
         pins: reset options.
     """
@@ -60,10 +60,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Drive:
-    """Joint actions of several episodes in a row: the first is reset with SEED, the others go on drawing.
+    """Joint actions of consecutive episodes: the first is reset with SEED, the others without a seed.
 
     Attributes:
-        arguments: of the environment, beside the scenario.
+        arguments: of the environment, besides the scenario.
         pins: reset options per episode.
         actions: joint actions per episode, (decisions, vehicles) or (decisions, vehicles, 3).
     """
@@ -73,7 +73,7 @@ class Drive:
     actions: list[np.ndarray]
 
     def resets(self) -> list[tuple[dict[str, Any], np.ndarray]]:
-        """Per episode the arguments of ``reset`` and the joint actions."""
+        """The arguments of ``reset`` and the joint actions of each episode."""
         seeds = [SEED] + [None] * (len(self.actions) - 1)
         return [
             ({"seed": seed, "options": pins}, actions)
@@ -85,7 +85,7 @@ class Drive:
 
 
 def control(observation: np.ndarray, steer: float, speed: float, action_type: str) -> Any:
-    """The action nearest to a steer (rad, positive to the left) and a speed (m/s); -1 m/s is a full brake."""
+    """The action closest to a steer (rad, positive to the left) and a speed (m/s); -1 m/s brakes fully."""
     now = float(observation[_AT["speed"]])
     if action_type == CONTINUOUS:
         brake = 1.0 if speed < 0.0 else -1.0
@@ -110,7 +110,7 @@ def stand(observation: np.ndarray, action_type: str) -> Any:
 
 
 def give_way(observation: np.ndarray, action_type: str) -> Any:
-    """Wait until the other has left the road, then drive."""
+    """Wait until the other vehicle has left the road, then drive."""
     alone = float(observation[_AT["other_front_left_distance"]]) == ABSENT_DISTANCE
     return (pursue if alone else stand)(observation, action_type)
 
@@ -121,7 +121,7 @@ def straight(observation: np.ndarray, action_type: str) -> Any:
 
 
 def slam(observation: np.ndarray, action_type: str) -> Any:
-    """Drive straight on, and brake as hard as possible when fast."""
+    """Drive straight on, and brake as hard as possible at high speed."""
     speed, throttle = float(observation[_AT["speed"]]), float(observation[_AT["throttle"]])
     braking = speed > 5.5 or (throttle <= 0.0 and speed > 3.0)
     return control(observation, 0.0, -1.0 if braking else 10.0, action_type)
@@ -159,7 +159,7 @@ PLANS: dict[str, Plan] = {
 
 @functools.cache
 def record(action_type: str, end_together: bool) -> Drive:
-    """Drive every plan through the vector face, once."""
+    """Record every plan in the vector environment, once."""
     arguments = {"action_type": action_type, "end_together": end_together}
     env = make_vector(1, arguments)
     actions = []
@@ -179,17 +179,18 @@ def record(action_type: str, end_together: bool) -> Drive:
 
 
 def make_vector(num_envs: int, arguments: dict[str, Any]) -> Any:
+    """The vector environment of the intersection, without autoreset."""
     return gymnasium.make_vec("mo-deepdrive-intersection-v0", num_envs=num_envs, autoreset_mode="Disabled", **arguments)
 
 
 def play_vector(drive: Drive) -> list[Episode]:
-    """The vector face with one world."""
+    """The vector environment with one copy."""
     env = make_vector(1, drive.arguments)
     return [_play_row(env, 0, actions, env.reset(**reset)[0]) for reset, actions in drive.resets()]
 
 
 def play_row(drive: Drive) -> list[Episode]:
-    """A row of the vector face among others that drive at random and start anew whenever they end."""
+    """One row of the vector environment; the other rows take random actions and are reset whenever they end."""
     row, worlds = 3, 5
     env = make_vector(worlds, drive.arguments)
     env.action_space.seed(0)
@@ -204,7 +205,7 @@ def play_row(drive: Drive) -> list[Episode]:
 
 
 def _play_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray) -> Episode:
-    """One episode of world ``row``, which has just been reset."""
+    """One episode of environment ``row``, which has just been reset."""
     zeros = np.zeros(env.reward_dim, dtype=np.float32)
     reports: Episode = tuple([Report(observations[row, v], zeros)] for v in range(VEHICLES))
     for joint in actions:
@@ -224,7 +225,7 @@ def _play_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray)
 
 
 def play_turn_based(drive: Drive) -> list[Episode]:
-    """The alternating Gymnasium face."""
+    """The turn-based Gymnasium API."""
     env = gymnasium.make("mo-deepdrive-intersection-v0", disable_env_checker=True, **drive.arguments).unwrapped
     episodes = []
     for reset, actions in drive.resets():
@@ -237,7 +238,7 @@ def play_turn_based(drive: Drive) -> list[Episode]:
             decision = min(len(reports[vehicle]), len(actions)) - 1
             observation, reward, terminated, truncated, info = env.step(actions[decision][vehicle])
             end = info.get("end", "")
-            # The flags are down until the last turn of all, but each vehicle knows its own by its end.
+            # The flags are False until the last turn of the episode; those of a vehicle follow from why it ended.
             flags = end not in ("", "time_limit"), end == "time_limit"
             assert (terminated, truncated) in (flags, (False, False))
             reports[info["vehicle"]].append(Report(observation, reward, *flags, end))
@@ -247,7 +248,7 @@ def play_turn_based(drive: Drive) -> list[Episode]:
 
 
 def play_parallel(drive: Drive) -> list[Episode]:
-    """The parallel face, whose vehicles leave when they end."""
+    """The parallel API, in which vehicles leave when their episode ends."""
     env = mo_deepdrive.parallel_env(**drive.arguments)
     episodes = []
     for reset, actions in drive.resets():
@@ -264,7 +265,7 @@ def play_parallel(drive: Drive) -> list[Episode]:
 
 
 def play_kept(drive: Drive) -> list[Episode]:
-    """The parallel face that keeps finished vehicles, of which it must repeat the last observation and pay nothing."""
+    """The parallel API that keeps finished vehicles, with their last observation and a reward of zeros."""
     env = mo_deepdrive.parallel_env(keep_finished=True, **drive.arguments)
     episodes = []
     for reset, actions in drive.resets():
@@ -291,7 +292,7 @@ def play_kept(drive: Drive) -> list[Episode]:
 
 
 def play_aec(drive: Drive) -> list[Episode]:
-    """The AEC face."""
+    """The AEC API."""
     env = mo_deepdrive.env(**drive.arguments)
     episodes = []
     for reset, actions in drive.resets():
@@ -307,7 +308,7 @@ def play_aec(drive: Drive) -> list[Episode]:
 
 
 def begin(env: Any, observations: dict[str, np.ndarray]) -> Episode:
-    """The reports after a reset of a face whose agents are named."""
+    """The reports after a reset of an API with named agents."""
     zeros = np.zeros(env.reward_dim, dtype=np.float32)
     return tuple([Report(observations[agent], zeros)] for agent in env.possible_agents)
 
@@ -323,7 +324,7 @@ FACES: dict[str, Callable[[Drive], list[Episode]]] = {
 
 
 def assert_same(episodes: list[Episode], others: list[Episode]) -> None:
-    """Both hold the same reports, observations and rewards bit for bit."""
+    """Assert that both hold the same reports, with observations and rewards equal bit for bit."""
     assert len(episodes) == len(others)
     for episode, other in zip(episodes, others, strict=True):
         for vehicle, (mine, theirs) in enumerate(zip(episode, other, strict=True)):

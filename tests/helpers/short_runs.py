@@ -1,4 +1,4 @@
-"""Runs of a second or less, and what it means that two runs are the same."""
+"""Training runs of a second or less, and assertions that two runs are the same."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ VALUES: dict[str, Any] = {
 
 
 def job(folder: Path, seed: int = 0, **training: Any) -> Job:
-    """A run in folder/seedN."""
+    """A job whose run directory is folder/seedN."""
     values = {**VALUES, "training": {**VALUES["training"], "seed": seed, **training}}
     total = values["training"]["total_timesteps"]
     values["evaluation"] = {**VALUES["evaluation"], "interval": total // 3}
@@ -35,18 +35,18 @@ def job(folder: Path, seed: int = 0, **training: Any) -> Job:
 
 
 def quiet() -> Console:
-    """A console that keeps what is printed."""
+    """A console that captures its output."""
     return Console(file=io.StringIO(), width=200)
 
 
 def printed(console: Console) -> str:
-    """What a quiet console was told."""
+    """The output that a quiet console has captured."""
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
 
 def metrics(run: Path) -> list[dict[str, str]]:
-    """The rows of metrics.csv without the speed."""
+    """The rows of metrics.csv, without the columns that measure time."""
     with (run / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert rows
@@ -54,7 +54,7 @@ def metrics(run: Path) -> list[dict[str, str]]:
 
 
 def assert_same_run(first: Path, second: Path) -> None:
-    """The same weights and optimiser, the same curves, the same final evaluation; and both are finished."""
+    """Assert that both runs are finished, with equal checkpoints, metrics and final evaluations."""
     for path in (first, second):
         assert json.loads((path / "status.json").read_text())["state"] == "finished"
     one, other = (load_file(path / "checkpoint.safetensors") for path in (first, second))
@@ -66,7 +66,7 @@ def assert_same_run(first: Path, second: Path) -> None:
 
 
 def assert_whole(run: Path) -> None:
-    """No file of a finished run is torn, none is left over, and no step is logged twice."""
+    """Assert that a finished run has no incomplete row, no temporary file, and no step logged twice."""
     assert not list(run.glob(".*.tmp"))
     rows = metrics(run)
     assert all(None not in row and None not in row.values() for row in rows)

@@ -1,0 +1,131 @@
+"""Evaluation of plans: their episodes in the compiled simulation, a whole generation in one call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from algorithms.planning.driving_rules import RULE, follow_rule
+from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFormat, Plans
+from mo_deepdrive.actions import decode_continuous, decode_discrete
+from mo_deepdrive.batch import WorldBatch
+from mo_deepdrive.fronts import front_config
+from mo_deepdrive.scenarios import DRAWS
+from mo_deepdrive.simulation.dynamics import PATH_WIDTH
+from mo_deepdrive.simulation.kernel import step_world
+from mo_deepdrive.simulation.state import RUNNING
+
+
+# Not cached on disk: Numba would not notice a change of the functions of other modules that it calls.
+@numba.njit
+def simulate_plans(
+    worlds: NDArray[Any],
+    plans: NDArray[Any],
+    rules: Any,
+    table: NDArray[Any],
+    params: Any,
+    path: NDArray[Any],
+    controls: NDArray[Any],
+    discrete: NDArray[Any],
+    continuous: NDArray[Any],
+    weights: NDArray[Any],
+    returns: NDArray[Any],
+    lengths: NDArray[Any],
+) -> None:
+    """Simulate one plan in each world until its episode ends.
+
+    Args:
+        worlds: (n, 1) of VEHICLE at their starts, changed in place.
+        plans: (n, decisions, k) int16; the actions of rules are written.
+        rules: (n,) of RULE.
+        table: (actions, 4) of a discrete action set; empty for a continuous one.
+        params: (1,) of PARAMS.
+        path: scratch, the path of one world.
+        controls: (n, 1, 3) scratch.
+        discrete: (1, 1) integers, scratch.
+        continuous: (1, 1, 3) scratch.
+        weights: (gammas, decisions) discount of each decision.
+        returns: (gammas, n, d), added to.
+        lengths: (n,), written: decisions until the episode ended.
+    """
+    for i in range(len(worlds)):
+        vehicle = worlds[i, 0]
+        via_reached = False
+        for t in range(plans.shape[1]):
+            if t >= rules[i].first_decision:
+                via_reached = follow_rule(vehicle, rules[i], via_reached, table, plans[i, t])
+            if len(table):
+                discrete[0, 0] = plans[i, t, 0]
+                decode_discrete(worlds[i : i + 1], discrete, table, controls[i : i + 1])
+            else:
+                for axis in range(3):
+                    continuous[0, 0, axis] = plans[i, t, axis] / FULL_SCALE
+                decode_continuous(continuous, controls[i : i + 1])
+            step_world(worlds, i, controls, params[0], path)
+            for k in range(params[0].n_objectives):
+                value = params[0].objective_sign[k] * vehicle.objectives[params[0].objective_index[k]]
+                for g in range(len(weights)):
+                    returns[g, i, k] += weights[g, t] * np.float32(value)
+            if vehicle.end != RUNNING:
+                lengths[i] = t + 1
+                break
+
+
+class PlanEvaluator:
+    """Evaluates plans in the scenario of a best-known front, which is the same in every episode.
+
+    Args:
+        scenario: "one_waypoint" or "static_obstacle".
+        action_type: "discrete", "discrete-16" or "continuous".
+
+    Attributes:
+        batch: one world at the start of the scenario.
+        format: of the plans.
+        simulated_decisions: decisions simulated so far.
+    """
+
+    def __init__(self, scenario: str, action_type: str):
+        config = front_config(scenario, action_type)
+        self.batch = WorldBatch(config, 1)
+        self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), DRAWS)))
+        self.format = PlanFormat(action_type, config.max_decisions)
+        self.simulated_decisions = 0
+        self._path = np.zeros((1, config.physics_steps + 1, PATH_WIDTH))
+        self._weights = np.array([gamma ** np.arange(config.max_decisions) for gamma in GAMMAS])
+
+    def evaluate(self, plans: Plans, source: int, rules: NDArray[Any] | None = None) -> EvaluatedPlans:
+        """Simulate the episodes of plans.
+
+        Args:
+            plans: (n, decisions, k), changed in place: the actions of rules are written, and idle actions after the
+                end of an episode.
+            source: index of what found the plans.
+            rules: (n,) of RULE, each of which replaces its plan from its ``first_decision`` on; None for no rules.
+        """
+        n, d = len(plans), len(self.batch.objectives)
+        if rules is None:
+            rules = np.zeros(n, dtype=RULE)
+            rules["first_decision"] = self.format.decisions
+        returns = np.zeros((len(GAMMAS), n, d))
+        lengths = np.zeros(n, dtype=np.int64)
+        simulate_plans(
+            np.repeat(self.batch.state, n, axis=0),
+            plans,
+            rules.view(np.recarray),
+            self.format.table,
+            self.batch.params,
+            self._path,
+            np.zeros((n, 1, 3)),
+            np.zeros((1, 1), dtype=np.int64),
+            np.zeros((1, 1, 3)),
+            self._weights,
+            returns,
+            lengths,
+        )
+        for plan, length in zip(plans, lengths, strict=True):
+            plan[length:] = self.format.idle
+        self.simulated_decisions += int(lengths.sum())
+        return EvaluatedPlans(plans, lengths, returns, np.full(n, source))

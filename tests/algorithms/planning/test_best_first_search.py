@@ -1,0 +1,24 @@
+"""The order in which the best-first search expands nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from algorithms.planning.best_first_search import estimated_costs
+
+FAR = ((19.5, 46.0), (20.5, 46.0))  # a bicycle at the edge of the map
+STRAIGHT_AHEAD = (30.0, 25.5)
+
+
+def test_the_estimated_way_leads_around_the_bicycle(make_single: Callable[..., Any]) -> None:
+    """A bicycle across the way makes it longer; one off the way or behind the destination does not."""
+    env = make_single("static_obstacle")
+    costs = []
+    for obstacle in (FAR, ((20.0, 24.0), (20.0, 27.0)), ((32.0, 24.0), (32.0, 27.0))):
+        env.reset(seed=0, options={"obstacle": obstacle, "destination": STRAIGHT_AHEAD})
+        costs.append(float(estimated_costs(env.batch.state[0])[0]))
+    assert costs[1] > costs[0] + 0.1
+    assert costs[2] == pytest.approx(costs[0])

@@ -1,0 +1,38 @@
+"""The evaluation of plans, compared with a replay in the batch of worlds of the environments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from algorithms.planning.driving_rules import random_rules
+from algorithms.planning.plan_evaluation import PlanEvaluator
+from algorithms.planning.plans import GAMMAS
+from mo_deepdrive.fronts import discounted_sum
+from mo_deepdrive.fronts import replay as replay_sequences
+
+
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
+@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
+def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
+    evaluator = PlanEvaluator(scenario, action_type)
+    rules = random_rules(8, np.random.default_rng(1), evaluator.batch)
+    evaluated = evaluator.evaluate(evaluator.format.idle_plans(8), 3, rules)
+    sequences = [evaluator.format.to_sequence(plan) for plan in evaluated.plans]
+    rewards = replay_sequences(scenario, action_type, sequences)
+    for returns, gamma in zip(evaluated.returns, GAMMAS, strict=True):
+        np.testing.assert_allclose(returns, discounted_sum(rewards, gamma), rtol=1e-5, atol=2e-5)
+    assert evaluated.sources.tolist() == [3] * 8
+    assert evaluator.simulated_decisions == evaluated.lengths.sum()
+
+
+def test_plans_idle_after_the_end_and_follow_a_rule_from_its_first_decision_on() -> None:
+    evaluator = PlanEvaluator("one_waypoint", "discrete")
+    plans = evaluator.format.idle_plans(64)
+    plans[:] = 3  # full throttle
+    rules = random_rules(64, np.random.default_rng(2), evaluator.batch)
+    rules["first_decision"] = 5
+    evaluated = evaluator.evaluate(plans, 0, rules)
+    assert (evaluated.plans[:, :5] == 3).all()
+    assert (evaluated.plans[:, 5:] != 3).any()
+    assert all((plan[length:] == 0).all() for plan, length in zip(evaluated.plans, evaluated.lengths, strict=True))

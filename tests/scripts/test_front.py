@@ -1,0 +1,124 @@
+"""scripts/front.py: what it writes is reproducible, evaluated in the simulation, and never a smaller front."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from algorithms.planning import front_search
+from mo_deepdrive.fronts import GAMMA, discounted_sum
+from mo_deepdrive.fronts import decode as decode_actions
+from mo_deepdrive.fronts import read as read_front
+from mo_deepdrive.fronts import replay as replay_sequences
+from mo_deepdrive.fronts import write as format_front
+
+OPEN = ("one_waypoint", "static_obstacle")
+SMALL = ["--decisions", "300000", "--anew"]
+RUN = "one_waypoint_linear-a2c-printed"  # in the zoo
+
+
+@pytest.fixture(scope="module")
+def front(repository: Path) -> ModuleType:
+    """The script as a module."""
+    spec = importlib.util.spec_from_file_location("front", repository / "scripts" / "front.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def shipped(front: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the script reads and writes the shipped front in a test; there is none yet."""
+    file = tmp_path / "shipped.json"
+    monkeypatch.setattr(front, "shipped_front_file", lambda scenario, action_type: file)
+    return file
+
+
+@pytest.mark.parametrize("scenario", OPEN)
+@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
+def test_a_search_writes_policies_with_the_returns_of_their_replay(
+    front: ModuleType, tmp_path: Path, scenario: str, action_type: str
+) -> None:
+    file = tmp_path / "front.json"
+    arguments = ["--scenario", scenario, "--action-type", action_type, *SMALL, "--output", str(file)]
+    assert front.main(arguments) == 0
+    text = file.read_text(encoding="utf-8")
+    policies = read_front(text)
+    assert format_front(scenario, action_type, policies) == text
+    sequences = [decode_actions(policy.actions, action_type) for policy in policies]
+    replayed = discounted_sum(replay_sequences(scenario, action_type, sequences), GAMMA)
+    np.testing.assert_allclose(replayed, [policy.discounted for policy in policies], rtol=1e-5, atol=2e-5)
+    assert (np.diff(replayed[:, 0]) <= 1e-5).all()
+    assert {policy.source for policy in policies} == {
+        f"python scripts/front.py --scenario {scenario} --action-type {action_type} --decisions 300000 --seed 0 --anew"
+    }
+
+
+def test_the_same_seed_writes_the_same_file_and_another_seed_another(
+    front: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(front_search, "POPULATION", 256)
+    files = [tmp_path / f"{name}.json" for name in "abc"]
+    for file, seed in zip(files, ("0", "0", "1"), strict=True):
+        # More than RULE_GENERATIONS generations, so that there are offspring too.
+        front.main(["--decisions", "600000", "--anew", "--seed", seed, "--output", str(file)])
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert json.loads(files[0].read_text())["policies"] != json.loads(files[2].read_text())["policies"]
+
+
+def test_a_front_is_replaced_by_a_larger_one_and_kept_otherwise(
+    front: ModuleType, shipped: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert front.main(SMALL) == 0
+    first = shipped.read_bytes()
+    assert "policies written to" in capsys.readouterr().out
+    assert front.main(["--decisions", "0", "--anew"]) == 0
+    assert "nothing is written" in capsys.readouterr().out
+    assert shipped.read_bytes() == first
+    assert front.main(["--decisions", "3000000", "--seed", "7"]) == 0
+    assert "policies written to" in capsys.readouterr().out
+    sources = {policy.source for policy in read_front(shipped.read_text(encoding="utf-8"))}
+    assert any("--seed 7" in source for source in sources)
+
+
+def test_policies_of_a_run_join_the_search(front: ModuleType, shipped: Path) -> None:
+    assert front.main(["--decisions", "0", "--anew", "--episodes", "3", "--from", RUN]) == 0
+    policies = read_front(shipped.read_text(encoding="utf-8"))
+    assert {policy.source.split()[0] for policy in policies} == {"run", "python"}
+
+
+def test_a_run_of_another_scenario_or_action_set_is_refused(
+    front: ModuleType, shipped: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert front.main(["--scenario", "static_obstacle", "--decisions", "0", "--from", RUN]) == 2
+    assert "has scenario = 'one_waypoint'; the front needs 'static_obstacle'" in capsys.readouterr().err
+    assert front.main(["--action-type", "continuous", "--decisions", "0", "--from", RUN]) == 2
+    assert "has action_type = 'discrete'; the front needs 'continuous'" in capsys.readouterr().err
+    assert front.main(["--decisions", "0", "--from", "no/such/run"]) == 2
+    assert "no/such/run" in capsys.readouterr().err
+    assert not shipped.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "intersection"], "invalid choice: 'intersection'"),
+        (["--decisions", "-1"], "--decisions -1 must be at least 0"),
+        (["--seed", "-1"], "--seed -1 must be at least 0"),
+        (["--episodes", "-1"], "--episodes -1 must be at least 0"),
+        (["--output", "/no/such/folder/front.json"], "there is no folder /no/such/folder"),
+    ],
+)
+def test_bad_arguments_are_refused(
+    front: ModuleType, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        front.main(arguments)
+    assert message in capsys.readouterr().err
