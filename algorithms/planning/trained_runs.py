@@ -71,7 +71,7 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int) -> Run
         num_envs = repeats
         if isinstance(agent, PCN):
             desired, horizon = agent.commands()
-            policy = agent.commanded(np.repeat(desired, repeats, axis=0), np.repeat(horizon, repeats))
+            policy = agent.command(np.repeat(desired, repeats, axis=0), np.repeat(horizon, repeats))
             num_envs = repeats * len(horizon)
         if num_envs:
             env = EnvAdapter(make_env(settings.id, num_envs, arguments))
