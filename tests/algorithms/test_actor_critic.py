@@ -98,7 +98,7 @@ def toy_agent(
     ],
     ids=str,
 )
-def test_eval_gives_actions_in_the_terms_of_a_foreign_environment(
+def test_eval_returns_actions_of_another_librarys_action_space(
     cls: type[ActorCritic], action_space: spaces.Space[Any]
 ) -> None:
     agent = toy_agent(cls, action_space)
@@ -109,7 +109,7 @@ def test_eval_gives_actions_in_the_terms_of_a_foreign_environment(
 
 
 @CLASSES
-def test_eval_of_a_continuous_policy_of_ours_stays_in_the_action_space(cls: type[ActorCritic]) -> None:
+def test_eval_of_a_continuous_policy_stays_in_the_action_space(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, env=CONTINUOUS)
     exaggerate(agent, 3e4)
     for value in np.linspace(-9.0, 9.0, 7):
@@ -118,7 +118,7 @@ def test_eval_of_a_continuous_policy_of_ours_stays_in_the_action_space(cls: type
 
 
 @CLASSES
-def test_eval_understands_the_observations_of_a_foreign_discrete_space(cls: type[ActorCritic]) -> None:
+def test_eval_accepts_observations_of_a_discrete_space(cls: type[ActorCritic]) -> None:
     agent = toy_agent(cls, spaces.Discrete(7), spaces.Discrete(9))
     exaggerate(agent)
     expected = agent.act(np.eye(9, dtype=np.float32)[:, None], AccruedReward.begin(9, 1, 2), None)[:, 0]
@@ -127,7 +127,7 @@ def test_eval_understands_the_observations_of_a_foreign_discrete_space(cls: type
 
 
 @CLASSES
-def test_schedules_move_from_their_first_value_to_their_last(cls: type[ActorCritic]) -> None:
+def test_schedules_run_from_their_first_value_to_their_last(cls: type[ActorCritic]) -> None:
     settings = {"entropy_start": 0.1, "entropy_end": 0.001, "entropy_until": 0.5}
     agent = make_agent(
         cls, num_envs=4, steps=5, learning_rate=1e-3, learning_rate_end=0.0, **settings, env={"time_limit": 1.0}
@@ -223,14 +223,12 @@ def test_a_hyperparameter_of_another_algorithm_is_refused() -> None:
         ("objective_scales", 1.0),
     ],
 )
-def test_an_ill_typed_or_unfit_hyperparameter_is_refused_by_name(
-    cls: type[ActorCritic], name: str, value: object
-) -> None:
+def test_an_invalid_hyperparameter_is_refused_by_name(cls: type[ActorCritic], name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):
         make_agent(cls, **{name: value})
 
 
-def test_unfit_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
+def test_invalid_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="value_scale"):
         make_agent(A2C, value_scale=0.0)
     with pytest.raises(ValueError, match=r"'advantage' = 'as_print'.*'as_printed'"):
@@ -239,14 +237,14 @@ def test_unfit_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
         make_agent(MOA2C, observe_discount="no")
 
 
-def test_every_unfit_hyperparameter_is_named_at_once() -> None:
+def test_all_invalid_hyperparameters_are_named_at_once() -> None:
     with pytest.raises(ValueError, match="gamma") as refusal:
         make_agent(A2C, gamma=2.0, steps=0, hiden=[3])
     assert all(name in str(refusal.value) for name in ("'gamma' = 2.0", "'steps' = 0", "'hidden'"))
 
 
 @CLASSES
-def test_the_settings_of_a_run_are_plain_and_make_the_same_agent_again(cls: type[ActorCritic]) -> None:
+def test_the_config_is_plain_data_and_rebuilds_the_same_agent(cls: type[ActorCritic]) -> None:
     settings = {"seed": 7, "gamma": 0.9, "hidden": [16], "objective_scales": [1.0, 2.0, 3.0, 4.0]}
     agent = make_agent(cls, **settings)
     config = json.loads(json.dumps(agent.get_config()))
@@ -267,14 +265,14 @@ def test_objective_scales_replace_those_of_the_environment() -> None:
 
 
 @CLASSES
-def test_a_utility_of_another_width_is_refused(cls: type[ActorCritic]) -> None:
+def test_a_utility_over_another_number_of_objectives_is_refused(cls: type[ActorCritic]) -> None:
     narrow = make_utility("linear", ("distance", "jerk"), weights=[1.0, 1.0])
     with pytest.raises(ValueError, match=r"'linear' reads .*'distance', 'jerk'.*the environment emits"):
         make_agent(cls, utility=narrow)
 
 
 @CLASSES
-def test_a_utility_that_reads_our_objectives_in_another_order_is_refused(cls: type[ActorCritic]) -> None:
+def test_a_utility_over_the_objectives_in_another_order_is_refused(cls: type[ActorCritic]) -> None:
     utility = make_utility("one_waypoint_linear", ("distance", "destination", "g_force", "jerk"))
     with pytest.raises(ValueError, match="one_waypoint_linear"):
         make_agent(cls, env={"objectives": ["jerk", "distance", "destination", "g_force"]}, utility=utility)
@@ -282,7 +280,7 @@ def test_a_utility_that_reads_our_objectives_in_another_order_is_refused(cls: ty
 
 @CLASSES
 @pytest.mark.parametrize("number", [1, 3])
-def test_another_number_of_utilities_than_vehicles_is_refused(cls: type[ActorCritic], number: int) -> None:
+def test_the_wrong_number_of_utilities_is_refused(cls: type[ActorCritic], number: int) -> None:
     objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
     utility = make_utility("intersection_linear", objectives)
     with pytest.raises(ValueError, match=f"{number} utilities for 2 vehicles"):
@@ -316,7 +314,7 @@ def test_a_centralised_critic_sees_the_other_vehicle_and_the_actor_does_not(cls:
 
 
 @CLASSES
-def test_a_critic_of_its_own_does_not_see_the_other_vehicle(cls: type[ActorCritic]) -> None:
+def test_a_decentralised_critic_does_not_see_the_other_vehicle(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, INTERSECTION, num_envs=3, steps=6)
     mine = joint_rollout(agent).of_vehicle(0, agent.device)
     inputs = agent.learners[0].inputs(mine.observations, mine.accrued, mine.discounts)
@@ -324,7 +322,7 @@ def test_a_critic_of_its_own_does_not_see_the_other_vehicle(cls: type[ActorCriti
 
 
 @CLASSES
-def test_the_value_after_a_time_limit_is_that_of_what_both_vehicles_saw_last(cls: type[ActorCritic]) -> None:
+def test_the_value_after_truncation_uses_the_final_observations_of_both_vehicles(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, INTERSECTION, num_envs=2, steps=6, env={"time_limit": 0.3}, centralised_critic=True)
     rollout = joint_rollout(agent)
     learner = agent.learners[1]
@@ -343,18 +341,18 @@ def test_the_value_after_a_time_limit_is_that_of_what_both_vehicles_saw_last(cls
         assert not torch.equal(rollout.final[t, i], rollout.observations[t + 1, i])
 
 
-def test_a_vehicle_that_ends_alone_leaves_what_the_other_saw_at_that_moment() -> None:
+def test_a_vehicle_that_ends_alone_keeps_the_other_vehicles_observation_of_that_step() -> None:
     # A limit on the g-force that random driving soon exceeds.
     agent = make_agent(MOPPO, INTERSECTION, num_envs=16, steps=64, env={"harmful_g_force": 0.3})
     exaggerate(agent)
-    worlds, seen = agent.env, []
-    inner = worlds.step
+    adapter, seen = agent.env, []
+    inner = adapter.step
 
     def spy(actions: Any) -> Any:
         seen.append(inner(actions))
         return seen[-1]
 
-    worlds.step = spy  # type: ignore[method-assign]
+    adapter.step = spy  # type: ignore[method-assign]
     rollout = joint_rollout(agent)
     alone = 0
     for t, step in enumerate(seen):
@@ -370,7 +368,7 @@ def test_a_centralised_critic_is_refused_for_one_vehicle(cls: type[ActorCritic])
         make_agent(cls, centralised_critic=True)
 
 
-def test_a_checkpoint_of_a_centralised_critic_is_refused_by_one_of_its_own(tmp_path: Any) -> None:
+def test_a_checkpoint_of_a_centralised_critic_is_refused_by_a_decentralised_one(tmp_path: Any) -> None:
     path = tmp_path / "checkpoint.safetensors"
     make_agent(MOPPO, INTERSECTION, centralised_critic=True).save(path)
     with pytest.raises(ValueError, match="centralised_critic = True; this agent has False"):

@@ -1,4 +1,4 @@
-"""Every actor-critic runs, repeats with its seed, resumes bit for bit, refuses foreign checkpoints and learns."""
+"""Every actor-critic runs, repeats with its seed, resumes bit for bit, refuses other agents' checkpoints and learns."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_training_stops_at_the_first_update_that_reaches_the_total(cls: type[Act
 
 
 @CLASSES
-def test_training_stops_when_it_is_told_to(cls: type[ActorCritic]) -> None:
+def test_training_stops_when_after_update_returns_true(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=4, steps=5)
     seen = []
 
@@ -151,7 +151,7 @@ def test_training_stops_when_it_is_told_to(cls: type[ActorCritic]) -> None:
     assert seen == [20, 40]
 
 
-def test_metrics_are_logged_every_so_many_updates_and_at_the_end() -> None:
+def test_metrics_are_logged_at_the_log_interval_and_at_the_end() -> None:
     lines = recorded(make_agent(MOA2C, num_envs=4, steps=5, env={"time_limit": 0.3}), 140, log_interval=3)
     assert [step for step, _ in lines] == [60, 120, 140]
     metrics = lines[0][1]
@@ -161,7 +161,7 @@ def test_metrics_are_logged_every_so_many_updates_and_at_the_end() -> None:
     assert all(math.isfinite(value) for value in metrics.values())
 
 
-def test_metrics_of_two_vehicles_are_logged_apart() -> None:
+def test_metrics_of_two_vehicles_are_logged_separately() -> None:
     lines = recorded(make_agent(A2C, INTERSECTION, num_envs=4, steps=5, env={"time_limit": 0.3}), 20)
     for v in (0, 1):
         assert lines[-1][1][f"train/vehicle_{v}/length"] == 3.0
@@ -264,9 +264,7 @@ def test_saving_changes_nothing(cls: type[ActorCritic], tmp_path: Path) -> None:
 
 
 @CLASSES
-def test_training_goes_on_from_a_checkpoint_where_the_environment_cannot_give_its_state(
-    cls: type[ActorCritic], tmp_path: Path
-) -> None:
+def test_training_resumes_where_the_environment_cannot_be_saved(cls: type[ActorCritic], tmp_path: Path) -> None:
     first = make_agent(cls, SEA, steps=8)
     first.train(64)
     first.save(tmp_path / "checkpoint")
@@ -277,7 +275,7 @@ def test_training_goes_on_from_a_checkpoint_where_the_environment_cannot_give_it
 
 
 @CLASSES
-def test_the_policy_alone_can_be_loaded_for_any_number_of_worlds(cls: type[ActorCritic], tmp_path: Path) -> None:
+def test_the_policy_alone_can_be_loaded_for_any_number_of_environments(cls: type[ActorCritic], tmp_path: Path) -> None:
     trained = make_agent(cls, num_envs=4)
     trained.train(64)
     exaggerate(trained)
@@ -295,7 +293,7 @@ def test_the_policy_alone_can_be_loaded_for_any_number_of_worlds(cls: type[Actor
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of MO-A2C on OneWaypoint with four worlds, after two updates."""
+    """Of MO-A2C on OneWaypoint with four environments, after two updates."""
     path = tmp_path_factory.mktemp("checkpoint") / "mo_a2c.safetensors"
     agent = make_agent(MOA2C, steps=8)
     agent.train(64)
@@ -410,7 +408,7 @@ def test_a_checkpoint_is_a_plain_safetensors_file(checkpoint: Path) -> None:
     assert {"vehicle_0.critic.4.bias", "generator", "collector.accrued"} < tensors.keys()
 
 
-def test_a_failing_save_leaves_the_checkpoint_that_was_there(
+def test_a_failed_save_keeps_the_previous_checkpoint(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "checkpoint"

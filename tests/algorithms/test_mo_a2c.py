@@ -57,7 +57,7 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
     assert len(kinds) == 4
 
 
-def test_with_the_past_in_full_a_linear_utility_gives_the_advantages_of_a2c() -> None:
+def test_with_accrued_gamma_1_a_linear_utility_gives_the_advantages_of_a2c() -> None:
     weights = torch.tensor([0.5, 1.0, 0.03, 0.001])
     utility = make_utility("linear", ("distance", "destination", "g_force", "jerk"), weights=weights.tolist())
     agent = make_agent(MOA2C, num_envs=3, utility=utility, gamma=0.9, gae_lambda=0.8, accrued_gamma=1.0)
@@ -79,7 +79,7 @@ def test_with_the_past_in_full_a_linear_utility_gives_the_advantages_of_a2c() ->
 
 
 @pytest.mark.parametrize("cls", [MOA2C, MOPPO])
-def test_the_discount_of_the_accrued_reward_is_its_own(cls: type[ActorCritic]) -> None:
+def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) -> None:
     usual = make_agent(cls, gamma=0.9)
     full = make_agent(cls, gamma=0.9, accrued_gamma=1.0)
     assert (usual.gamma, full.gamma) == (0.9, 1.0)
@@ -93,7 +93,7 @@ def test_the_discount_of_the_accrued_reward_is_its_own(cls: type[ActorCritic]) -
 
 
 @pytest.mark.parametrize("cls", [MOA2C, MOPPO])
-def test_the_accrued_reward_can_be_left_out_of_what_is_seen(cls: type[ActorCritic]) -> None:
+def test_the_accrued_reward_can_be_left_out_of_the_state(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, observe_accrued=False)
     exaggerate(agent)
     assert agent.learners[0].input_size == 15 + 1
@@ -104,7 +104,7 @@ def test_the_accrued_reward_can_be_left_out_of_what_is_seen(cls: type[ActorCriti
 
 
 @ALL_FORMS
-def test_what_follows_an_end_does_not_enter_the_next_value(form: str) -> None:
+def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
     agent, learner = learner_of(form)
     r = handmade(agent)
 
@@ -227,7 +227,7 @@ def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, c
 
 
 @ALL_FORMS
-def test_a_rollout_in_which_nobody_acted_changes_the_policy_by_nothing(form: str) -> None:
+def test_a_rollout_without_acting_vehicles_has_zero_gradients(form: str) -> None:
     agent, learner = learner_of(form)
     rollout = handmade(agent)
     rollout.acted[:] = False

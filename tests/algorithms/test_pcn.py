@@ -139,7 +139,7 @@ def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
         ({"learning_rat": 1.0}, "did you mean 'learning_rate'?"),
     ],
 )
-def test_hyperparameters_that_make_no_sense_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
+def test_invalid_hyperparameters_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         make_pcn(**changed)
 
@@ -149,7 +149,7 @@ def test_two_vehicles_are_refused() -> None:
         make_pcn(INTERSECTION)
 
 
-def test_an_agent_that_has_seen_nothing_has_no_commands() -> None:
+def test_an_untrained_agent_has_no_commands() -> None:
     agent = small_pcn("deep-sea-treasure")
     with pytest.raises(ValueError, match="holds no episode yet: train first"):
         agent.commands()
@@ -171,7 +171,7 @@ def seasoned() -> PCN:
 
 @pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_command_far_outside_of_what_was_seen_is_refused_by_name(seasoned: PCN, which: int, side: int) -> None:
+def test_a_command_far_outside_the_buffer_is_refused_by_name(seasoned: PCN, which: int, side: int) -> None:
     low, high = (bound.astype(np.float64) for bound in seasoned.bounds)
     edge = (high if side > 0 else low) + side * seasoned.scales
     command = (low + high) / 2
@@ -196,7 +196,7 @@ def test_a_command_far_outside_of_what_was_seen_is_refused_by_name(seasoned: PCN
         ([[1.0, -1.0]], [5, 6], "expected (n, 2) and (n,)"),
     ],
 )
-def test_commands_of_another_form_are_refused(seasoned: PCN, desired: Any, horizon: Any, message: str) -> None:
+def test_commands_of_the_wrong_shape_are_refused(seasoned: PCN, desired: Any, horizon: Any, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         seasoned.command(desired, horizon)
 
@@ -225,7 +225,7 @@ def asked_of(gamma: float, low: Any, high: Any, desired: Any, horizon: Any, rewa
 
 
 @pytest.mark.parametrize("gamma", [0.9, 1.0])
-def test_what_is_wanted_after_a_reward_is_the_rest_of_it_one_decision_later(gamma: float) -> None:
+def test_the_command_is_updated_with_every_reward_and_decision(gamma: float) -> None:
     rewards = np.random.default_rng(0).normal(size=(12, 3, 2))
     desired, horizon = [[5.0, -3.0], [0.0, 0.0], [-2.0, 9.0]], [20.0, 5.0, 1.0]
     asked = asked_of(gamma, [-1e6] * 2, [1e6] * 2, desired, horizon, rewards)
@@ -238,7 +238,7 @@ def test_what_is_wanted_after_a_reward_is_the_rest_of_it_one_decision_later(gamm
     assert asked[-1][1].tolist() == [9.0, 1.0, 1.0]
 
 
-def test_what_is_wanted_stays_within_what_was_seen_and_the_command() -> None:
+def test_the_desired_return_is_clipped_to_the_buffer_and_the_command() -> None:
     # Per column: the rest falls below the bounds, rises above them, and the same from a command outside of them.
     gamma, low, high = 0.5, [-1.0] * 4, [2.0] * 4
     rewards = np.tile([1.0, -1.0, 1.0, -1.0], (6, 1, 1))
@@ -283,7 +283,7 @@ def inputs(agent: PCN, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, n
 
 @pytest.mark.parametrize("hidden", [[8], [16, 8, 4]])
 @EVERYWHERE
-def test_the_greedy_action_is_the_best_of_the_network(place: str, hidden: list[int]) -> None:
+def test_the_greedy_action_has_the_largest_output(place: str, hidden: list[int]) -> None:
     scales = [3.0, 7.0] if place == "deep-sea-treasure" else None
     agent = small_pcn(place, hidden=hidden, objective_scales=scales, horizon_scale=40.0)
     scramble(agent, 1.0)
@@ -299,7 +299,7 @@ def test_the_greedy_action_is_the_best_of_the_network(place: str, hidden: list[i
         assert len(set(actions.tolist())) > 1 or place == "deep-sea-treasure"  # its numbers are all positive
 
 
-def test_exploring_actions_are_as_frequent_as_the_softmax_says() -> None:
+def test_exploring_actions_follow_the_softmax() -> None:
     agent = small_pcn("one_waypoint")
     scramble(agent, 0.5)
     n = 20_000
@@ -313,7 +313,7 @@ def test_exploring_actions_are_as_frequent_as_the_softmax_says() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])
-def test_exploring_continuous_actions_scatter_around_the_greedy_one_within_the_box(noise: float) -> None:
+def test_exploring_continuous_actions_are_noisy_and_stay_in_the_box(noise: float) -> None:
     agent = small_pcn("one_waypoint, continuous", action_noise=noise)
     given = tuple(np.repeat(array, 5000, axis=0) for array in inputs(agent, 1))
     greedy = agent.choose_actions(*given, None)[0]
@@ -329,9 +329,7 @@ def test_exploring_continuous_actions_scatter_around_the_greedy_one_within_the_b
 
 
 @EVERYWHERE
-def test_the_store_holds_what_the_actions_do_in_a_world_of_their_own(
-    place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_buffer_holds_what_a_replay_of_the_actions_gives(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     env_id, arguments = PLACES[place]
     agent = small_pcn(place, gamma=0.9)
     seeds: list[int] = []
@@ -363,7 +361,7 @@ def test_the_store_holds_what_the_actions_do_in_a_world_of_their_own(
 
 
 @pytest.mark.parametrize("persistence", [0.0, 0.9])
-def test_random_actions_persist_about_as_often_as_asked(persistence: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_random_actions_repeat_with_the_given_probability(persistence: float, monkeypatch: pytest.MonkeyPatch) -> None:
     agent = make_pcn(env={"time_limit": 4}, num_envs=64, warmup_episodes=130, persistence=persistence)
     rounds = collected(agent, monkeypatch)
     agent.train(1)  # nothing but the warm-up
@@ -377,7 +375,7 @@ def test_random_actions_persist_about_as_often_as_asked(persistence: float, monk
     assert begun.min() > 0
 
 
-def test_random_continuous_actions_fill_the_box_and_persist(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_random_continuous_actions_cover_the_box_and_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     agent = make_pcn(env={"time_limit": 4, **CONTINUOUS}, num_envs=32, warmup_episodes=32, persistence=0.5)
     rounds = collected(agent, monkeypatch)
     agent.train(1)
@@ -391,7 +389,7 @@ def test_random_continuous_actions_fill_the_box_and_persist(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(("return_noise", "horizon_reduction"), [(0.0, 0), (0.5, 3), (2.0, 1000)])
-def test_ambitious_commands_ask_for_more_of_one_objective_in_less_time(
+def test_sampled_commands_ask_for_more_of_one_objective_in_fewer_decisions(
     seasoned: PCN, monkeypatch: pytest.MonkeyPatch, return_noise: float, horizon_reduction: int
 ) -> None:
     monkeypatch.setattr(
@@ -435,7 +433,7 @@ def test_ambitious_commands_ask_for_more_of_one_objective_in_less_time(
 
 
 @pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous", "deep-sea-treasure"])
-def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(place: str) -> None:
+def test_the_loss_is_the_prediction_error_on_the_actions_of_the_buffer(place: str) -> None:
     agent = small_pcn(place, batch_size=50)
     agent.train(1)
     scramble(agent, 0.5)
@@ -461,7 +459,7 @@ def test_the_loss_is_how_badly_the_network_foretells_the_actions_of_the_store(pl
 
 
 @pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous"])
-def test_a_network_that_learns_long_enough_repeats_its_episodes_when_told_to(place: str) -> None:
+def test_a_fitted_network_repeats_the_episodes_it_is_commanded_to(place: str) -> None:
     agent = small_pcn(place, hidden=[32, 32], buffer_size=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
     agent.train(1)
     assert len(agent.buffer) == 2
@@ -475,7 +473,7 @@ def test_a_network_that_learns_long_enough_repeats_its_episodes_when_told_to(pla
 
 
 @pytest.mark.parametrize("log_interval", [1, 3])
-def test_what_is_logged_is_the_mean_over_the_exploring_episodes(
+def test_training_metrics_are_means_over_the_exploring_episodes(
     log_interval: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     agent = small_pcn("deep-sea-treasure", gamma=1.0)
@@ -585,7 +583,7 @@ def test_a_resumed_run_is_the_uninterrupted_run(place: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("place", ["one_waypoint", "deep-sea-treasure"])
-def test_the_policies_of_a_checkpoint_do_not_depend_on_the_number_of_worlds(place: str, tmp_path: Path) -> None:
+def test_the_policies_of_a_checkpoint_do_not_depend_on_the_number_of_environments(place: str, tmp_path: Path) -> None:
     agent = small_pcn(place)
     agent.train(TOTAL)
     agent.save(tmp_path / "c.safetensors")
@@ -670,7 +668,7 @@ def drive(agent: PCN, env: Any, condition: np.ndarray, seed: int, gamma: float) 
     [(ONE_WAYPOINT, {"time_limit": 2}), (ONE_WAYPOINT, {"time_limit": 2, **CONTINUOUS}), (SEA, {})],
     ids=["discrete", "continuous", "deep-sea-treasure"],
 )
-def test_a_front_is_what_episodes_driven_by_hand_give(env_id: str, arguments: dict[str, Any]) -> None:
+def test_a_front_equals_episodes_run_one_by_one(env_id: str, arguments: dict[str, Any]) -> None:
     agent = make_pcn(env_id, env=arguments, gamma=0.95, max_policies=8)
     agent.train(2 * TOTAL)
     env, seeds = mo_gymnasium.make(env_id, **arguments), (40, 41)
@@ -697,7 +695,7 @@ def test_a_front_is_what_episodes_driven_by_hand_give(env_id: str, arguments: di
     assert np.isnan(front.success).all() == (env_id == SEA)
 
 
-def test_the_commands_of_a_front_are_what_the_best_episodes_got(seasoned: PCN) -> None:
+def test_the_commands_of_a_front_are_the_returns_of_the_best_episodes(seasoned: PCN) -> None:
     desired, horizon = seasoned.commands()
     found = {(*row, length) for row, length in zip(desired.tolist(), horizon.tolist(), strict=True)}
     best = seasoned.buffer.best()
@@ -715,7 +713,7 @@ def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
     np.testing.assert_array_equal(part.max(axis=0), whole.max(axis=0))
 
 
-def test_policies_side_by_side_do_what_each_does_alone() -> None:
+def test_policies_evaluated_together_act_as_each_does_alone() -> None:
     agent = make_pcn(env={"time_limit": 2})
     agent.train(TOTAL)
     conditions = np.column_stack(agent.commands())[:4]

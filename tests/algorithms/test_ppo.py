@@ -59,7 +59,7 @@ def recorded_steps(learner: Any, rollout: Any, monkeypatch: pytest.MonkeyPatch) 
 
 @CLIPPED
 @pytest.mark.parametrize(("epochs", "minibatches"), [(1, 1), (3, 4), (2, 5), (1, 1000)])
-def test_every_epoch_uses_every_sample_that_counts_once(
+def test_every_epoch_uses_every_acting_sample_once(
     cls: type[ActorCritic], epochs: int, minibatches: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     agent, learner = learner_of(cls, epochs=epochs, minibatches=minibatches)
@@ -82,7 +82,7 @@ def test_every_epoch_uses_every_sample_that_counts_once(
 
 
 @CLIPPED
-def test_the_old_policy_and_the_advantages_stay_those_of_the_collection(
+def test_the_old_policy_and_the_advantages_are_fixed_during_the_epochs(
     cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     agent, learner = learner_of(cls, epochs=3, minibatches=1, learning_rate=0.01)
@@ -144,7 +144,7 @@ def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None
 
 
 @CLIPPED
-def test_a_rollout_in_which_nobody_acted_changes_nothing(cls: type[ActorCritic]) -> None:
+def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
     agent, learner = learner_of(cls)
     rollout = handmade(agent)
     rollout.acted[:] = False
@@ -164,6 +164,6 @@ def test_a_rollout_in_which_nobody_acted_changes_nothing(cls: type[ActorCritic])
         ({"minibatch": 4}, "did you mean 'minibatches'"),
     ],
 )
-def test_unfit_settings_are_refused_by_name(cls: type[ActorCritic], settings: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused_by_name(cls: type[ActorCritic], settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_agent(cls, **settings)

@@ -11,7 +11,7 @@ from algorithms.common.accrued_reward import AccruedReward
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.5, 0.99, 1.0]), st.integers(0, 12))
-def test_every_vehicle_has_the_discounted_sum_of_its_rewards_since_it_began(
+def test_every_vehicle_has_the_discounted_sum_of_the_rewards_of_its_episode(
     seed: int, gamma: float, decisions: int
 ) -> None:
     n, v, d = 3, 2, 2
@@ -35,7 +35,7 @@ def test_every_vehicle_has_the_discounted_sum_of_its_rewards_since_it_began(
             assert accrued_reward.decisions[i, j] == len(rewards_of)
 
 
-def test_worlds_are_taken_as_copies_in_the_order_asked_for() -> None:
+def test_take_copies_environments_in_the_given_order() -> None:
     accrued_reward = AccruedReward.begin(3, 1, 2)
     accrued_reward.add(np.arange(6, dtype=np.float32).reshape(3, 1, 2), 0.5)
     part = accrued_reward.take(np.array([2, 0, 2]))

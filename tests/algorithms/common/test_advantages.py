@@ -98,7 +98,7 @@ def test_generalised_advantages_of_vectors_is_that_of_every_component(c: dict[st
     torch.testing.assert_close(together, torch.stack(apart, dim=-1))
 
 
-def test_generalised_advantages_leaves_its_arguments_alone_and_keeps_their_precision() -> None:
+def test_generalised_advantages_does_not_modify_its_arguments_and_keeps_their_precision() -> None:
     for dtype in (torch.float32, torch.float64):
         deltas, going_on = torch.ones(4, 2, dtype=dtype), torch.ones(4, 1, dtype=dtype)
         sums = generalised_advantages(deltas, going_on, 0.5)
@@ -194,7 +194,7 @@ def test_with_lambda_one_the_differences_telescope_to_the_utility_of_the_whole_r
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_the_gradient_of_a_linear_utility_is_its_weights_wherever_it_is_taken(dtype: torch.dtype) -> None:
+def test_the_gradient_of_a_linear_utility_is_its_weights_everywhere(dtype: torch.dtype) -> None:
     for point in ([0.0, 0.0, 0.0], [3.0, -100.0, 0.5]):
         gradient = utility_gradient(LINEAR, torch.tensor(point, dtype=dtype))
         torch.testing.assert_close(gradient, torch.tensor(WEIGHTS, dtype=dtype))
@@ -207,7 +207,7 @@ def test_the_gradient_of_a_nonlinear_utility_is_its_slope_at_the_expected_return
     torch.testing.assert_close(gradient, torch.tensor([b + 1.0, a, -0.2 * c], dtype=torch.float64))
 
 
-def test_taking_the_gradient_leaves_the_expected_return_as_it_was() -> None:
+def test_taking_the_gradient_does_not_modify_the_expected_return() -> None:
     point = torch.tensor([1.0, 2.0, 3.0])
     gradient = utility_gradient(CROOKED, point)
     assert point.tolist() == [1.0, 2.0, 3.0]

@@ -1,4 +1,4 @@
-"""PCN's store of episodes against the plainest computation of its rule."""
+"""PCN's episode buffer against a plain computation of its rule."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def make_episode(returns: Any, length: int = 1, name: int = 0, continuous: bool 
 
 
 def make_store(points: Any, capacity: int = 1000, crowding: float = 0.2) -> EpisodeBuffer:
-    store = EpisodeBuffer(capacity, SCALES, crowding)
-    store.add([make_episode(point, name=i) for i, point in enumerate(points)])
-    return store
+    buffer = EpisodeBuffer(capacity, SCALES, crowding)
+    buffer.add([make_episode(point, name=i) for i, point in enumerate(points)])
+    return buffer
 
 
-def names(store: EpisodeBuffer) -> list[int]:
-    return [int(episode.observations[0, 0]) for episode in store.episodes]
+def names(buffer: EpisodeBuffer) -> list[int]:
+    return [int(episode.observations[0, 0]) for episode in buffer.episodes]
 
 
 points_on_a_grid = st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size=1, max_size=14)
@@ -53,20 +53,20 @@ def test_returns_to_go_are_those_of_a_plain_loop(length: int, gamma: float, seed
     np.testing.assert_array_equal(rewards, before)
 
 
-def test_what_a_store_holds_is_told_by_returns_and_lengths() -> None:
-    store = EpisodeBuffer(9, SCALES, 0.2)
-    store.add([make_episode([1.0, 2.0], 3), make_episode([5.0, 4.0], 7)])
-    assert len(store) == 2
-    np.testing.assert_array_equal(store.returns, [[1.0, 2.0], [5.0, 4.0]])
-    np.testing.assert_array_equal(store.lengths, [3, 7])
+def test_returns_and_lengths_describe_the_episodes_of_a_buffer() -> None:
+    buffer = EpisodeBuffer(9, SCALES, 0.2)
+    buffer.add([make_episode([1.0, 2.0], 3), make_episode([5.0, 4.0], 7)])
+    assert len(buffer) == 2
+    np.testing.assert_array_equal(buffer.returns, [[1.0, 2.0], [5.0, 4.0]])
+    np.testing.assert_array_equal(buffer.lengths, [3, 7])
 
 
 # Who stays.
 
 
 @given(points_on_a_grid, st.sampled_from([0.0, 0.2, 0.5, 2.0]))
-def test_scores_are_those_of_the_documented_rule(points: list[tuple[int, int]], crowding: float) -> None:
-    store = make_store(points, crowding=crowding)
+def test_scores_follow_the_documented_rule(points: list[tuple[int, int]], crowding: float) -> None:
+    buffer = make_store(points, crowding=crowding)
     scaled = [(x / 2.0, y / 5.0) for x, y in points]
     best = [p for p in scaled if not any(q != p and q[0] >= p[0] and q[1] >= p[1] for q in scaled)]
     crowded = crowding_distances(np.array(scaled)) <= crowding
@@ -76,7 +76,7 @@ def test_scores_are_those_of_the_documented_rule(points: list[tuple[int, int]], 
         if (x, y) in scaled[:i]:
             distance += 1e-5
         expected.append(-(2.0 if crowded[i] else 1.0) * distance)
-    np.testing.assert_allclose(store.scores(), expected, atol=1e-12)
+    np.testing.assert_allclose(buffer.scores(), expected, atol=1e-12)
 
 
 @given(points_on_a_grid, st.integers(2, 14), st.sampled_from([0.0, 0.2]))
@@ -84,80 +84,80 @@ def test_the_best_scores_stay_where_the_front_fits(
     points: list[tuple[int, int]], capacity: int, crowding: float
 ) -> None:
     whole = make_store(points, crowding=crowding)
-    store = make_store(points, capacity, crowding)
-    assert len(store) == min(capacity, len(points))
+    buffer = make_store(points, capacity, crowding)
+    assert len(buffer) == min(capacity, len(points))
     if len(points) > capacity > len(whole.best()):
         scores = whole.scores()
         best = sorted(range(len(points)), key=lambda i: (-scores[i], i))[:capacity]
-        assert sorted(names(store)) == sorted(best)
+        assert sorted(names(buffer)) == sorted(best)
 
 
 @given(st.lists(points_on_a_grid, min_size=1, max_size=5))
 def test_no_non_dominated_return_is_ever_lost_where_the_front_fits(rounds: list[list[tuple[int, int]]]) -> None:
     # On a grid of 7 by 7 at most 7 returns do not dominate one another.
-    store, seen = EpisodeBuffer(8, SCALES, 0.2), []
+    buffer, seen = EpisodeBuffer(8, SCALES, 0.2), []
     for points in rounds:
-        store.add([make_episode(point) for point in points])
+        buffer.add([make_episode(point) for point in points])
         seen += points
         everything = np.array(seen, dtype=np.float64)
         front = {tuple(point) for point in everything[non_dominated(everything)].tolist()}
-        assert {tuple(point) for point in store.returns[store.best()].tolist()} == front
-        assert len(store) == min(8, len(seen))
+        assert {tuple(point) for point in buffer.returns[buffer.best()].tolist()} == front
+        assert len(buffer) == min(8, len(seen))
 
 
 @given(st.integers(3, 40), st.integers(2, 10), st.integers(0, 2**32 - 1))
-def test_of_more_non_dominated_episodes_than_fit_the_extremes_stay(n: int, capacity: int, seed: int) -> None:
+def test_the_extremes_are_kept_where_the_front_does_not_fit(n: int, capacity: int, seed: int) -> None:
     x = np.sort(np.random.default_rng(seed).random(n)).astype(np.float32)
     points = np.stack([x, -x], axis=1)
-    store = make_store(points, capacity)
-    assert len(store) == min(n, capacity)
-    assert store.returns[:, 0].min() == x[0]
-    assert store.returns[:, 0].max() == x[-1]
-    assert len(set(names(store))) == len(store)
+    buffer = make_store(points, capacity)
+    assert len(buffer) == min(n, capacity)
+    assert buffer.returns[:, 0].min() == x[0]
+    assert buffer.returns[:, 0].max() == x[-1]
+    assert len(set(names(buffer))) == len(buffer)
 
 
-def test_many_non_dominated_episodes_are_thinned_out_evenly() -> None:
-    store = make_store([(i, -i) for i in range(101)], 6)
-    gaps = np.diff(np.sort(store.returns[:, 0]))
+def test_a_front_that_does_not_fit_is_thinned_evenly() -> None:
+    buffer = make_store([(i, -i) for i in range(101)], 6)
+    gaps = np.diff(np.sort(buffer.returns[:, 0]))
     assert gaps.max() <= 2 * gaps.min() + 1
 
 
-def test_what_is_farthest_from_the_front_leaves_first() -> None:
-    store = make_store([(6, 3), (3, 6), (1, 1), (5, 3), (3, 5)], 4, crowding=0.0)
-    assert sorted(names(store)) == [0, 1, 3, 4]
+def test_the_episode_farthest_from_the_front_is_removed_first() -> None:
+    buffer = make_store([(6, 3), (3, 6), (1, 1), (5, 3), (3, 5)], 4, crowding=0.0)
+    assert sorted(names(buffer)) == [0, 1, 3, 4]
 
 
-def test_of_equal_non_dominated_episodes_the_later_leave_first() -> None:
-    store = make_store([(6, 0), (6, 0), (0, 6), (6, 0), (3, 3)], 3)
-    assert sorted(names(store)) == [0, 2, 4]
+def test_of_equal_non_dominated_episodes_the_later_are_removed_first() -> None:
+    buffer = make_store([(6, 0), (6, 0), (0, 6), (6, 0), (3, 3)], 3)
+    assert sorted(names(buffer)) == [0, 2, 4]
     # An equal one still counts more than one that is dominated by far.
-    store = make_store([(6, 0), (6, 0), (0, 6), (1, 0), (0, 0)], 3)
-    assert sorted(names(store)) == [0, 1, 2]
+    buffer = make_store([(6, 0), (6, 0), (0, 6), (1, 0), (0, 0)], 3)
+    assert sorted(names(buffer)) == [0, 1, 2]
 
 
-def test_what_is_crowded_leaves_before_what_is_alone() -> None:
+def test_crowded_episodes_are_removed_before_isolated_ones() -> None:
     # Two at 1.0 scaled units from the front: one among many alike, one alone.
     crowd = [(10.0 + 0.001 * i, 0.0) for i in range(4)]
     points = [(12.0, 0.0), (0.0, 50.0), *crowd, (0.0, 44.0)]
-    store = make_store(points, 6)
-    assert 6 in names(store)
-    assert store.scores()[names(store).index(6)] == pytest.approx(-1.2)
+    buffer = make_store(points, 6)
+    assert 6 in names(buffer)
+    assert buffer.scores()[names(buffer).index(6)] == pytest.approx(-1.2)
     assert make_store(points).scores()[3] == pytest.approx(-2 * (12.0 - 10.001) / 2.0, rel=1e-5)
 
 
-def test_an_empty_store_says_what_is_missing() -> None:
+def test_an_empty_buffer_says_what_is_missing() -> None:
     with pytest.raises(ValueError, match="holds no episode yet: train first, or load a checkpoint"):
         EpisodeBuffer(5, SCALES, 0.2).best()
 
 
-def test_bounds_are_over_every_decision_and_follow_what_comes_and_goes() -> None:
-    store = EpisodeBuffer(2, SCALES, 0.2)
-    store.add([make_episode([5.0, 0.0], 4), make_episode([0.0, 5.0], 2)])
-    low, high = store.bounds()
+def test_bounds_cover_every_time_step_and_follow_additions_and_removals() -> None:
+    buffer = EpisodeBuffer(2, SCALES, 0.2)
+    buffer.add([make_episode([5.0, 0.0], 4), make_episode([0.0, 5.0], 2)])
+    low, high = buffer.bounds()
     np.testing.assert_array_equal(low, [-1.0, -3.0])
     np.testing.assert_array_equal(high, [5.0, 5.0])
-    store.add([make_episode([6.0, 7.0], 1), make_episode([7.0, 6.0], 1)])
-    low, high = store.bounds()
+    buffer.add([make_episode([6.0, 7.0], 1), make_episode([7.0, 6.0], 1)])
+    low, high = buffer.bounds()
     np.testing.assert_array_equal(low, [6.0, 6.0])
     np.testing.assert_array_equal(high, [7.0, 7.0])
 
@@ -168,11 +168,11 @@ LENGTHS = (1, 5, 50)
 
 
 @pytest.mark.parametrize("continuous", [False, True])
-def test_a_sampled_decision_brings_what_belongs_to_it(continuous: bool) -> None:
-    store = EpisodeBuffer(9, SCALES, 0.2)
+def test_the_columns_of_a_sampled_time_step_belong_together(continuous: bool) -> None:
+    buffer = EpisodeBuffer(9, SCALES, 0.2)
     ends = [[9.0, 1.0], [1.0, 9.0], [5.0, 5.0]]
-    store.add([make_episode(ends[i], n, i, continuous) for i, n in enumerate(LENGTHS)])
-    observations, actions, returns, left = store.sample(500, torch.Generator().manual_seed(0))
+    buffer.add([make_episode(ends[i], n, i, continuous) for i, n in enumerate(LENGTHS)])
+    observations, actions, returns, left = buffer.sample(500, torch.Generator().manual_seed(0))
     assert (observations.dtype, returns.dtype, left.dtype) == (np.float32,) * 3
     for row, action, to_go, remaining in zip(observations, actions, returns, left, strict=True):
         name, t = row.astype(int).tolist()
@@ -181,11 +181,11 @@ def test_a_sampled_decision_brings_what_belongs_to_it(continuous: bool) -> None:
         np.testing.assert_array_equal(action, [t, t - name] if continuous else 1000 * name + t)
 
 
-def test_every_episode_is_as_likely_as_every_other_and_so_is_every_decision_of_it() -> None:
-    store = EpisodeBuffer(9, SCALES, 0.2)
-    store.add([make_episode([i, -i], n, i) for i, n in enumerate(LENGTHS)])
+def test_episodes_and_their_time_steps_are_sampled_uniformly() -> None:
+    buffer = EpisodeBuffer(9, SCALES, 0.2)
+    buffer.add([make_episode([i, -i], n, i) for i, n in enumerate(LENGTHS)])
     count = 30_000
-    observations, *_ = store.sample(count, torch.Generator().manual_seed(1))
+    observations, *_ = buffer.sample(count, torch.Generator().manual_seed(1))
     drawn = Counter(tuple(row) for row in observations.astype(int).tolist())
     for name, length in enumerate(LENGTHS):
         for t in range(length):
@@ -194,46 +194,46 @@ def test_every_episode_is_as_likely_as_every_other_and_so_is_every_decision_of_i
 
 
 def test_batches_follow_the_generator_and_the_episodes_added_since() -> None:
-    store = make_store([(0, 6), (6, 0)])
-    first, second = (store.sample(20, torch.Generator().manual_seed(3)) for _ in range(2))
+    buffer = make_store([(0, 6), (6, 0)])
+    first, second = (buffer.sample(20, torch.Generator().manual_seed(3)) for _ in range(2))
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a, b)
-    store.add([make_episode([7, 7], name=99)])
-    assert 99 in store.sample(50, torch.Generator().manual_seed(3))[0][:, 0]
+    buffer.add([make_episode([7, 7], name=99)])
+    assert 99 in buffer.sample(50, torch.Generator().manual_seed(3))[0][:, 0]
 
 
 # Checkpoints.
 
 
 @pytest.mark.parametrize("continuous", [False, True])
-def test_a_store_resumes_exactly(continuous: bool) -> None:
-    store = EpisodeBuffer(4, SCALES, 0.2)
+def test_a_buffer_resumes_exactly(continuous: bool) -> None:
+    buffer = EpisodeBuffer(4, SCALES, 0.2)
     rng = np.random.default_rng(0)
 
     def more(first: int) -> list[Episode]:
         return [make_episode(rng.normal(size=2), int(rng.integers(1, 9)), first + i, continuous) for i in range(6)]
 
-    store.add(more(0))
-    state = {name: tensor.clone() for name, tensor in store.get_state().items()}
+    buffer.add(more(0))
+    state = {name: tensor.clone() for name, tensor in buffer.get_state().items()}
     again = EpisodeBuffer(4, SCALES, 0.2)
     again.add(more(100))  # what was there before is forgotten
     again.set_state(state)
     new = more(200)
-    for each in (store, again):
+    for each in (buffer, again):
         each.add(new)
-    assert names(again) == names(store)
-    for mine, theirs in zip(store.episodes, again.episodes, strict=True):
+    assert names(again) == names(buffer)
+    for mine, theirs in zip(buffer.episodes, again.episodes, strict=True):
         for name in ("observations", "actions", "returns"):
             np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
             assert getattr(mine, name).dtype == getattr(theirs, name).dtype
-    samples = [each.sample(30, torch.Generator().manual_seed(0)) for each in (store, again)]
+    samples = [each.sample(30, torch.Generator().manual_seed(0)) for each in (buffer, again)]
     for a, b in zip(*samples, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_an_empty_store_resumes_empty() -> None:
-    store = EpisodeBuffer(4, SCALES, 0.2)
-    assert store.get_state() == {}
+def test_an_empty_buffer_resumes_empty() -> None:
+    buffer = EpisodeBuffer(4, SCALES, 0.2)
+    assert buffer.get_state() == {}
     again = make_store([(1, 2)])
     again.set_state({})
     assert len(again) == 0

@@ -50,7 +50,7 @@ def test_actions_are_drawn_as_often_as_their_probabilities_say(probabilities: li
     assert scipy.stats.chisquare(counts, draws * np.array(probabilities)).pvalue > SIGNIFICANCE
 
 
-def test_every_row_is_drawn_from_its_own_probabilities_and_apart_from_the_others() -> None:
+def test_every_row_is_drawn_independently_from_its_own_probabilities() -> None:
     actor = CategoricalActor(2, [], 3, seeded(0))
     logits = torch.tensor([[1.0, -1.0, 0.0], [-2.0, 0.5, 0.0]])
     with torch.no_grad():
@@ -165,7 +165,7 @@ def test_actions_have_one_row_per_row_of_inputs(kind: type, shape: tuple[int, ..
 
 
 @ACTORS
-def test_the_same_generator_gives_the_same_weights_and_samples_and_another_one_others(kind: type) -> None:
+def test_the_generator_determines_weights_and_samples(kind: type) -> None:
     actors = [kind(6, [64, 32], 4, seeded(seed)) for seed in (7, 7, 8)]
     states = [actor.state_dict() for actor in actors]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])

@@ -139,7 +139,7 @@ def test_the_hypervolume_of_the_deep_sea_is_the_known_one() -> None:
         ((2.0, 1.5), ["dominated by no point of the front; the best of each objective is [3.0, 2.0]"]),
     ],
 )
-def test_a_reference_point_that_nothing_dominates_is_named_with_its_objectives(
+def test_a_reference_point_that_no_point_dominates_is_refused_by_objective(
     reference: tuple[float, float], messages: list[str]
 ) -> None:
     with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
@@ -212,7 +212,7 @@ def test_indicators_that_need_a_reference_are_left_out_without_it() -> None:
     }
 
 
-def test_a_front_in_the_making_has_no_hypervolume_yet() -> None:
+def test_a_front_below_the_reference_point_has_hypervolume_zero() -> None:
     assert indicators([[1.0, 2.0], [2.0, 1.0]], reference_point=[1.5, 1.5])["hypervolume"] == 0.0
 
 
@@ -251,7 +251,7 @@ GOOD = [[1.0, 2.0], [2.0, 1.0]]
         (lambda: evenly_spaced_weights(3, 2), "n = 2 weights for d = 3 objectives: n must be at least d"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(call: Callable[[], Any], message: str) -> None:
+def test_invalid_arguments_are_refused_by_name(call: Callable[[], Any], message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         call()
 
@@ -261,7 +261,7 @@ def test_what_makes_no_sense_is_refused_by_name(call: Callable[[], Any], message
 
 @pytest.mark.parametrize("d", [1, 2, 3, 6])
 @pytest.mark.parametrize("n", [6, 7, 50])
-def test_weights_are_a_distribution_each_and_hold_the_corners(d: int, n: int) -> None:
+def test_weights_sum_to_one_and_include_the_corners(d: int, n: int) -> None:
     weights = evenly_spaced_weights(d, n)
     assert weights.shape == (n, d)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
@@ -272,7 +272,7 @@ def test_weights_are_a_distribution_each_and_hold_the_corners(d: int, n: int) ->
         assert len(np.unique(weights, axis=0)) == n
 
 
-def test_there_are_fifty_weights_if_nobody_says_otherwise() -> None:
+def test_there_are_fifty_weights_by_default() -> None:
     assert evenly_spaced_weights(4).shape == (50, 4)
 
 

@@ -30,19 +30,19 @@ SEED = 2**32 + 17
 DESTINATION = 1  # index of this objective in every scenario of ours
 
 
-def random_policy(worlds: EnvAdapter) -> Act:
+def random_policy(adapter: EnvAdapter) -> Act:
     rng = np.random.default_rng(0)
-    shape = (worlds.num_envs, worlds.vehicles)
+    shape = (adapter.num_envs, adapter.vehicles)
 
     def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
-        if worlds.continuous:
-            return rng.normal(0.0, 1.5, (*shape, worlds.actions)).astype(np.float32)
-        return rng.integers(0, worlds.actions, shape)
+        if adapter.continuous:
+            return rng.normal(0.0, 1.5, (*shape, adapter.actions)).astype(np.float32)
+        return rng.integers(0, adapter.actions, shape)
 
     return act
 
 
-def reflex(worlds: EnvAdapter) -> Act:
+def reflex(adapter: EnvAdapter) -> Act:
     """As good as random, but decided by what the policy is shown."""
 
     def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
@@ -50,19 +50,19 @@ def reflex(worlds: EnvAdapter) -> Act:
             [observations, accrued_reward.value, accrued_reward.discounts[..., None]], axis=-1, dtype=np.float64
         )
         noise = np.sin(1e4 * np.abs(seen).sum(-1))
-        if worlds.continuous:
-            return np.stack([noise * (k + 1) % 1.0 for k in range(worlds.actions)], axis=-1).astype(np.float32)
-        return np.floor((noise + 1) / 2.001 * worlds.actions).astype(np.int64)
+        if adapter.continuous:
+            return np.stack([noise * (k + 1) % 1.0 for k in range(adapter.actions)], axis=-1).astype(np.float32)
+        return np.floor((noise + 1) / 2.001 * adapter.actions).astype(np.int64)
 
     return act
 
 
-def half_drive(worlds: EnvAdapter) -> Act:
-    """Every other world drives to its waypoint at walking pace, so that some episodes succeed; the rest is random.
+def half_drive(adapter: EnvAdapter) -> Act:
+    """Every other vehicle drives to its waypoint at walking pace, so that some episodes succeed; the rest is random.
 
     A driver takes "small steer left", "small steer right" or "decay steer", and "increase speed" below 4 m/s.
     """
-    at_random = random_policy(worlds)
+    at_random = random_policy(adapter)
 
     def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
         angle, speed = observations[..., 0], observations[..., 11]
@@ -74,11 +74,11 @@ def half_drive(worlds: EnvAdapter) -> Act:
     return act
 
 
-def one_waits(worlds: EnvAdapter) -> Act:
+def one_waits(adapter: EnvAdapter) -> Act:
     """In Intersection: the vehicle that goes straight on drives off, the other stands still."""
 
     def act(observations: np.ndarray, accrued_reward: AccruedReward) -> np.ndarray:
-        return np.tile([0, 3], (worlds.num_envs, 1))
+        return np.tile([0, 3], (adapter.num_envs, 1))
 
     return act
 
@@ -91,7 +91,7 @@ def copied(rollout: Rollout) -> Rollout:
 class Collected:
     """Several successive rollouts and the episodes that ended in them."""
 
-    worlds: EnvAdapter
+    adapter: EnvAdapter
     rollouts: list[Rollout]
     parts: list[Episodes]
 
@@ -116,11 +116,11 @@ def collect(
     policy: Callable[[EnvAdapter], Act] = random_policy,
     **arguments: Any,
 ) -> Collected:
-    worlds = EnvAdapter(make_env(env_id, num_envs, arguments))
-    collector = Collector(worlds, GAMMA, steps)
+    adapter = EnvAdapter(make_env(env_id, num_envs, arguments))
+    collector = Collector(adapter, GAMMA, steps)
     collector.reset(SEED)
-    act = policy(worlds)
-    collected = Collected(worlds, [], [])
+    act = policy(adapter)
+    collected = Collected(adapter, [], [])
     for _ in range(rollouts):
         rollout, episodes = collector.collect(act)
         collected.rollouts.append(copied(rollout))
@@ -191,7 +191,7 @@ def test_a_rollout_has_the_documented_shapes_and_types(collected: Callable[[str]
 
 
 @ALL
-def test_the_situations_hold_what_the_other_tests_are_about(
+def test_the_cases_contain_the_events_that_the_other_tests_need(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -209,7 +209,7 @@ def test_the_situations_hold_what_the_other_tests_are_about(
 
 
 @ALL
-def test_accrued_rewards_and_discounts_follow_their_recurrence_and_start_anew_after_every_end(
+def test_accrued_rewards_and_discounts_follow_their_recurrence_and_reset_after_every_episode(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -229,9 +229,7 @@ def test_accrued_rewards_and_discounts_follow_their_recurrence_and_start_anew_af
 
 
 @ALL
-def test_a_rollout_goes_on_where_the_one_before_it_stopped(
-    collected: Callable[[str], Collected], situation: str
-) -> None:
+def test_a_rollout_continues_the_previous_one(collected: Callable[[str], Collected], situation: str) -> None:
     rollouts = collected(situation).rollouts
     for before, after in itertools.pairwise(rollouts):
         for name in ("observations", "accrued", "discounts"):
@@ -239,7 +237,7 @@ def test_a_rollout_goes_on_where_the_one_before_it_stopped(
 
 
 @ONE_VEHICLE
-def test_a_single_environment_that_replays_the_actions_sees_the_same_and_ends_in_the_final_observations(
+def test_a_single_environment_replays_the_rollout_including_final_observations(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -262,7 +260,7 @@ def test_a_single_environment_that_replays_the_actions_sees_the_same_and_ends_in
 
 
 @FOREIGN
-def test_a_foreign_environment_is_masked_where_it_is_only_being_reset_and_nowhere_else(
+def test_other_environments_are_masked_exactly_where_they_are_only_reset(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -277,7 +275,7 @@ def test_a_foreign_environment_is_masked_where_it_is_only_being_reset_and_nowher
 
 
 @FOREIGN
-def test_a_single_foreign_environment_replays_all_but_the_masked_steps(
+def test_a_single_copy_of_another_environment_replays_all_but_the_masked_steps(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -307,7 +305,7 @@ def test_a_single_foreign_environment_replays_all_but_the_masked_steps(
 
 
 @TWO_VEHICLES
-def test_a_vehicle_that_has_left_the_road_is_masked_until_its_world_starts_anew(
+def test_a_vehicle_that_has_left_the_road_is_masked_until_the_reset(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -331,7 +329,7 @@ def test_a_vehicle_that_has_left_the_road_is_masked_until_its_world_starts_anew(
 
 
 @TWO_VEHICLES
-def test_a_world_of_two_vehicles_that_replays_the_actions_ends_in_the_final_observations(
+def test_two_vehicles_replay_the_rollout_including_final_observations(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -382,7 +380,7 @@ def plain_episodes(c: Collected) -> list[Plain]:
 
 
 @ALL
-def test_episodes_hold_what_their_steps_add_up_to_in_order_of_their_end(
+def test_episodes_are_the_sums_of_their_steps_in_the_order_of_their_ends(
     collected: Callable[[str], Collected], situation: str
 ) -> None:
     c = collected(situation)
@@ -402,9 +400,7 @@ def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[st
 
 
 @FOREIGN
-def test_an_episode_of_an_environment_that_does_not_say_has_not_succeeded(
-    collected: Callable[[str], Collected], situation: str
-) -> None:
+def test_without_a_success_flag_no_episode_succeeds(collected: Callable[[str], Collected], situation: str) -> None:
     assert not collected(situation).episodes("succeeded").any()
 
 
@@ -451,7 +447,7 @@ def test_a_collector_resumes_exactly_from_the_state_of_another(situation: str, r
 
 
 @pytest.mark.parametrize("situation", ["one_waypoint", "intersection, continuous"])
-def test_a_collector_can_be_taken_back_to_an_earlier_state_of_its_own(situation: str) -> None:
+def test_a_collector_can_return_to_an_earlier_state(situation: str) -> None:
     collector, reference = started(*SITUATIONS[situation]), started(*SITUATIONS[situation])
     for each in (collector, reference):
         each.collect(reflex(each.env))
@@ -467,7 +463,7 @@ def test_the_state_of_a_collector_is_plain_arrays() -> None:
         assert array.dtype != object
 
 
-def test_the_state_of_other_worlds_is_refused() -> None:
+def test_the_state_of_other_environments_is_refused() -> None:
     state = started(ONE_WAYPOINT, {}).get_state()
     for other in (EnvAdapter(make_env(ONE_WAYPOINT, 3)), EnvAdapter(make_env(STATIC_OBSTACLE, 4))):
         with pytest.raises(ValueError, match="shape"):
@@ -509,66 +505,66 @@ def toy_worlds(action_space: spaces.Space[Any], observation_space: spaces.Space[
     return EnvAdapter(MOSyncVectorEnv(lambda: Toy(action_space, observation_space) for _ in range(2)))
 
 
-def test_actions_of_a_foreign_discrete_space_begin_at_its_start() -> None:
-    worlds = toy_worlds(spaces.Discrete(3, start=4))
-    assert (worlds.actions, worlds.continuous) == (3, False)
-    worlds.reset(0)
-    step = worlds.step(np.array([[0], [2]]))
+def test_discrete_actions_begin_at_the_start_of_the_space() -> None:
+    adapter = toy_worlds(spaces.Discrete(3, start=4))
+    assert (adapter.actions, adapter.continuous) == (3, False)
+    adapter.reset(0)
+    step = adapter.step(np.array([[0], [2]]))
     assert step.rewards[:, 0, 0].tolist() == [4.0, 6.0]
 
 
-def test_continuous_actions_are_clipped_and_stretched_to_a_foreign_box() -> None:
+def test_continuous_actions_are_clipped_and_scaled_to_the_box() -> None:
     box = spaces.Box(np.float32([2.0, -3.0]), np.float32([6.0, -1.0]))
-    worlds = toy_worlds(box)
-    assert (worlds.actions, worlds.continuous) == (2, True)
-    worlds.reset(0)
-    step = worlds.step(np.array([[[0.0, -1.0]], [[7.0, 0.5]]], dtype=np.float32))
+    adapter = toy_worlds(box)
+    assert (adapter.actions, adapter.continuous) == (2, True)
+    adapter.reset(0)
+    step = adapter.step(np.array([[[0.0, -1.0]], [[7.0, 0.5]]], dtype=np.float32))
     np.testing.assert_allclose(step.rewards[:, 0], [[4.0, -3.0], [6.0, -1.5]])
 
 
-def test_foreign_observations_are_flat_and_known_by_their_bounds() -> None:
+def test_observations_of_other_environments_are_flat_and_scaled_by_their_bounds() -> None:
     low = np.float32([[-2.0, 0.0], [-np.inf, 0.0]])
-    worlds = toy_worlds(spaces.Discrete(2), spaces.Box(low, np.float32([[1.0, 5.0], [0.0, 1e9]])))
-    assert worlds.observation_size == 4
-    np.testing.assert_array_equal(worlds.observation_scales, [2.0, 5.0, 1.0, 1.0])
-    observations = worlds.reset(0)
+    adapter = toy_worlds(spaces.Discrete(2), spaces.Box(low, np.float32([[1.0, 5.0], [0.0, 1e9]])))
+    assert adapter.observation_size == 4
+    np.testing.assert_array_equal(adapter.observation_scales, [2.0, 5.0, 1.0, 1.0])
+    observations = adapter.reset(0)
     assert observations.shape == (2, 1, 4)
     assert observations.dtype == np.float32
-    assert worlds.objectives == ("objective_0", "objective_1")
-    np.testing.assert_array_equal(worlds.objective_scales, [1.0, 1.0])
+    assert adapter.objectives == ("objective_0", "objective_1")
+    np.testing.assert_array_equal(adapter.objective_scales, [1.0, 1.0])
 
 
-def test_foreign_discrete_observations_become_one_hot() -> None:
-    worlds = toy_worlds(spaces.Discrete(2), spaces.Discrete(5, start=-1))
-    assert worlds.observation_size == 5
-    assert worlds.reset(0)[1, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
-    step = worlds.step(np.zeros((2, 1), dtype=np.int64))
+def test_discrete_observations_become_one_hot() -> None:
+    adapter = toy_worlds(spaces.Discrete(2), spaces.Discrete(5, start=-1))
+    assert adapter.observation_size == 5
+    assert adapter.reset(0)[1, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    step = adapter.step(np.zeros((2, 1), dtype=np.int64))
     assert step.observations[1, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 0.0]
 
 
-def test_a_foreign_environment_that_says_so_has_succeeded_and_says_why_it_ended() -> None:
-    worlds = toy_worlds(spaces.Discrete(2))
-    collector = Collector(worlds, GAMMA, 8)
+def test_success_and_end_are_read_from_the_info_of_other_environments() -> None:
+    adapter = toy_worlds(spaces.Discrete(2))
+    collector = Collector(adapter, GAMMA, 8)
     collector.reset(0)
-    rollout, episodes = collector.collect(random_policy(worlds))
+    rollout, episodes = collector.collect(random_policy(adapter))
     assert rollout.acted[:, 0, 0].tolist() == [True, True, True, False, True, True, True, False]
     assert episodes.succeeded.tolist() == [True] * 4
     assert episodes.lengths.tolist() == [3] * 4
-    worlds.reset(0)
-    steps = [worlds.step(np.zeros((2, 1), dtype=np.int64)) for _ in range(3)]
+    adapter.reset(0)
+    steps = [adapter.step(np.zeros((2, 1), dtype=np.int64)) for _ in range(3)]
     assert [step.succeeded[:, 0].tolist() for step in steps] == [[False] * 2, [False] * 2, [True] * 2]
     assert steps[-1].ends is not None
     assert steps[-1].ends.tolist() == ["three", "three"]
 
 
-def test_a_reset_forgets_that_an_episode_was_over() -> None:
-    worlds = toy_worlds(spaces.Discrete(2))
-    worlds.reset(0)
+def test_a_reset_clears_the_end_of_the_previous_episode() -> None:
+    adapter = toy_worlds(spaces.Discrete(2))
+    adapter.reset(0)
     for _ in range(3):
-        step = worlds.step(np.zeros((2, 1), dtype=np.int64))
+        step = adapter.step(np.zeros((2, 1), dtype=np.int64))
     assert step.terminated.all()
-    worlds.reset(0)
-    step = worlds.step(np.zeros((2, 1), dtype=np.int64))
+    adapter.reset(0)
+    step = adapter.step(np.zeros((2, 1), dtype=np.int64))
     assert step.acted.all()
 
 
@@ -588,7 +584,7 @@ def test_spaces_that_the_trainers_do_not_handle_are_refused(
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
-def test_our_worlds_train_under_same_step_alone(mode: AutoresetMode) -> None:
+def test_native_environments_need_same_step_autoreset(mode: AutoresetMode) -> None:
     with pytest.raises(ValueError, match="SAME_STEP"):
         EnvAdapter(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, autoreset_mode=mode))
 
