@@ -38,7 +38,7 @@ from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
 from algorithms.pcn import PCN
-from mo_deepdrive import fronts
+from mo_deepdrive import action_sequences, reference_fronts, reference_points
 from mo_deepdrive.actions import (
     CURL,
     DECAY,
@@ -60,9 +60,9 @@ from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import step_world
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, RUNNING, STEER_RANGE
 
-GAMMAS = (fronts.GAMMA, 1.0)
+GAMMAS = (reference_fronts.GAMMA, 1.0)
 KEPT = (200, 50)  # drives at most, and of them for the second of GAMMAS
-UNITS = round(1 / fronts.CONTINUOUS_UNIT)
+UNITS = round(1 / action_sequences.CONTINUOUS_UNIT)
 CHILDREN = 4096  # per generation
 RULED = 5  # generations that rules drive from the start, before there are children
 TAKEN_OVER = 0.1  # share of children that a rule takes over
@@ -235,13 +235,13 @@ class Driver:
     """Drives sequences of actions and rules, in the compiled kernel."""
 
     def __init__(self, scenario: str, action_type: str):
-        config = fronts.front_config(scenario, action_type)
+        config = reference_fronts.front_config(scenario, action_type)
         self.batch = WorldBatch(config, 1)
         self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), DRAWS)))
         self.continuous = self.batch.continuous
         self.decisions = config.max_decisions
         self.driven = 0
-        idle = np.atleast_1d(fronts.idle(action_type))
+        idle = np.atleast_1d(action_sequences.idle(action_type))
         self.idle = (idle * UNITS if self.continuous else idle).astype(np.int16)
         self.table = np.zeros((0, 4)) if self.continuous else action_table(action_type)
         self._path = np.zeros((1, config.physics_steps + 1, PATH_WIDTH))
@@ -259,10 +259,10 @@ class Driver:
         return plans
 
     def sequence(self, plan: Plans) -> NDArray[Any]:
-        """A plan (decisions, k) as `fronts.encode` takes it, without the idling at its end."""
+        """A plan (decisions, k) as `action_sequences.encode` takes it, without the idling at its end."""
         busy = np.flatnonzero((plan != self.idle).any(axis=1))
         kept = plan[: busy[-1] + 1 if len(busy) else 0]
-        return kept * fronts.CONTINUOUS_UNIT if self.continuous else kept[:, 0].astype(np.int64)
+        return kept * action_sequences.CONTINUOUS_UNIT if self.continuous else kept[:, 0].astype(np.int64)
 
     def drive(self, plans: Plans, source: int, pilots: NDArray[Any] | None = None) -> Drives:
         """Drive ``plans``, changed in place, and ``pilots`` (n,) from the decision on that each names."""
@@ -506,7 +506,7 @@ class Search:
 
     def __init__(self, scenario: str, action_type: str, seed: int):
         self.names = SCENARIOS[scenario].objectives
-        self.references = [fronts.reference_point(scenario, action_type, gamma).values for gamma in GAMMAS]
+        self.references = [reference_points.reference_point(scenario, action_type, gamma).values for gamma in GAMMAS]
         self.driver = Driver(scenario, action_type)
         self.rng = np.random.default_rng(seed)
         self.generations = 0
@@ -572,7 +572,7 @@ def drives_of_run(path: str, scenario: str, action_type: str, episodes: int) -> 
             raise ValueError(f"run {path!r} has {name} = {found!r}; the front needs {expected!r}")
     agent = build(run.experiment, num_envs=1)
     agent.load(run.checkpoint, policy_only=True)
-    config = fronts.front_config(scenario, action_type).model_dump(mode="json", exclude={"scenario"})
+    config = reference_fronts.front_config(scenario, action_type).model_dump(mode="json", exclude={"scenario"})
     emitted: dict[str, Any] = {
         name: settings.arguments[name] for name in ("objectives", "cost_sign") if name in settings.arguments
     }
@@ -614,7 +614,7 @@ def record(policy: Policy, worlds: EnvAdapter, generator: torch.Generator | None
 
 def front_file(scenario: str, action_type: str) -> Path:
     """Where a front is shipped."""
-    return Path(fronts.__file__).parent / "data" / f"front_{scenario}_{action_type}.json"
+    return Path(reference_fronts.__file__).parent / "data" / f"front_{scenario}_{action_type}.json"
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
@@ -676,9 +676,9 @@ def main(arguments: list[str]) -> int:
     search = Search(scenario, action_type, options.seed)
     driver = search.driver
 
-    policies = fronts.read(file.read_text(encoding="utf-8")) if file.is_file() else ()
+    policies = reference_fronts.read(file.read_text(encoding="utf-8")) if file.is_file() else ()
     sources = [policy.source for policy in policies]
-    known = [fronts.decode(policy.actions, action_type) for policy in policies]
+    known = [action_sequences.decode(policy.actions, action_type) for policy in policies]
     shipped = driver.drive(driver.plans(known), NO_SOURCE)
     shipped.sources[:] = np.arange(len(policies))
     start = shipped.take(np.arange(0)) if options.anew else shipped
@@ -710,11 +710,13 @@ def main(arguments: list[str]) -> int:
         console.print("The shipped front is larger; nothing is written.")
         return 0
     rows = zip(found.plans, *np.round(found.returns[::-1], 6).tolist(), found.sources, strict=True)
-    text = fronts.write(
+    text = reference_fronts.write(
         scenario,
         action_type,
         [
-            fronts.KnownPolicy(fronts.encode(driver.sequence(plan)), tuple(total), tuple(discounted), sources[source])
+            reference_fronts.KnownPolicy(
+                action_sequences.encode(driver.sequence(plan)), tuple(total), tuple(discounted), sources[source]
+            )
             for plan, total, discounted, source in rows
         ],
     )

@@ -262,7 +262,7 @@ class DrivingVectorEnv(VectorEnv):
         Raises:
             ValueError: where none is known, saying what it requires.
         """
-        from mo_deepdrive.fronts import pareto_front
+        from mo_deepdrive.reference_fronts import pareto_front
 
         return pareto_front(self.config, gamma)
 

@@ -171,7 +171,7 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
         Raises:
             ValueError: where none is known, saying what it requires.
         """
-        from mo_deepdrive.fronts import pareto_front
+        from mo_deepdrive.reference_fronts import pareto_front
 
         return pareto_front(self.config, gamma)
 

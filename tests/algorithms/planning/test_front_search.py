@@ -17,7 +17,7 @@ import pytest
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
-from mo_deepdrive import fronts
+from mo_deepdrive import action_sequences, reference_fronts, reference_points
 
 OPEN = ("one_waypoint", "static_obstacle")
 SMALL = ["--decisions", "300000", "--anew"]
@@ -72,8 +72,10 @@ def make_run(tmp_path: Path) -> Callable[..., Path]:
 
 def returns_of(text: str, scenario: str, action_type: str) -> np.ndarray:
     """The discounted returns of a file's policies, by replay."""
-    sequences = [fronts.decode(policy.actions, action_type) for policy in fronts.read(text)]
-    return fronts.discounted_sum(fronts.replay(scenario, action_type, sequences), fronts.GAMMA)
+    sequences = [action_sequences.decode(policy.actions, action_type) for policy in reference_fronts.read(text)]
+    return action_sequences.discounted_sum(
+        action_sequences.replay(reference_fronts.front_config(scenario, action_type), sequences), reference_fronts.GAMMA
+    )
 
 
 @pytest.mark.parametrize("scenario", OPEN)
@@ -85,8 +87,8 @@ def test_a_search_writes_drives_that_do_what_it_says(
     arguments = ["--scenario", scenario, "--action-type", action_type, *SMALL, "--output", str(file)]
     assert front.main(arguments) == 0
     text = file.read_text(encoding="utf-8")
-    policies = fronts.read(text)
-    assert fronts.write(scenario, action_type, policies) == text
+    policies = reference_fronts.read(text)
+    assert reference_fronts.write(scenario, action_type, policies) == text
     replayed = returns_of(text, scenario, action_type)
     np.testing.assert_allclose(replayed, [policy.discounted for policy in policies], rtol=1e-5, atol=2e-5)
     assert (np.diff(replayed[:, 0]) <= 1e-5).all()
@@ -129,7 +131,7 @@ def test_a_front_is_replaced_by_a_larger_one_and_kept_otherwise(
     assert shipped.read_bytes() == first
     assert front.main(["--decisions", "3000000", "--seed", "7"]) == 0
     assert "policies written to" in capsys.readouterr().out
-    sources = {policy.source for policy in fronts.read(shipped.read_text(encoding="utf-8"))}
+    sources = {policy.source for policy in reference_fronts.read(shipped.read_text(encoding="utf-8"))}
     assert any("--seed 7" in source for source in sources)
 
 
@@ -138,7 +140,7 @@ def test_a_search_of_no_decisions_keeps_the_shipped_front(front: ModuleType, shi
     first = returns_of(shipped.read_text(encoding="utf-8"), "one_waypoint", "discrete")
     assert front.main(["--decisions", "0"]) == 0
     second = returns_of(shipped.read_text(encoding="utf-8"), "one_waypoint", "discrete")
-    reference = fronts.reference_point().values
+    reference = reference_points.reference_point().values
     volumes = [moocore.hypervolume(each, ref=reference, maximise=True) for each in (first, second)]
     assert volumes[1] == pytest.approx(volumes[0], rel=1e-9)
 
@@ -154,7 +156,7 @@ def test_drives_of_a_run_join_the_search(
     assert len(sequences) == 4
     assert all(1 <= len(sequence) <= 600 and sequence.max() < 22 for sequence in sequences)
     assert front.main(["--decisions", "0", "--anew", "--episodes", "3", "--from", str(path)]) == 0
-    policies = fronts.read(shipped.read_text(encoding="utf-8"))
+    policies = reference_fronts.read(shipped.read_text(encoding="utf-8"))
     assert {policy.source.split()[0] for policy in policies} == {"run", "python"}
 
 
@@ -183,7 +185,7 @@ def test_continuous_drives_of_a_run_are_rounded_to_what_can_be_written(
     for plan, sequence in zip(plans, sequences, strict=True):
         written = driver.sequence(plan)
         np.testing.assert_allclose(written, sequence[: len(written)], atol=0.5 / 1024)
-        np.testing.assert_array_equal(fronts.decode(fronts.encode(written), "continuous"), written)
+        np.testing.assert_array_equal(action_sequences.decode(action_sequences.encode(written), "continuous"), written)
 
 
 def test_a_run_of_another_scenario_or_action_set_is_refused(
@@ -217,7 +219,9 @@ def test_drives_that_do_not_dominate_the_reference_points_are_not_kept(front: Mo
     driver = front.Driver("one_waypoint", "continuous")
     gentle, hard = np.array([[0.0, 0.1, -1.0]] * 30), np.array([[0.0, 1.0, -1.0], [0.0, -0.9, -1.0]] * 30)
     drives = driver.drive(driver.plans([gentle, hard, np.zeros((0, 3))]), 0)
-    references = [fronts.reference_point("one_waypoint", "continuous", gamma).values for gamma in front.GAMMAS]
+    references = [
+        reference_points.reference_point("one_waypoint", "continuous", gamma).values for gamma in front.GAMMAS
+    ]
     assert (drives.returns[0][1] < references[0]).any()
     few = front.chosen_few(drives, references)
     np.testing.assert_array_equal(few.plans, drives.plans[[0, 2]])
