@@ -22,29 +22,26 @@ from mo_deepdrive.simulation.state import ENDS, SPAWN, VEHICLE
 Draw = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 MAX_REDRAWS = 1000
 
-# Telemetry name -> field of the state.
-TELEMETRY = {
-    name: name
-    for name in (
-        "x",
-        "y",
-        "heading",
-        "speed",
-        "steer",
-        "throttle",
-        "brake",
-        "g_force",
-        "jerk",
-        "route_distance",
-        "travelled",
-        "left_lane_distance",
-        "right_lane_distance",
-        "vx",
-        "vy",
-        "ax",
-        "ay",
-    )
-}
+# The fields of the state that telemetry reports.
+TELEMETRY = (
+    "x",
+    "y",
+    "heading",
+    "speed",
+    "steer",
+    "throttle",
+    "brake",
+    "g_force",
+    "jerk",
+    "route_distance",
+    "travelled",
+    "left_lane_distance",
+    "right_lane_distance",
+    "vx",
+    "vy",
+    "ax",
+    "ay",
+)
 
 
 @dataclass(frozen=True)
@@ -140,8 +137,8 @@ class WorldBatch:
             if not len(rows):
                 return
         raise ValueError(
-            f"reset options leave no possible scenario in {MAX_REDRAWS} draws: the bicycle touches the vehicle at "
-            "its start or lies within 1 m of the destination"
+            f"no valid scenario in {MAX_REDRAWS} draws with these reset options: the bicycle touches the vehicle at its "
+            "start or is within 1 m of the destination"
         )
 
     def step(self, actions: NDArray[Any]) -> None:
@@ -224,7 +221,7 @@ class WorldBatch:
         """Named SI floats of every vehicle of world ``row``; yaw_rate in rad/s."""
         readings = []
         for vehicle in self.state[row]:
-            reading = {name: float(vehicle[field]) for name, field in TELEMETRY.items()}
+            reading = {name: float(vehicle[name]) for name in TELEMETRY}
             reading["yaw_rate"] = float(vehicle.yaw_step) * self.config.simulation_frequency
             readings.append(reading)
         return tuple(readings)

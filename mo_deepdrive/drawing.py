@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import itertools
 import math
 from typing import Any
@@ -11,12 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mo_deepdrive.quiet_pygame import gfxdraw, pygame
 from mo_deepdrive.scenarios import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, RUNNING
-
-with contextlib.redirect_stdout(io.StringIO()):  # pygame greets on import; standard output belongs to the program
-    import pygame
-    from pygame import gfxdraw
 
 Colour = tuple[int, ...]  # red, green, blue and possibly alpha, each 0 to 255
 Points = NDArray[np.float64]  # (points, 2), m

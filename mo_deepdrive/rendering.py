@@ -24,9 +24,9 @@ from mo_deepdrive.drawing import (
     SUPERSAMPLING,
     Canvas,
     Colour,
-    pygame,  # imported there without its greeting
 )
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT

@@ -1,13 +1,11 @@
-"""What every test module shares: the hypothesis profile, the recorded trajectories, environments without wrappers."""
+"""Shared by all tests: the Hypothesis profile, recorded trajectories, environments without wrappers."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,8 @@ import pytest
 import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
-
-GOLDEN = REPOSITORY.parent / "shared" / "golden"
 
 hypothesis.settings.register_profile(
     "mo-deepdrive",
@@ -35,36 +32,20 @@ hypothesis.settings.load_profile("mo-deepdrive")
 
 @pytest.fixture(autouse=True, scope="module")
 def _one_thread() -> Iterator[None]:
-    """Torch on one thread: tests run side by side, and its threads would wait for each other."""
+    """Torch on one thread: tests run in parallel, and its threads would wait for each other."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
 
 
-@dataclass(frozen=True)
-class Golden:
-    """The recorded trajectories: episodes, each a list of one entry per vehicle, and the rows of all decisions."""
-
-    episodes: dict[int, list[dict[str, Any]]]
-    steps: dict[str, np.ndarray]
-
-    def of(self, scenario: str) -> dict[int, list[dict[str, Any]]]:
-        """The episodes of one scenario."""
-        return {number: vehicles for number, vehicles in self.episodes.items() if vehicles[0]["scenario"] == scenario}
-
-
-@pytest.fixture(scope="session")
-def golden() -> Golden:
-    """The recorded trajectories of the original simulator; tests that ask for them skip where they are absent."""
-    if not (GOLDEN / "episodes.json").exists() or not (GOLDEN / "steps.npz").exists():
-        pytest.skip(f"the recorded trajectories are not in {GOLDEN}")
-    episodes: dict[int, list[dict[str, Any]]] = {}
-    for entry in json.loads((GOLDEN / "episodes.json").read_text()):
-        episodes.setdefault(entry["episode"], []).append(entry)
-    with np.load(GOLDEN / "steps.npz") as arrays:
-        steps = {name: arrays[name] for name in arrays.files}
-    return Golden(episodes, steps)
+@pytest.fixture(scope="session", params=["sample", "full set"])
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Trajectories recorded from the original simulator: the sample in the repository, and the full set if present."""
+    directory = SAMPLE if request.param == "sample" else FULL_SET
+    if directory is FULL_SET and not is_complete(directory):
+        pytest.skip(f"the full set of recorded trajectories is not in {directory}")
+    return read_golden(request.param, directory)
 
 
 @pytest.fixture(scope="session")
@@ -75,7 +56,7 @@ def repository() -> Path:
 
 @pytest.fixture(scope="session")
 def make_single() -> Callable[..., Any]:
-    """Make the single environment of a scenario ("one_waypoint" or "static_obstacle") without any wrapper."""
+    """Make the single environment of a scenario, without wrappers."""
 
     def make(scenario: str = "one_waypoint", **options: Any) -> Any:
         name = f"mo-deepdrive-{scenario.replace('_', '-')}-v0"
@@ -115,7 +96,7 @@ WIDTH, LENGTH = 2.300675555555556, 5.17652
 
 
 class Shapes:
-    """Slow and plain geometry of convex shapes, independent of the package: a box is its four corners."""
+    """Slow, plain geometry of convex shapes, independent of the package. A box is its four corners."""
 
     width = WIDTH
     length = LENGTH
@@ -131,7 +112,7 @@ class Shapes:
     @staticmethod
     def gap(first: np.ndarray, second: np.ndarray) -> float:
         """Largest gap between the projections of two convex shapes (n, 2) on the normals (and, for segments and
-        points, the directions) of all their edges: positive where they are apart, negative where they overlap."""
+        points, the directions) of all their edges: positive if they are apart, negative if they overlap."""
         axes = [np.array([1.0, 0.0]), np.array([0.0, 1.0])]
         for shape in (first, second):
             for edge in np.roll(shape, -1, axis=0) - shape:
@@ -147,7 +128,7 @@ class Shapes:
 
 @pytest.fixture(scope="session")
 def shapes() -> type[Shapes]:
-    """Slow and plain geometry, to hold the package's against."""
+    """Slow, plain geometry that the package's is compared with."""
     return Shapes
 
 
@@ -161,5 +142,5 @@ def chase_waypoint(observation: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def chase() -> Callable[[np.ndarray], np.ndarray]:
-    """A policy for one vehicle: it arrives where nothing stands in its way."""
+    """A policy for one vehicle: it arrives if nothing is in its way."""
     return chase_waypoint

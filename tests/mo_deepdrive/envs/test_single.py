@@ -578,10 +578,10 @@ def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(make_sing
 
 GOOD = {"start": (0.0, 0.0, -math.pi / 2), "destination": (30.0, 0.0)}
 BAD_OPTIONS = {
-    "the destination on the bicycle": ({**GOOD, "obstacle": ((30.0, -1.0), (30.0, 1.0))}, "no possible scenario"),
-    "the destination within 1 m of it": ({**GOOD, "obstacle": ((30.99, -1.0), (30.99, 1.0))}, "no possible scenario"),
-    "the start inside the car": ({**GOOD, "obstacle": ((0.1, 0.0), (0.2, 0.1))}, "no possible scenario"),
-    "the start at the bicycle": ({**GOOD, "obstacle": ((2.5, -5.0), (2.5, 5.0))}, "no possible scenario"),
+    "the destination on the bicycle": ({**GOOD, "obstacle": ((30.0, -1.0), (30.0, 1.0))}, "no valid scenario"),
+    "the destination within 1 m of it": ({**GOOD, "obstacle": ((30.99, -1.0), (30.99, 1.0))}, "no valid scenario"),
+    "the start inside the car": ({**GOOD, "obstacle": ((0.1, 0.0), (0.2, 0.1))}, "no valid scenario"),
+    "the start at the bicycle": ({**GOOD, "obstacle": ((2.5, -5.0), (2.5, 5.0))}, "no valid scenario"),
     "a NaN in the start": ({"start": (0.0, math.nan, 0.0)}, "'start'.*finite"),
     "an infinite destination": ({"destination": (math.inf, 0.0)}, "'destination'.*finite"),
     "a NaN in the bicycle": ({"obstacle": ((1.0, math.nan), (2.0, 2.0))}, "'obstacle'.*finite"),
@@ -614,7 +614,7 @@ def test_one_waypoint_has_no_bicycle_to_pin(make_single: Make) -> None:
 
 def test_a_refused_first_reset_leaves_an_environment_that_still_needs_one(make_single: Make) -> None:
     env = make_single("static_obstacle")
-    with pytest.raises(ValueError, match="no possible scenario"):
+    with pytest.raises(ValueError, match="no valid scenario"):
         env.reset(options={**GOOD, "obstacle": ((0.0, 0.0), (0.0, 0.1))})
     with pytest.raises(ResetNeeded):
         env.step(0)

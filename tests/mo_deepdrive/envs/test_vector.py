@@ -570,7 +570,7 @@ BAD_RESETS: dict[str, tuple[str, dict[str, Any], str]] = {
     "an impossible bicycle": (
         "static_obstacle",
         {"start": (0.0, 0.0, 0.0), "obstacle": ((0.0, 0.0), (0.1, 0.0))},
-        "no possible scenario",
+        "no valid scenario",
     ),
 }
 
