@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.quiet_pygame import pygame
-from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
 
 FRAMES_PER_DECISION = 3
 END_HOLD = 1.5  # s for which the last frame of an episode is shown
@@ -67,7 +67,7 @@ class Driver(Protocol):
         """Receive the rewards (1, V, d) of all vehicles after a decision."""
 
 
-def choose_action(keys: Keys, vehicle: np.record, action_type: str) -> int:
+def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
     """The discrete action that comes closest to what the keys would do in a car.
 
     Left and right steer as far as any action does at this speed; without them the steering returns to straight.

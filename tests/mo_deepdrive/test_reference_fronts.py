@@ -222,7 +222,7 @@ def test_unknown_names_are_refused_with_the_known_ones() -> None:
         mo_deepdrive.reference_front("one_waypont")
     with pytest.raises(ValueError, match="action_type = 'discreet' is unknown; did you mean 'discrete'"):
         mo_deepdrive.reference_front(action_type="discreet")
-    with pytest.raises(ValueError, match="objectives has 'collision', which OneWaypoint lacks"):
+    with pytest.raises(ValueError, match="objectives has 'collision', which OneWaypoint does not have"):
         mo_deepdrive.reference_front(objectives=["collision"])
 
 

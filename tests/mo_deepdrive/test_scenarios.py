@@ -229,7 +229,7 @@ def test_a_fixed_bicycle_leaves_the_destination_to_be_drawn_as_ever(make_single:
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "intersection"])
 def test_a_fixed_bicycle_is_refused_where_there_is_none(make_vector: Any, scenario: str) -> None:
-    with pytest.raises(ValueError, match="fixed_obstacle = True has no meaning in"):
+    with pytest.raises(ValueError, match="fixed_obstacle = True has no effect in"):
         make_vector(scenario, fixed_obstacle=True)
 
 

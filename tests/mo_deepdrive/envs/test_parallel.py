@@ -319,13 +319,16 @@ def assert_refuses(env: Any, actions: Any, message: str) -> None:
 
 
 BAD_DISCRETE = {
-    "an agent is missing": ({"vehicle_0": 3}, r"lack \['vehicle_1'\]; expected one for each of .*vehicle_0.*vehicle_1"),
-    "no agent is there": ({}, r"lack \['vehicle_0', 'vehicle_1'\]"),
+    "an agent is missing": (
+        {"vehicle_0": 3},
+        r"are missing for \['vehicle_1'\]; expected one for each of .*vehicle_0.*vehicle_1",
+    ),
+    "no agent is there": ({}, r"are missing for \['vehicle_0', 'vehicle_1'\]"),
     "one agent too many": (
         {"vehicle_0": 3, "vehicle_1": 3, "vehicle_2": 3},
-        r"name others: \['vehicle_2'\]; expected one for each",
+        r"are given for \['vehicle_2'\]; expected one for each",
     ),
-    "agents by number": ({0: 3, 1: 3}, r"lack \['vehicle_0', 'vehicle_1'\] and name others: \[0, 1\]"),
+    "agents by number": ({0: 3, 1: 3}, r"are missing for \['vehicle_0', 'vehicle_1'\] and are given for \[0, 1\]"),
     "not a dict": ([3, 3], r"\[3, 3\] must be a dict"),
     "an action that is too large": ({"vehicle_0": 3, "vehicle_1": 22}, r"22 of vehicle_1 .*integers in \[0, 22\)"),
     "a negative action": ({"vehicle_0": -1, "vehicle_1": 3}, "-1 of vehicle_0 is not allowed"),
@@ -382,13 +385,13 @@ def halfway(keep_finished: bool) -> Any:
 def test_an_action_for_a_vehicle_that_has_left_is_refused() -> None:
     env = halfway(keep_finished=False)
     assert env.agents == ["vehicle_0"]
-    assert_refuses(env, dict.fromkeys(AGENTS, FINE), r"name others: \['vehicle_1'\]; expected one .* \['vehicle_0'\]")
+    assert_refuses(env, dict.fromkeys(AGENTS, FINE), r"are given for \['vehicle_1'\]; expected one .* \['vehicle_0'\]")
 
 
 def test_the_action_of_a_kept_finished_vehicle_must_be_given_is_checked_and_is_ignored() -> None:
     env = halfway(keep_finished=True)
     assert env.agents == AGENTS
-    assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE}, r"lack \['vehicle_1'\]")
+    assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE}, r"are missing for \['vehicle_1'\]")
     assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE, "vehicle_1": FINE * math.nan}, "of vehicle_1")
     other = copy.deepcopy(env)
     env.step({"vehicle_0": FINE, "vehicle_1": FINE})
@@ -466,7 +469,7 @@ def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_neares
         ({"end_togther": True}, "'end_togther'.*did you mean 'end_together'"),
         ({"keep_finished": 1}, "keep_finished = 1 must be True or False"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
-        ({"scenario": "one_waypoint", "end_together": True}, "no meaning in OneWaypoint"),
+        ({"scenario": "one_waypoint", "end_together": True}, "no effect in OneWaypoint"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(arguments: dict[str, Any], message: str) -> None:

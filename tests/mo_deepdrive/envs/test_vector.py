@@ -597,7 +597,7 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "a fixed destination at the intersection": (
         "intersection",
         {"fixed_destination": True},
-        "no meaning in Intersection",
+        "no effect in Intersection",
     ),
     "an unknown objective": ("intersection", {"objectives": ("lane_violations",)}, "did you mean 'lane_violation'"),
     "an unknown argument": ("intersection", {"yield_to_oncomming": False}, "did you mean 'yield_to_oncoming'"),
