@@ -13,7 +13,7 @@ from mo_deepdrive.reference_fronts import front_config
 
 
 @given(st.lists(st.integers(0, 21), max_size=40))
-def test_what_is_written_of_discrete_actions_is_read_again(actions: list[int]) -> None:
+def test_discrete_actions_survive_encoding_and_decoding(actions: list[int]) -> None:
     array = np.array(actions, dtype=np.int64)
     text = encode(array)
     assert decode(text, "discrete").tolist() == actions
@@ -21,14 +21,14 @@ def test_what_is_written_of_discrete_actions_is_read_again(actions: list[int]) -
 
 
 @given(st.lists(st.tuples(*[st.integers(-1024, 1024)] * 3), max_size=20))
-def test_what_is_written_of_continuous_actions_is_read_again(actions: list[tuple[int, ...]]) -> None:
+def test_continuous_actions_survive_encoding_and_decoding(actions: list[tuple[int, ...]]) -> None:
     array = np.array(actions, dtype=np.float64).reshape(-1, 3) / 1024
     found = decode(encode(array), "continuous")
     np.testing.assert_array_equal(found, array)
     np.testing.assert_array_equal(found.astype(np.float32), array)
 
 
-def test_runs_of_equal_actions_are_written_short() -> None:
+def test_repeated_actions_are_encoded_as_runs() -> None:
     assert encode(np.array([3, 3, 3, 0, 21])) == "d3av"
     assert encode(np.array([[0.0, 0.5, -1.0]] * 12 + [[0.25, 0.0, 0.0]])) == "0,512*12 256,0,0"
 
@@ -48,16 +48,16 @@ def test_runs_of_equal_actions_are_written_short() -> None:
         ("1.5,0,0", "continuous"),
     ],
 )
-def test_what_is_no_sequence_is_refused(text: str, action_type: str) -> None:
+def test_texts_that_are_not_sequences_are_refused(text: str, action_type: str) -> None:
     with pytest.raises(ValueError, match="is not a sequence of"):
         decode(text, action_type)
 
 
-def test_letters_suffice_for_every_discrete_set() -> None:
+def test_there_are_enough_letters_for_every_discrete_set() -> None:
     assert max(len(action_table(name)) for name in ("discrete", "discrete-16")) <= 26
 
 
-def test_a_sequence_that_is_over_idles_until_the_episode_is() -> None:
+def test_a_replay_is_idle_after_the_last_action() -> None:
     rewards = replay(front_config("one_waypoint", "discrete"), [decode("", "discrete"), decode("a600", "discrete")])
     assert rewards.shape == (2, 600, 4)
     assert not rewards.any()

@@ -38,12 +38,12 @@ def dominates(first: np.ndarray, second: np.ndarray) -> bool:
 # --------------------------------------------------------------------------------------------------- shipped fronts
 
 
-def test_the_discrete_fronts_of_both_scenarios_are_shipped() -> None:
+def test_the_package_has_the_discrete_fronts_of_both_scenarios() -> None:
     assert {("one_waypoint", "discrete"), ("static_obstacle", "discrete")} <= set(SHIPPED)
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_every_shipped_drive_pays_what_the_file_says(scenario: str, action_type: str) -> None:
+def test_every_policy_earns_the_returns_in_its_file(scenario: str, action_type: str) -> None:
     policies = reference_fronts.shipped(scenario, action_type)
     rewards = replay(
         reference_fronts.front_config(scenario, action_type), [decode(each.actions, action_type) for each in policies]
@@ -54,7 +54,7 @@ def test_every_shipped_drive_pays_what_the_file_says(scenario: str, action_type:
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_a_shipped_file_is_small_and_says_where_every_drive_comes_from(scenario: str, action_type: str) -> None:
+def test_a_front_file_is_small_and_names_the_source_of_every_policy(scenario: str, action_type: str) -> None:
     text = (reference_fronts.DATA / f"front_{scenario}_{action_type}.json").read_text(encoding="utf-8")
     policies = reference_fronts.read(text)
     assert len(text) < 200_000
@@ -65,7 +65,7 @@ def test_a_shipped_file_is_small_and_says_where_every_drive_comes_from(scenario:
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_no_shipped_drive_is_dominated_for_both_gammas(scenario: str, action_type: str) -> None:
+def test_every_policy_is_non_dominated_for_one_of_the_gammas(scenario: str, action_type: str) -> None:
     policies = reference_fronts.shipped(scenario, action_type)
     on_a_front = np.zeros(len(policies), dtype=bool)
     for gamma, stored in zip(GAMMAS, ("discounted", "undiscounted"), strict=True):
@@ -88,14 +88,14 @@ def test_every_point_of_a_front_dominates_the_reference_point(scenario: str, act
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_a_front_reaches_from_staying_to_arriving_in_a_hurry(scenario: str, action_type: str) -> None:
+def test_a_front_extends_from_staying_to_arriving_fast(scenario: str, action_type: str) -> None:
     front = mo_deepdrive.reference_front(scenario, action_type, 0.99)
     costs = [SCENARIOS[scenario].objectives.index(name) for name in ("g_force", "jerk")]
     assert (np.abs(front[:, costs]) / scales(("g_force", "jerk"))).sum(axis=1).min() < 0.01
     assert front[:, 1].max() > 0.5
 
 
-def test_a_shipped_drive_can_be_driven_in_the_public_environment(make_single: Any) -> None:
+def test_a_policy_earns_its_return_in_the_public_environment(make_single: Any) -> None:
     for scenario, action_type in SHIPPED:
         env = make_single(scenario, action_type=action_type, **fixed(scenario))
         policies = reference_fronts.shipped(scenario, action_type)
@@ -111,7 +111,7 @@ def test_a_shipped_drive_can_be_driven_in_the_public_environment(make_single: An
             np.testing.assert_allclose(returns, policy.undiscounted, rtol=1e-5, atol=2e-5)
 
 
-def test_the_documentation_tells_the_size_of_every_front(repository: Path) -> None:
+def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None:
     text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     told = {tuple(row[:3]): row[3:6] for row in rows if row[0] in SCENARIOS}
@@ -141,7 +141,7 @@ def test_a_front_for_another_gamma_is_discounted_with_it(gamma: float) -> None:
         assert not any(dominates(other, point) for other in front)
 
 
-def test_a_front_of_fewer_objectives_holds_only_what_these_do_not_dominate() -> None:
+def test_a_front_of_fewer_objectives_is_non_dominated_in_them() -> None:
     names = ("jerk", "distance")
     full = mo_deepdrive.reference_front()
     front = mo_deepdrive.reference_front(objectives=names)
@@ -157,7 +157,7 @@ def test_a_gamma_out_of_range_is_refused(gamma: float) -> None:
         mo_deepdrive.reference_front(gamma=gamma)
 
 
-def test_where_no_front_is_shipped_the_error_names_those_that_are() -> None:
+def test_without_a_front_the_error_names_those_that_exist() -> None:
     with pytest.raises(ValueError, match=r"no best-known front is shipped for scenario = 'intersection'.*discrete"):
         mo_deepdrive.reference_front("intersection")
 
@@ -167,7 +167,7 @@ def test_where_no_front_is_shipped_the_error_names_those_that_are() -> None:
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
 @pytest.mark.parametrize("gamma", GAMMAS)
-def test_an_environment_knows_its_front(
+def test_an_environment_returns_its_front(
     make_single: Any, make_vector: Any, scenario: str, action_type: str, gamma: float
 ) -> None:
     expected = mo_deepdrive.reference_front(scenario, action_type, gamma)
@@ -177,7 +177,7 @@ def test_an_environment_knows_its_front(
         np.testing.assert_array_equal(np.array(front), expected)
 
 
-def test_mo_gymnasiums_environment_knows_its_front() -> None:
+def test_an_environment_of_mo_gymnasium_returns_its_front() -> None:
     env = mo_gymnasium.make("mo-deepdrive-one-waypoint-v0", fixed_destination=True)
     assert len(env.unwrapped.pareto_front(0.99)) == len(mo_deepdrive.reference_front())
 
@@ -203,7 +203,7 @@ def test_an_environments_front_has_its_objectives_and_signs(make_single: Any) ->
         ("one_waypoint", {"fixed_destination": True, "harmful_g_force": None}, r"harmful_g_force = 1\.0 \(not None\)"),
     ],
 )
-def test_an_environment_without_a_known_front_says_what_it_would_take(
+def test_an_environment_without_a_front_says_what_one_would_require(
     make_single: Any, make_vector: Any, scenario: str, options: dict[str, Any], message: str
 ) -> None:
     for make in (make_single, make_vector):
@@ -226,7 +226,7 @@ def test_unknown_names_are_refused_with_the_known_ones() -> None:
         mo_deepdrive.reference_front(objectives=["collision"])
 
 
-def test_importing_the_package_does_not_import_what_fronts_need(run_python: Callable[[str], str]) -> None:
+def test_importing_the_package_does_not_import_the_requirements_of_fronts(run_python: Callable[[str], str]) -> None:
     found = run_python(
         "import sys, mo_deepdrive\nprint('moocore' in sys.modules)\n"
         "mo_deepdrive.reference_point()\nprint('moocore' in sys.modules)\n"

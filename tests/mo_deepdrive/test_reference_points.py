@@ -30,14 +30,14 @@ def test_there_is_a_reference_point_for_every_scenario_and_action_type(
     assert all(f"{name}: " in point.reason for name in point.objectives)
 
 
-def test_a_reference_point_follows_the_objectives_asked_for() -> None:
+def test_a_reference_point_has_the_selected_objectives() -> None:
     point = mo_deepdrive.reference_point("static_obstacle", gamma=0.99)
     few = mo_deepdrive.reference_point("static_obstacle", gamma=0.99, objectives=["jerk", "distance"])
     assert few.objectives == ("jerk", "distance")
     assert few.values.tolist() == [point.values[4], point.values[0]]
 
 
-def test_a_policy_that_stays_where_it_is_lies_a_tenth_of_a_scale_above_the_reference_point() -> None:
+def test_staying_is_a_tenth_of_a_scale_above_the_reference_point() -> None:
     for scenario in SCENARIOS:
         for gamma in GAMMAS:
             point = mo_deepdrive.reference_point(scenario, gamma=gamma)
@@ -46,7 +46,7 @@ def test_a_policy_that_stays_where_it_is_lies_a_tenth_of_a_scale_above_the_refer
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 @pytest.mark.parametrize("gamma", GAMMAS)
-def test_comfort_is_measured_from_what_random_driving_costs(make_vector: Any, scenario: str, gamma: float) -> None:
+def test_comfort_is_measured_from_the_cost_of_random_actions(make_vector: Any, scenario: str, gamma: float) -> None:
     env = make_vector(scenario, 512, autoreset_mode="Disabled")
     env.reset(seed=0)
     batch, rng = env.batch, np.random.default_rng(0)
@@ -76,7 +76,7 @@ def test_unknown_names_are_refused_with_the_known_ones() -> None:
         mo_deepdrive.reference_point(objectives=["collision"])
 
 
-def test_the_documentation_tells_every_reference_point(repository: Path) -> None:
+def test_the_documentation_has_every_reference_point(repository: Path) -> None:
     text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     told = {(title, row[1]): row[2:] for row in rows if row[1] in ("0.99", "1.0") for title in row[0].split(", ")}

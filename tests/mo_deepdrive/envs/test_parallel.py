@@ -45,21 +45,21 @@ def name_of(arguments: dict[str, Any]) -> str:
 
 
 def drive_plan(plan: str, wrap: Callable[[Any], Any] = lambda env: env, **arguments: Any) -> tuple[Any, list[Any]]:
-    """Play a recorded plan (continuous actions) through an environment: it, and what each of its steps returned."""
-    drive = record("continuous", arguments.get("end_together", False))
+    """Replay a recorded episode (continuous actions): the environment, and the results of its steps."""
+    recording = record("continuous", arguments.get("end_together", False))
     number = list(PLANS).index(plan)
-    env = wrap(mo_deepdrive.parallel_env(**{**drive.arguments, **arguments}))
+    env = wrap(mo_deepdrive.parallel_env(**{**recording.arguments, **arguments}))
     env.reset(seed=7)
-    for pins in drive.pins[1 : number + 1]:  # an episode draws where those before it have stopped
+    for pins in recording.options[1 : number + 1]:  # an episode continues the random stream of those before it
         env.reset(options=pins)
     told = []
-    for joint in drive.actions[number]:
+    for joint in recording.actions[number]:
         told.append(env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents}))
     return env, told
 
 
 def steps_alike(env: Any, other: Any) -> None:
-    """Both go on alike: nothing that one of them was asked in between has changed it."""
+    """Both continue in the same way, so nothing changed one of them."""
     for agent in env.agents:
         env.action_space(agent).seed(1)
     actions = {agent: env.action_space(agent).sample() for agent in env.agents}
@@ -78,9 +78,7 @@ def steps_alike(env: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("keep_finished", [False, True])
 @pytest.mark.parametrize("arguments", EVERY, ids=name_of)
-def test_pettingzoos_own_checks_of_a_parallel_environment_find_nothing(
-    arguments: dict[str, Any], keep_finished: bool
-) -> None:
+def test_pettingzoos_tests_of_parallel_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message="unknown reset option 'options' is ignored")
@@ -90,9 +88,7 @@ def test_pettingzoos_own_checks_of_a_parallel_environment_find_nothing(
 
 @pytest.mark.parametrize("keep_finished", [False, True])
 @pytest.mark.parametrize("arguments", EVERY, ids=name_of)
-def test_momalands_own_checks_of_the_aec_environment_find_nothing(
-    arguments: dict[str, Any], keep_finished: bool
-) -> None:
+def test_momalands_tests_of_aec_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message="unknown reset option 'options' is ignored")
@@ -101,7 +97,7 @@ def test_momalands_own_checks_of_the_aec_environment_find_nothing(
 
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
-def test_every_scenario_has_these_environments_with_one_agent(scenario: str) -> None:
+def test_the_other_scenarios_have_one_agent(scenario: str) -> None:
     env = mo_deepdrive.parallel_env(scenario=scenario)
     assert env.possible_agents == ["vehicle_0"]
     assert str(env) == env.metadata["name"] == f"mo_deepdrive_{scenario}_v0"
@@ -138,7 +134,7 @@ def test_agents_spaces_and_metadata_are_those_of_the_documentation() -> None:
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_what_comes_back_lies_in_its_space_and_is_the_callers_to_change(action_type: str) -> None:
+def test_results_are_in_their_spaces_and_may_be_changed_by_the_caller(action_type: str) -> None:
     env, spoiled = (mo_deepdrive.parallel_env(action_type=action_type) for _ in range(2))
     kept = list(env.reset(seed=0)[0].values())
     for observation in spoiled.reset(seed=0)[0].values():
@@ -162,7 +158,7 @@ def test_what_comes_back_lies_in_its_space_and_is_the_callers_to_change(action_t
     assert all(np.isfinite(array).all() for array in kept)
 
 
-def test_the_state_is_what_all_vehicles_observed_last() -> None:
+def test_the_state_is_the_last_observations_of_all_vehicles() -> None:
     for keep_finished in (False, True):
         env, told = drive_plan("both arrive", keep_finished=keep_finished)
         env.reset(seed=0)
@@ -178,7 +174,7 @@ def test_the_state_is_what_all_vehicles_observed_last() -> None:
         assert env.state_space.shape == (58,)
 
 
-def test_rewards_follow_the_objectives_asked_for() -> None:
+def test_rewards_have_the_selected_objectives() -> None:
     full, some = (mo_deepdrive.parallel_env(objectives=names) for names in (None, ("jerk", "distance")))
     assert some.reward_dim == 2
     full.reset(seed=0)
@@ -191,7 +187,7 @@ def test_rewards_follow_the_objectives_asked_for() -> None:
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("make", [mo_deepdrive.parallel_env, mo_deepdrive.env])
-def test_a_copy_goes_on_exactly_where_the_original_stands(make: Any, copied: Any) -> None:
+def test_a_copy_continues_exactly_from_the_state_of_the_original(make: Any, copied: Any) -> None:
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
     env.render()
@@ -215,7 +211,7 @@ def test_a_copy_goes_on_exactly_where_the_original_stands(make: Any, copied: Any
 
 
 @pytest.mark.parametrize(("plan", "first"), [("both arrive", 1), ("the left turn fails", 0)])
-def test_a_vehicle_that_has_ended_leaves_and_the_other_drives_on(plan: str, first: int) -> None:
+def test_a_vehicle_that_has_ended_leaves_and_the_other_continues(plan: str, first: int) -> None:
     env, told = drive_plan(plan)
     leaves, stays = AGENTS[first], AGENTS[1 - first]
     at = next(k for k, (*_, infos) in enumerate(told) if infos.get(leaves))
@@ -233,8 +229,8 @@ def test_a_vehicle_that_has_ended_leaves_and_the_other_drives_on(plan: str, firs
     assert env.agents == []
 
 
-def test_keep_finished_keeps_the_flags_down_until_the_end_where_each_gets_its_own() -> None:
-    env, told = drive_plan("one arrives, one stands", keep_finished=True)
+def test_with_keep_finished_the_flags_are_false_until_the_last_step() -> None:
+    env, told = drive_plan("one arrives, one stays", keep_finished=True)
     assert len(told) == 600
     ends = [[infos[agent] for *_, infos in told if infos[agent]] for agent in AGENTS]
     assert ends == [[{"end": "arrived", "success": True}], [{"end": "time_limit", "success": False}]]
@@ -249,7 +245,7 @@ def test_keep_finished_keeps_the_flags_down_until_the_end_where_each_gets_its_ow
 
 
 @pytest.mark.parametrize("keep_finished", [False, True])
-def test_momalands_linear_reward_weighs_the_vectors(keep_finished: bool) -> None:
+def test_momalands_linear_reward_is_the_weighted_sum(keep_finished: bool) -> None:
     weights = {agent: np.arange(1.0, 7.0) * (v + 1) for v, agent in enumerate(AGENTS)}
     _, told = drive_plan("both arrive", lambda env: LinearizeReward(env, weights), keep_finished=keep_finished)
     _, vectors = drive_plan("both arrive", keep_finished=keep_finished)
@@ -275,7 +271,7 @@ def test_momalands_normalised_reward_rescales_one_objective_of_one_agent() -> No
 
 
 @pytest.mark.parametrize("end_together", [False, True])
-def test_momalands_episode_statistics_add_up_where_finished_vehicles_are_kept(end_together: bool) -> None:
+def test_momalands_episode_statistics_are_right_with_keep_finished(end_together: bool) -> None:
     _, told = drive_plan("both arrive", RecordEpisodeStatistics, keep_finished=True, end_together=end_together)
     _, vectors = drive_plan("both arrive", end_together=end_together)
     assert not any("episode" in infos for *_, infos in told[:-1])
@@ -287,14 +283,14 @@ def test_momalands_episode_statistics_add_up_where_finished_vehicles_are_kept(en
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_momalands_central_agent_drives_both_vehicles_where_finished_vehicles_are_kept(action_type: str) -> None:
-    drive = record(action_type, False)
+def test_momalands_central_agent_drives_both_vehicles_with_keep_finished(action_type: str) -> None:
+    recording = record(action_type, False)
     plain = mo_deepdrive.parallel_env(keep_finished=True, action_type=action_type)
     env = CentraliseAgent(mo_deepdrive.parallel_env(keep_finished=True, action_type=action_type))
     plain.reset(seed=7)
     observation, _ = env.reset(seed=7)
     assert observation in env.observation_space
-    for joint in drive.actions[0]:
+    for joint in recording.actions[0]:
         assert np.reshape(joint, env.action_space.shape).astype(env.action_space.dtype) in env.action_space
         observation, reward, terminated, truncated, _ = env.step(joint.ravel())
         _, rewards, *_ = plain.step(dict(zip(AGENTS, joint, strict=True)))
@@ -369,12 +365,12 @@ def test_bad_continuous_joint_actions_are_refused(what: str) -> None:
 
 
 def halfway(keep_finished: bool) -> Any:
-    """An environment whose vehicle 1 has arrived while vehicle 0 still drives."""
-    drive = record("continuous", False)
-    env = mo_deepdrive.parallel_env(keep_finished=keep_finished, **drive.arguments)
+    """An environment in which vehicle 1 has arrived and vehicle 0 still drives."""
+    recording = record("continuous", False)
+    env = mo_deepdrive.parallel_env(keep_finished=keep_finished, **recording.arguments)
     env.reset(seed=7)
     infos: dict[str, Any] = {"vehicle_1": {}}
-    for joint in drive.actions[0]:
+    for joint in recording.actions[0]:
         if infos["vehicle_1"]:
             break
         infos = env.step(dict(zip(AGENTS, joint, strict=True)))[4]
@@ -388,7 +384,7 @@ def test_an_action_for_a_vehicle_that_has_left_is_refused() -> None:
     assert_refuses(env, dict.fromkeys(AGENTS, FINE), r"are given for \['vehicle_1'\]; expected one .* \['vehicle_0'\]")
 
 
-def test_the_action_of_a_kept_finished_vehicle_must_be_given_is_checked_and_is_ignored() -> None:
+def test_the_action_of_a_kept_vehicle_is_required_and_checked_but_ignored() -> None:
     env = halfway(keep_finished=True)
     assert env.agents == AGENTS
     assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE}, r"are missing for \['vehicle_1'\]")
@@ -400,7 +396,7 @@ def test_the_action_of_a_kept_finished_vehicle_must_be_given_is_checked_and_is_i
 
 
 @pytest.mark.parametrize("keep_finished", [False, True])
-def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(keep_finished: bool) -> None:
+def test_a_step_before_the_first_reset_or_after_the_end_is_refused(keep_finished: bool) -> None:
     env = mo_deepdrive.parallel_env(time_limit=0.2, keep_finished=keep_finished)
     with pytest.raises(ResetNeeded):
         env.step(dict.fromkeys(AGENTS, 3))
@@ -416,9 +412,9 @@ def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(keep_fini
     env.step(dict.fromkeys(AGENTS, 3))
 
 
-def test_the_aec_environment_refuses_a_wrong_step_when_it_is_made() -> None:
-    drive = record("continuous", False)
-    env = mo_deepdrive.env(**drive.arguments)
+def test_the_aec_environment_refuses_an_invalid_action_at_once() -> None:
+    recording = record("continuous", False)
+    env = mo_deepdrive.env(**recording.arguments)
     with pytest.raises(ResetNeeded):
         env.step(FINE)
     env.reset(seed=7)
@@ -435,15 +431,15 @@ def test_the_aec_environment_refuses_a_wrong_step_when_it_is_made() -> None:
             refused += 1
             env.step(None)
         else:
-            env.step(drive.actions[0][taken[agent]][AGENTS.index(agent)])
+            env.step(recording.actions[0][taken[agent]][AGENTS.index(agent)])
             taken[agent] += 1
     assert refused == 2
-    assert taken["vehicle_0"] == len(drive.actions[0])
+    assert taken["vehicle_0"] == len(recording.actions[0])
     with pytest.raises(ResetNeeded):
         env.step(FINE)
 
 
-def test_starts_pin_both_vehicles_and_bad_ones_are_refused() -> None:
+def test_starts_set_both_vehicles_and_invalid_ones_are_refused() -> None:
     starts = ((27.077, 10.0, 0.0), (24.039, 40.0, math.pi))
     env = mo_deepdrive.parallel_env()
     env.reset(seed=0, options={"starts": starts})
@@ -472,7 +468,7 @@ def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_neares
         ({"scenario": "one_waypoint", "end_together": True}, "no effect in OneWaypoint"),
     ],
 )
-def test_arguments_that_make_no_sense_are_refused(arguments: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) -> None:
     for make in (mo_deepdrive.parallel_env, mo_deepdrive.env, mo_deepdrive.raw_env):
         with pytest.raises(ValueError, match=message):
             make(**arguments)
@@ -495,7 +491,7 @@ def test_only_the_aec_environment_needs_momaland(run_python: Any) -> None:
     assert printed.strip() == 'the AEC environment needs MOMAland: pip install "mo-deepdrive[momaland]"'
 
 
-def test_the_environments_can_be_drawn() -> None:
+def test_the_environments_render() -> None:
     for make in (mo_deepdrive.parallel_env, mo_deepdrive.env):
         env = make(render_mode="rgb_array")
         env.reset(seed=0)
@@ -508,7 +504,7 @@ def test_the_environments_can_be_drawn() -> None:
 
 
 def examples(repository: Path) -> list[tuple[str, str]]:
-    """The Python blocks of docs/interfaces.md, each with the heading it stands under."""
+    """The Python blocks of docs/interfaces.md, each with its heading."""
     text = (repository / "docs" / "interfaces.md").read_text(encoding="utf-8")
     found = re.findall(r"^## ([^\n]+)$|^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     heading, blocks = "", []
