@@ -31,7 +31,7 @@ UP_LEFT = Keys(True, False, True, False)
 
 
 def chosen(keys: Keys, action_type: str = "discrete", **fields: float) -> str:
-    """The name of the action for a vehicle whose state is zero but for ``fields``."""
+    """The name of the action for a vehicle whose state is zero except for ``fields``."""
     vehicle = np.zeros(1, dtype=VEHICLE)[0]
     for name, value in fields.items():
         vehicle[name] = value
@@ -86,7 +86,7 @@ def pressed(*keys: Keys, restart: bool = False) -> NDArray[np.int8]:
 
 
 def hold(human_env: HumanPlayEnv, *keys: Keys, decisions: int = 1) -> list[dict[str, Any]]:
-    """Hold keys for some decisions; the infos of all steps."""
+    """Hold keys for some decisions; returns the infos of all steps."""
     return [human_env.step(pressed(*keys))[4] for _ in range(decisions * FRAMES_PER_DECISION)]
 
 
@@ -216,7 +216,7 @@ def test_on_frame_receives_a_frame_per_decision() -> None:
 
 
 class StraightDriver:
-    """A driver that drives straight on, and records what it is told."""
+    """A driver that drives straight on and records its calls."""
 
     def __init__(self, action: Any) -> None:
         self.action = np.array(action)
@@ -235,7 +235,7 @@ class StraightDriver:
 
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 @pytest.mark.parametrize("mine", [0, 1])
-def test_a_driver_drives_the_other_vehicle_and_is_told_everything(mine: int, action_type: str) -> None:
+def test_a_driver_drives_the_other_vehicle_and_receives_everything(mine: int, action_type: str) -> None:
     action = (
         (0.0, 1.0, -1.0)
         if action_type == CONTINUOUS
@@ -249,9 +249,9 @@ def test_a_driver_drives_the_other_vehicle_and_is_told_everything(mine: int, act
     assert [name for name, _ in driver.calls] == ["reset", "act", "observe", "act", "observe"]
     assert driver.calls[1][1].tobytes() == first.tobytes()
     assert driver.calls[1][1].shape == (1, 2, first.shape[-1])
-    for (_, told), frame in zip(driver.calls[2::2], (FRAMES_PER_DECISION, 2 * FRAMES_PER_DECISION), strict=True):
-        assert told.shape == (1, 2, env.reward_dim)
-        np.testing.assert_array_equal(told[0], rewards[frame - 1])
+    for (_, observed), frame in zip(driver.calls[2::2], (FRAMES_PER_DECISION, 2 * FRAMES_PER_DECISION), strict=True):
+        assert observed.shape == (1, 2, env.reward_dim)
+        np.testing.assert_array_equal(observed[0], rewards[frame - 1])
     assert vehicles(human_env)[1 - mine].travelled > 0.0
     assert vehicles(human_env)[mine].travelled == 0.0
     human_env.reset()

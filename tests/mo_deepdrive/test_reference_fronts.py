@@ -114,16 +114,16 @@ def test_a_policy_earns_its_return_in_the_public_environment(make_single: Any) -
 def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None:
     text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    told = {tuple(row[:3]): row[3:6] for row in rows if row[0] in SCENARIOS}
+    documented = {tuple(row[:3]): row[3:6] for row in rows if row[0] in SCENARIOS}
     for scenario, action_type in SHIPPED:
         for gamma in GAMMAS:
             front = mo_deepdrive.reference_front(scenario, action_type, gamma)
             point = mo_deepdrive.reference_point(scenario, action_type, gamma)
             volume = moocore.hypervolume(front, ref=point.values, maximise=True)
-            policies, arriving, told_volume = map(float, told.pop((scenario, action_type, str(gamma))))
+            policies, arriving, documented_volume = map(float, documented.pop((scenario, action_type, str(gamma))))
             assert (policies, arriving) == (len(front), (front[:, 1] > 0.0).sum())
-            assert told_volume == pytest.approx(volume, rel=1e-4)
-    assert not told
+            assert documented_volume == pytest.approx(volume, rel=1e-4)
+    assert not documented
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])

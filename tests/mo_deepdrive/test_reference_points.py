@@ -79,10 +79,10 @@ def test_unknown_names_are_refused_with_the_known_ones() -> None:
 def test_the_documentation_has_every_reference_point(repository: Path) -> None:
     text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    told = {(title, row[1]): row[2:] for row in rows if row[1] in ("0.99", "1.0") for title in row[0].split(", ")}
+    documented = {(title, row[1]): row[2:] for row in rows if row[1] in ("0.99", "1.0") for title in row[0].split(", ")}
     for scenario in SCENARIOS.values():
         for gamma in GAMMAS:
-            numbers = dict(zip(NAMES, told[scenario.title, str(gamma)], strict=True))
+            numbers = dict(zip(NAMES, documented[scenario.title, str(gamma)], strict=True))
             point = mo_deepdrive.reference_point(scenario.name, gamma=gamma)
             assert [float(numbers[name]) for name in point.objectives] == point.values.tolist()
 

@@ -412,7 +412,7 @@ def test_falling_two_metres_behind_is_backwards(world: Any) -> None:
         env.step(control(0.0, 0.5 if len(distances) < 15 else -0.5)[None])
         distances.append(env.telemetry()[0][0]["route_distance"])
     assert env.batch.end_names(0) == ("backwards",)
-    assert max(distances) > HALF_LENGTH + 1.0, "it was further than at its start"
+    assert max(distances) > HALF_LENGTH + 1.0, "it was farther away than at its start"
     assert distances[-1] < max(distances) - 2.0 <= distances[-2]
 
 

@@ -160,8 +160,8 @@ def replay_rllib(recording: RecordedEpisodes) -> list[EpisodeReports]:
     for reset, actions in recording.resets():
         reports = first_reports(env, env.reset(**reset)[0])
         for joint in actions:
-            told = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
-            observations, _, terminateds, truncateds, infos = told
+            results = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
+            observations, _, terminateds, truncateds, infos = results
             for v, agent in enumerate(env.possible_agents):
                 if agent in observations:
                     flags = terminateds[agent], truncateds["__all__"] and not terminateds[agent]

@@ -1,6 +1,6 @@
-"""The PettingZoo environments: conformance with PettingZoo and MOMAland, agents that leave or stay, bad input.
+"""The PettingZoo environments: conformance with PettingZoo and MOMAland, agents that leave or stay, invalid input.
 
-``test_faces.py`` holds their trajectories to those of the other faces.
+``test_interfaces.py`` compares their trajectories with those of the other interfaces.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ def drive_plan(plan: str, wrap: Callable[[Any], Any] = lambda env: env, **argume
     env.reset(seed=7)
     for pins in recording.options[1 : number + 1]:  # an episode continues the random stream of those before it
         env.reset(options=pins)
-    told = []
+    steps = []
     for joint in recording.actions[number]:
-        told.append(env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents}))
-    return env, told
+        steps.append(env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents}))
+    return env, steps
 
 
-def steps_alike(env: Any, other: Any) -> None:
+def assert_same_steps(env: Any, other: Any) -> None:
     """Both continue in the same way, so nothing changed one of them."""
     for agent in env.agents:
         env.action_space(agent).seed(1)
@@ -135,17 +135,17 @@ def test_agents_spaces_and_metadata_are_those_of_the_documentation() -> None:
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_results_are_in_their_spaces_and_may_be_changed_by_the_caller(action_type: str) -> None:
-    env, spoiled = (mo_deepdrive.parallel_env(action_type=action_type) for _ in range(2))
+    env, modified = (mo_deepdrive.parallel_env(action_type=action_type) for _ in range(2))
     kept = list(env.reset(seed=0)[0].values())
-    for observation in spoiled.reset(seed=0)[0].values():
+    for observation in modified.reset(seed=0)[0].values():
         observation[:] = np.nan
-    spoiled.agents.clear()
-    spoiled.reset(seed=0)
+    modified.agents.clear()
+    modified.reset(seed=0)
     while env.agents:
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
-        told, other = env.step(actions), spoiled.step(actions)
+        steps, other = env.step(actions), modified.step(actions)
         for agent in actions:
-            observation, reward, terminated, truncated, info = (each[agent] for each in told)
+            observation, reward, terminated, truncated, info = (each[agent] for each in steps)
             assert observation in env.observation_space(agent)
             assert reward in env.reward_space(agent)
             assert type(terminated) is type(truncated) is bool
@@ -153,20 +153,20 @@ def test_results_are_in_their_spaces_and_may_be_changed_by_the_caller(action_typ
             for array in (other[0][agent], other[1][agent]):
                 array[:] = np.nan
             kept += [observation, reward]
-            np.testing.assert_array_equal(env.state(), spoiled.state())
+            np.testing.assert_array_equal(env.state(), modified.state())
     assert not any(np.shares_memory(one, two) for one, two in itertools.combinations(kept[-40:], 2))
     assert all(np.isfinite(array).all() for array in kept)
 
 
 def test_the_state_is_the_last_observations_of_all_vehicles() -> None:
     for keep_finished in (False, True):
-        env, told = drive_plan("both arrive", keep_finished=keep_finished)
+        env, steps = drive_plan("both arrive", keep_finished=keep_finished)
         env.reset(seed=0)
         last = env.reset(seed=7)[0]
         assert env.state().dtype == np.float32
         np.testing.assert_array_equal(env.state(), np.concatenate([last[agent] for agent in AGENTS]))
         joint_actions = record("continuous", False).actions[0]
-        for joint, (observations, *_) in zip(joint_actions, told, strict=True):
+        for joint, (observations, *_) in zip(joint_actions, steps, strict=True):
             env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents})
             last = {**last, **observations}
             np.testing.assert_array_equal(env.state(), np.concatenate([last[agent] for agent in AGENTS]))
@@ -191,18 +191,18 @@ def test_a_copy_continues_exactly_from_the_state_of_the_original(make: Any, copi
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
     env.render()
-    told = []
+    steps = []
     for one in (copied(env), env):
         if make is mo_deepdrive.env:
             for _ in range(9):
                 one.step(3)
-            told.append(one.last()[:2])
+            steps.append(one.last()[:2])
         else:
-            told.append([one.step(dict.fromkeys(AGENTS, 3))[k]["vehicle_1"] for k in (0, 1)])
+            steps.append([one.step(dict.fromkeys(AGENTS, 3))[k]["vehicle_1"] for k in (0, 1)])
         one.reset()
-        told[-1] += type(told[-1])([one.state()])
+        steps[-1] += type(steps[-1])([one.state()])
         assert one.render().shape == env.render().shape
-    for mine, copys in zip(*told, strict=True):
+    for mine, copys in zip(*steps, strict=True):
         np.testing.assert_array_equal(mine, copys)
     env.close()
 
@@ -212,32 +212,32 @@ def test_a_copy_continues_exactly_from_the_state_of_the_original(make: Any, copi
 
 @pytest.mark.parametrize(("plan", "first"), [("both arrive", 1), ("the left turn fails", 0)])
 def test_a_vehicle_that_has_ended_leaves_and_the_other_continues(plan: str, first: int) -> None:
-    env, told = drive_plan(plan)
+    env, steps = drive_plan(plan)
     leaves, stays = AGENTS[first], AGENTS[1 - first]
-    at = next(k for k, (*_, infos) in enumerate(told) if infos.get(leaves))
-    assert at < len(told) - 1
-    for k, (observations, rewards, terminated, truncated, infos) in enumerate(told):
+    at = next(k for k, (*_, infos) in enumerate(steps) if infos.get(leaves))
+    assert at < len(steps) - 1
+    for k, (observations, rewards, terminated, truncated, infos) in enumerate(steps):
         present = {leaves, stays} if k <= at else {stays}
         assert observations.keys() == rewards.keys() == terminated.keys() == truncated.keys() == infos.keys() == present
         assert not any(truncated.values())
-        assert terminated[stays] == (k == len(told) - 1)
+        assert terminated[stays] == (k == len(steps) - 1)
         if k <= at:
             assert terminated[leaves] == (k == at)
-    for agent, infos in ((leaves, told[at][4]), (stays, told[-1][4])):
+    for agent, infos in ((leaves, steps[at][4]), (stays, steps[-1][4])):
         end = PLANS[plan].ends[AGENTS.index(agent)]
         assert infos[agent] == {"end": end, "success": end == "arrived"}
     assert env.agents == []
 
 
 def test_with_keep_finished_the_flags_are_false_until_the_last_step() -> None:
-    env, told = drive_plan("one arrives, one stays", keep_finished=True)
-    assert len(told) == 600
-    ends = [[infos[agent] for *_, infos in told if infos[agent]] for agent in AGENTS]
+    env, steps = drive_plan("one arrives, one stays", keep_finished=True)
+    assert len(steps) == 600
+    ends = [[infos[agent] for *_, infos in steps if infos[agent]] for agent in AGENTS]
     assert ends == [[{"end": "arrived", "success": True}], [{"end": "time_limit", "success": False}]]
-    for _, _, terminated, truncated, _ in told[:-1]:
+    for _, _, terminated, truncated, _ in steps[:-1]:
         assert terminated == truncated == dict.fromkeys(AGENTS, False)
-    assert told[-1][2] == {"vehicle_0": True, "vehicle_1": False}
-    assert told[-1][3] == {"vehicle_0": False, "vehicle_1": True}
+    assert steps[-1][2] == {"vehicle_0": True, "vehicle_1": False}
+    assert steps[-1][3] == {"vehicle_0": False, "vehicle_1": True}
     assert env.agents == []
 
 
@@ -247,9 +247,9 @@ def test_with_keep_finished_the_flags_are_false_until_the_last_step() -> None:
 @pytest.mark.parametrize("keep_finished", [False, True])
 def test_momalands_linear_reward_is_the_weighted_sum(keep_finished: bool) -> None:
     weights = {agent: np.arange(1.0, 7.0) * (v + 1) for v, agent in enumerate(AGENTS)}
-    _, told = drive_plan("both arrive", lambda env: LinearizeReward(env, weights), keep_finished=keep_finished)
+    _, steps = drive_plan("both arrive", lambda env: LinearizeReward(env, weights), keep_finished=keep_finished)
     _, vectors = drive_plan("both arrive", keep_finished=keep_finished)
-    for (_, rewards, *_), (_, expected, *_) in zip(told, vectors, strict=True):
+    for (_, rewards, *_), (_, expected, *_) in zip(steps, vectors, strict=True):
         assert rewards.keys() == expected.keys()
         for agent, reward in rewards.items():
             assert reward == pytest.approx(float(weights[agent] @ expected[agent]))
@@ -259,9 +259,9 @@ def test_momalands_normalised_reward_rescales_one_objective_of_one_agent() -> No
     def wrap(env: Any) -> Any:
         return NormalizeReward(env, "vehicle_0", INDEX["distance"])
 
-    _, told = drive_plan("both arrive", wrap, keep_finished=True)
+    _, steps = drive_plan("both arrive", wrap, keep_finished=True)
     _, vectors = drive_plan("both arrive", keep_finished=True)
-    ours, plain = (np.array([rewards["vehicle_0"] for _, rewards, *_ in each]) for each in (told, vectors))
+    ours, plain = (np.array([rewards["vehicle_0"] for _, rewards, *_ in each]) for each in (steps, vectors))
     others = np.arange(len(OBJECTIVES)) != INDEX["distance"]
     np.testing.assert_array_equal(ours[:, others], plain[:, others])
     moved = plain[:, INDEX["distance"]] != 0.0
@@ -272,12 +272,12 @@ def test_momalands_normalised_reward_rescales_one_objective_of_one_agent() -> No
 
 @pytest.mark.parametrize("end_together", [False, True])
 def test_momalands_episode_statistics_are_right_with_keep_finished(end_together: bool) -> None:
-    _, told = drive_plan("both arrive", RecordEpisodeStatistics, keep_finished=True, end_together=end_together)
+    _, steps = drive_plan("both arrive", RecordEpisodeStatistics, keep_finished=True, end_together=end_together)
     _, vectors = drive_plan("both arrive", end_together=end_together)
-    assert not any("episode" in infos for *_, infos in told[:-1])
-    statistics = told[-1][4]["episode"]
+    assert not any("episode" in infos for *_, infos in steps[:-1])
+    statistics = steps[-1][4]["episode"]
     for agent in AGENTS:
-        assert statistics["l"][agent] == len(told)
+        assert statistics["l"][agent] == len(steps)
         total = np.sum([rewards[agent] for _, rewards, *_ in vectors if agent in rewards], axis=0, dtype=np.float64)
         np.testing.assert_allclose(statistics["r"][agent], total, rtol=1e-4, atol=1e-4)
 
@@ -311,7 +311,7 @@ def assert_refuses(env: Any, actions: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         env.step(actions)
     assert env.agents == before.agents
-    steps_alike(env, before)
+    assert_same_steps(env, before)
 
 
 BAD_DISCRETE = {
@@ -319,8 +319,8 @@ BAD_DISCRETE = {
         {"vehicle_0": 3},
         r"are missing for \['vehicle_1'\]; expected one for each of .*vehicle_0.*vehicle_1",
     ),
-    "no agent is there": ({}, r"are missing for \['vehicle_0', 'vehicle_1'\]"),
-    "one agent too many": (
+    "no agents": ({}, r"are missing for \['vehicle_0', 'vehicle_1'\]"),
+    "an additional agent": (
         {"vehicle_0": 3, "vehicle_1": 3, "vehicle_2": 3},
         r"are given for \['vehicle_2'\]; expected one for each",
     ),
@@ -328,9 +328,9 @@ BAD_DISCRETE = {
     "not a dict": ([3, 3], r"\[3, 3\] must be a dict"),
     "an action that is too large": ({"vehicle_0": 3, "vehicle_1": 22}, r"22 of vehicle_1 .*integers in \[0, 22\)"),
     "a negative action": ({"vehicle_0": -1, "vehicle_1": 3}, "-1 of vehicle_0 is not allowed"),
-    "a real number": ({"vehicle_0": 3.0, "vehicle_1": 3}, "of vehicle_0 has dtype float64"),
-    "a truth value": ({"vehicle_0": 3, "vehicle_1": True}, "of vehicle_1 has dtype bool"),
-    "nothing": ({"vehicle_0": 3, "vehicle_1": None}, "None of vehicle_1 has dtype object"),
+    "a float": ({"vehicle_0": 3.0, "vehicle_1": 3}, "of vehicle_0 has dtype float64"),
+    "a bool": ({"vehicle_0": 3, "vehicle_1": True}, "of vehicle_1 has dtype bool"),
+    "None": ({"vehicle_0": 3, "vehicle_1": None}, "None of vehicle_1 has dtype object"),
     "a list": ({"vehicle_0": 3, "vehicle_1": [3]}, r"of vehicle_1 has shape \(1,\); expected \(\)"),
     "a ragged list": ({"vehicle_0": [[1], [1, 2]], "vehicle_1": 3}, "of vehicle_0 is not an array"),
     "huge": ({"vehicle_0": 3, "vehicle_1": np.uint64(2**64 - 1)}, "of vehicle_1 is not allowed"),
@@ -340,9 +340,9 @@ BAD_CONTINUOUS = {
     "NaN": (np.array([0.0, math.nan, 0.0]), "of vehicle_1 is not allowed; expected finite numbers"),
     "infinite": ([0.0, 0.0, math.inf], "of vehicle_1 is not allowed"),
     "too short": ([0.0, 0.0], r"of vehicle_1 has shape \(2,\); expected \(3,\)"),
-    "a number": (0.0, "of vehicle_1 has shape"),
-    "words": (["left", "fast", "no"], "of vehicle_1 has dtype"),
-    "truth values": ([True, False, True], "of vehicle_1 has dtype bool"),
+    "a scalar": (0.0, "of vehicle_1 has shape"),
+    "strings": (["left", "fast", "no"], "of vehicle_1 has dtype"),
+    "bools": ([True, False, True], "of vehicle_1 has dtype bool"),
 }
 
 
@@ -447,7 +447,7 @@ def test_starts_set_both_vehicles_and_invalid_ones_are_refused() -> None:
     before = copy.deepcopy(env)
     with pytest.raises(ValueError, match=r"'starts'.*finite"):
         env.reset(seed=3, options={"starts": ((27.0, math.nan, 0.0), (24.0, 40.0, 3.1))})
-    steps_alike(env, before)
+    assert_same_steps(env, before)
 
 
 def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_nearest() -> None:

@@ -1,6 +1,6 @@
-"""The Gymnasium environments of one world: conformance with Gymnasium and MO-Gymnasium, determinism, copies, bad input.
-
-Those with one vehicle, and the intersection, whose vehicles take turns (see also ``test_turn_based.py``)."""
+"""The Gymnasium environments: conformance with Gymnasium and MO-Gymnasium, determinism, copies,
+invalid input. The environments with one vehicle, and the turn-based intersection (see also ``test_turn_based.py``).
+"""
 
 from __future__ import annotations
 
@@ -180,16 +180,16 @@ def test_results_have_the_types_that_gymnasium_requires(make_single: Make, scena
 
 @pytest.mark.parametrize("scenario", IDS)
 def test_returned_arrays_are_new_and_may_be_changed_by_the_caller(make_single: Make, scenario: str) -> None:
-    env, spoiled = make_single(scenario), make_single(scenario)
+    env, modified = make_single(scenario), make_single(scenario)
     actions = sample_actions(env, 60, 2)
     kept = [env.reset(seed=2)[0]]
-    first = spoiled.reset(seed=2)[0]
+    first = modified.reset(seed=2)[0]
     assert first.flags.writeable
     first[:] = np.nan
     rewards = []
     for action in actions:
         observation, reward, terminated, truncated, _ = env.step(action)
-        other, other_reward, *_ = spoiled.step(action)
+        other, other_reward, *_ = modified.step(action)
         assert_equal(other, observation)
         assert_equal(other_reward, reward)
         assert other.flags.writeable
@@ -215,7 +215,7 @@ def test_the_same_seed_gives_the_same_trajectory(make_single: Make, scenario: st
     one = rollout(first, actions, seed=11)
     assert_equal(one, rollout(second, actions, seed=11))
     assert_equal(one, rollout(first, actions, seed=11))
-    assert sum(len(result) == 2 for result in one) > 3, "and so over several episodes"
+    assert sum(len(result) == 2 for result in one) > 3, "over several episodes"
 
 
 @pytest.mark.parametrize("scenario", IDS)
@@ -256,7 +256,7 @@ def test_a_copy_continues_exactly_from_the_state_of_the_original(
         return out
 
     gone = go_on(twin)
-    assert env.telemetry() == untouched, "the copy has buffers of its own"
+    assert env.telemetry() == untouched, "the copy has its own buffers"
     assert_equal(gone, go_on(env))
     assert any(len(result) == 2 for result in gone)
 
@@ -497,23 +497,23 @@ BAD_CONTINUOUS = {
     "too short": ([0.0, 0.0], "shape"),
     "too long": ([0.0] * 4, "shape"),
     "batched": ([[0.0] * 3], "shape"),
-    "a number": (0.5, "shape"),
-    "words": (["left", "fast", "no"], "dtype"),
+    "a scalar": (0.5, "shape"),
+    "strings": (["left", "fast", "no"], "dtype"),
     "complex": ([1j, 0.0, 0.0], "dtype"),
-    "nothing": (None, "shape"),
+    "None": (None, "shape"),
 }
 BAD_DISCRETE = {
     "too large": (22, "not allowed"),
     "negative": (-1, "not allowed"),
     "huge": (2**63 - 1, "not allowed"),
     "huge unsigned": (np.uint64(2**64 - 1), "not allowed"),
-    "real": (3.0, "dtype"),
+    "a float": (3.0, "dtype"),
     "NaN": (math.nan, "dtype"),
     "a list": ([3], "shape"),
     "a pair": (np.array([3, 4]), "shape"),
-    "a word": ("left", "dtype"),
-    "a truth value": (True, "dtype"),
-    "nothing": (None, "dtype"),
+    "a string": ("left", "dtype"),
+    "a bool": (True, "dtype"),
+    "None": (None, "dtype"),
 }
 
 
@@ -587,8 +587,8 @@ BAD_OPTIONS = {
     "a start without heading": ({"start": (0.0, 0.0)}, "'start'.*x, y, heading"),
     "a destination of one number": ({"destination": 3.0}, "'destination'.*x, y"),
     "a bicycle with one end": ({"obstacle": (1.0, 2.0)}, "'obstacle'"),
-    "a start of words": ({"start": ("a", "b", "c")}, "'start'"),
-    "a destination of nothing": ({"destination": None}, "'destination'"),
+    "a start of strings": ({"start": ("a", "b", "c")}, "'start'"),
+    "a destination of None": ({"destination": None}, "'destination'"),
     "a start far away": ({"start": (1e6, 0.0, 0.0)}, "'start'.*250 m"),
     "an unknown option": ({"destinatoin": (1.0, 2.0)}, "'destinatoin'.*did you mean 'destination'"),
     "the option of another scenario": ({"starts": ((0, 0, 0), (0, 0, 0))}, "unknown reset option 'starts'"),
@@ -633,17 +633,25 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "a negative time limit": ("one_waypoint", {"time_limit": -1.0}, "time_limit.*greater than 0"),
     "a time limit below a decision": ("one_waypoint", {"time_limit": 0.04}, "at least one decision"),
     "a time limit that is not a number": ("one_waypoint", {"time_limit": math.nan}, "time_limit"),
-    "a time limit in words": ("one_waypoint", {"time_limit": "60"}, "time_limit"),
-    "frequencies that do not divide": ("one_waypoint", {"decision_frequency": 7}, "must be a multiple"),
-    "deciding more often than moving": ("one_waypoint", {"simulation_frequency": 5}, "must be a multiple"),
+    "a time limit as a string": ("one_waypoint", {"time_limit": "60"}, "time_limit"),
+    "a frequency that is not a divisor": ("one_waypoint", {"decision_frequency": 7}, "must be a multiple"),
+    "a decision frequency above the simulation frequency": (
+        "one_waypoint",
+        {"simulation_frequency": 5},
+        "must be a multiple",
+    ),
     "a frequency of zero": ("one_waypoint", {"decision_frequency": 0}, "decision_frequency.*equal to 1"),
     "a harmful g-force of zero": ("one_waypoint", {"harmful_g_force": 0.0}, "harmful_g_force.*greater than 0"),
-    "a cost sign of its own": ("one_waypoint", {"cost_sign": "minus"}, "cost_sign"),
-    "a flag that is a number": ("one_waypoint", {"ignore_brake": 1}, "ignore_brake"),
+    "an unknown cost sign": ("one_waypoint", {"cost_sign": "minus"}, "cost_sign"),
+    "a flag as a number": ("one_waypoint", {"ignore_brake": 1}, "ignore_brake"),
     "a lane margin without lanes": ("one_waypoint", {"lane_margin": 0.5}, "lane_margin.*no effect in OneWaypoint"),
-    "lanes to leave without lanes": ("static_obstacle", {"end_on_lane_violation": True}, "no effect in Static"),
-    "a yield rule without another": ("one_waypoint", {"yield_to_oncoming": False}, "no effect in OneWaypoint"),
-    "an end together alone": ("static_obstacle", {"end_together": True}, "no effect in StaticObstacle"),
+    "an end on lane violation without lanes": (
+        "static_obstacle",
+        {"end_on_lane_violation": True},
+        "no effect in Static",
+    ),
+    "a yield rule without another vehicle": ("one_waypoint", {"yield_to_oncoming": False}, "no effect in OneWaypoint"),
+    "an end together with one vehicle": ("static_obstacle", {"end_together": True}, "no effect in StaticObstacle"),
     "an unknown render mode": ("one_waypoint", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
 }
 

@@ -1,6 +1,6 @@
 """The intersection as one Gymnasium environment: whose turn it is, what a turn returns, and how it ends.
 
-``test_envs.py`` holds it to what every environment must do, ``test_faces.py`` to the other faces.
+``test_single.py`` tests what all environments have in common, ``test_interfaces.py`` compares the interfaces.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ def test_the_world_moves_after_both_choices_so_neither_sees_the_others(make_sing
         before = env.telemetry()
         observation, reward, *_ = env.step(choice)
         observations.append(observation.tobytes())
-        assert env.telemetry() == before, "one has chosen, and nothing has moved"
-        assert not reward.any(), "its first turn: it has earned nothing yet"
+        assert env.telemetry() == before, "one has chosen, and nothing moves"
+        assert not reward.any(), "no reward on its first turn"
         env.step(3)
         assert env.telemetry() != before
         telemetry.append(env.telemetry())
     assert len(set(observations)) == 1
-    assert len({car[0]["speed"] for car in telemetry}) == 2, "idle, or one of two ways to speed up"
+    assert len({car[0]["speed"] for car in telemetry}) == 2, "idle, or one of two ways to accelerate"
     assert len({car[1]["speed"] for car in telemetry}) == 1
 
 
@@ -155,10 +155,10 @@ def test_the_action_of_a_last_turn_is_ignored_but_must_be_valid(make_single: Any
     assert info["vehicle"] == 1
     with pytest.raises(ValueError, match="vehicle 1"):
         env.step(22)
-    told = [copy.deepcopy(env).step(answer) for answer in range(22)]
-    assert {observation.tobytes() for observation, *_ in told} == {told[0][0].tobytes()}
-    assert {reward.tobytes() for _, reward, *_ in told} == {told[0][1].tobytes()}
-    assert told[0][4] == {"vehicle": 0}
+    results = [copy.deepcopy(env).step(answer) for answer in range(22)]
+    assert {observation.tobytes() for observation, *_ in results} == {results[0][0].tobytes()}
+    assert {reward.tobytes() for _, reward, *_ in results} == {results[0][1].tobytes()}
+    assert results[0][4] == {"vehicle": 0}
 
 
 # ---------------------------------------------------------------------------------------------------------- bad input
@@ -174,10 +174,10 @@ def test_an_invalid_action_changes_neither_the_turn_nor_the_pending_choice(make_
     with pytest.raises(ValueError, match=rf"nan.* of vehicle {choices % 2} is not allowed"):
         env.step(np.array([0.0, math.nan, 0.0]))
     for _ in range(3):
-        told, expected = env.step(np.zeros(3)), before.step(np.zeros(3))
-        assert told[4] == expected[4]
-        assert told[0].tobytes() == expected[0].tobytes()
-        assert told[1].tobytes() == expected[1].tobytes()
+        results, expected = env.step(np.zeros(3)), before.step(np.zeros(3))
+        assert results[4] == expected[4]
+        assert results[0].tobytes() == expected[0].tobytes()
+        assert results[1].tobytes() == expected[1].tobytes()
     assert env.batch.state.tobytes() == before.batch.state.tobytes()
 
 
@@ -217,9 +217,9 @@ def test_reset_options_without_a_valid_scenario_are_refused(env: Any, what: str)
     with pytest.raises(ValueError, match=message):
         env.reset(seed=5, options=options)
     assert env.np_random_seed == 0
-    told, expected = env.step(3), before.step(3)
-    assert told[4] == expected[4] == {"vehicle": 0}
-    assert told[0].tobytes() == expected[0].tobytes()
+    results, expected = env.step(3), before.step(3)
+    assert results[4] == expected[4] == {"vehicle": 0}
+    assert results[0].tobytes() == expected[0].tobytes()
     assert env.reset()[0].tobytes() == before.reset()[0].tobytes()
 
 

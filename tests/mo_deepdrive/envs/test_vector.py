@@ -249,7 +249,7 @@ def test_a_saved_state_resumes_exactly_in_a_new_environment(
         # After many resets the random streams are still the same.
         assert_equal(fresh.reset(), env.reset())
         assert_equal(fresh.get_state(), env.get_state())
-    assert (pending > 0) == (mode == "NextStep"), "a world that is over, and starts anew in the next step, is saved too"
+    assert (pending > 0) == (mode == "NextStep"), "a finished world, which the next step resets, is saved, too"
 
 
 def test_a_saved_state_is_a_copy(make_vector: Make) -> None:
@@ -433,7 +433,7 @@ def test_flags_persist_until_the_world_is_reset_and_vehicles_off_the_road_earn_n
                 assert not ends["success"][world].any()
             for v in range(2):
                 if gone[world, v] and not fresh[world] and not (over[world] and mode == "SameStep"):
-                    assert after[world][v] == before[world][v], "it stays where it left the road"
+                    assert after[world][v] == before[world][v], "it does not move after leaving the road"
         if end_together:
             np.testing.assert_array_equal(flags.any(axis=1), flags.all(axis=1))
         drove_on += int((flags.sum(axis=1) == 1).sum())
@@ -470,12 +470,12 @@ def test_vehicles_that_end_separately_keep_their_own_ends(make_vector: Make) -> 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_returned_arrays_are_new_and_may_be_changed_by_the_caller(make_vector: Make, scenario: str) -> None:
-    env, spoiled = (make_vector(scenario, 3, autoreset_mode="SameStep", time_limit=0.5) for _ in range(2))
+    env, modified = (make_vector(scenario, 3, autoreset_mode="SameStep", time_limit=0.5) for _ in range(2))
     actions = sticky_actions(env, 30, seed=0)
     expected = rollout(env, actions)
-    spoiled.reset(seed=0)[0][:] = np.nan
+    modified.reset(seed=0)[0][:] = np.nan
     for action, step in zip(actions, expected[1:], strict=True):
-        ours = spoiled.step(action)
+        ours = modified.step(action)
         assert_equal(ours, step)
         for array in (*ours[:4], *ours[4].values()):
             if isinstance(array, np.ndarray):
@@ -565,9 +565,9 @@ BAD_RESETS: dict[str, tuple[str, dict[str, Any], str]] = {
     "a mask of another size": ("one_waypoint", {"reset_mask": np.array([True])}, "reset_mask"),
     "an empty mask": ("one_waypoint", {"reset_mask": np.array([False, False])}, "at least one True"),
     "an unknown option": ("intersection", {"start": (0.0, 0.0, 0.0)}, "did you mean 'starts'"),
-    "one start for two": ("intersection", {"starts": (0.0, 0.0, 0.0)}, "'starts'"),
-    "a start that is no number": ("intersection", {"starts": ((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))}, "finite"),
-    "an impossible bicycle": (
+    "one start for two vehicles": ("intersection", {"starts": (0.0, 0.0, 0.0)}, "'starts'"),
+    "a start that is not a number": ("intersection", {"starts": ((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))}, "finite"),
+    "an invalid bicycle": (
         "static_obstacle",
         {"start": (0.0, 0.0, 0.0), "obstacle": ((0.0, 0.0), (0.1, 0.0))},
         "no valid scenario",

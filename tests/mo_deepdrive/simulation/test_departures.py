@@ -62,7 +62,7 @@ def test_2_observations_are_complete_from_the_reset_and_velocity_has_the_directi
     first, _ = env.reset(seed=3)
     vehicles = (2,) if scenario == "intersection" else ()
     assert first.shape == (4, *vehicles, size)
-    assert (first[..., 2] > 1.0).all(), "the distance to the next waypoint is there after the reset"
+    assert (first[..., 2] > 1.0).all(), "the distance to the next waypoint is observed after the reset"
     # An observation depends on the state alone: that of a vehicle at rest does not change while it is idle.
     actions = np.zeros(env.action_space.shape, dtype=np.float32)
     actions[..., 2] = -1.0
@@ -89,7 +89,7 @@ def test_3_a_collision_is_on_the_decision_of_the_contact_of_solid_shapes(make_si
         gaps.append(shapes.gap(shapes.box(car["x"], car["y"], car["heading"]), np.array(bicycle)))
         assert observation.shape == (19,)
     assert info == {"end": "collision", "success": False}
-    assert min(gaps[:-1]) > 0.0 > gaps[-1], "the decision that ends is the first after which they overlap"
+    assert min(gaps[:-1]) > 0.0 > gaps[-1], "the last decision is the first after which they overlap"
     assert steps[-1] == (-1.0, True)
     assert set(steps[:-1]) == {(0.0, False)}
     # A segment inside the car that touches none of its edges. It is inside from one physics step to the next: the car
@@ -130,7 +130,7 @@ def test_5_all_randomness_comes_from_the_environments_own_seeded_generator(make_
     np.random.seed(0)  # noqa: NPY002  (the global generator is what must not matter)
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     first, second = spawn(7), spawn(None)
-    assert (np.random.get_state()[1] == before).all(), "the global generator is left alone"  # noqa: NPY002
+    assert (np.random.get_state()[1] == before).all(), "the global generator is not used"  # noqa: NPY002
     np.random.seed(1)  # noqa: NPY002
     other = make_vector(scenario, 3)
     other.reset(seed=8)  # another environment, which draws in between

@@ -154,10 +154,10 @@ def compiled_decisions(car: Car, targets: list[tuple[float, float, float]], rule
 
 
 def assert_same(ours: Car, literal: Car, rules: Rules, steps: int, spun: float, fast: float) -> None:
-    """Equal to 1e-12 relative, or but for what rounding leaves of small numbers.
+    """Equal up to 1e-12 relatively, or up to the rounding errors of small numbers.
 
-    An angle is rounded in proportion to its size, and all the turning so far (``spun``, rad) went through it. The
-    direction of the velocity is as good as the angle, and every difference multiplies that by the rate.
+    The rounding error of an angle is proportional to its size, so it grows with the total rotation (``spun``, rad). The
+    direction of the velocity is as accurate as the angle, and every difference multiplies its error by the rate.
     """
     rate = rules.simulation_frequency
     digits = 1e-15 * (10 + steps)

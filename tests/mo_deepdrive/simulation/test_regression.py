@@ -1,12 +1,12 @@
 """A small frozen set of our own trajectories, which guards the dynamics bit for bit.
 
-``tests/data/regression.npz`` holds, for each case below, the actions of every decision and what came of them: rewards
-and ends of every decision, state and observations of every fifth. EnvAdapter start anew by themselves, so that spawns,
-redraws and the seeded streams are guarded too. After a change of the simulation that is *meant* to change it:
+``data/regression.npz`` has, for each case below, the actions, rewards and ends of every decision, and the state and
+observations of every fifth. Worlds are reset automatically, so starts, redraws and the seeded streams are guarded, too.
+After an intended change of the simulation,
 
     python tests/mo_deepdrive/simulation/test_regression.py
 
-writes the set again; say in the commit why.
+writes the set again; the commit message says why.
 """
 
 from __future__ import annotations
