@@ -63,7 +63,7 @@ class DrivingVectorEnv(VectorEnv):
         **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
 
     Raises:
-        ValueError: for unknown or ill-typed arguments.
+        ValueError: for unknown arguments or wrong types.
     """
 
     metadata: dict[str, Any] = {
