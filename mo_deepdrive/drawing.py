@@ -138,7 +138,7 @@ class Canvas:
                 self.line(origin + start * out, origin + end * out, 0.14, colour)
 
     def route(self, vehicle: Any, colour: Colour) -> None:
-        """Waypoints: rings of the arrival radius; the next is filled, reached ones are ticked, the last has two rings."""
+        """Waypoints: rings of the arrival radius; the next is filled, reached ones are ticked, the last has two."""
         reached = vehicle.n_waypoints if vehicle.end == ARRIVED else vehicle.next_waypoint
         for k, waypoint in enumerate(vehicle.waypoints[: vehicle.n_waypoints]):
             strength = 255 if k == reached else 150
