@@ -367,7 +367,7 @@ def test_leaving_the_lane_ends_the_episode_if_requested(world: Any) -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_turning_by_more_than_400_degrees_is_circling(world: Any, side: float) -> None:
-    """Turning the front away from the destination by the car's length would be backwards, so the car drives forward while
+    """Turning the front away from the destination by a car's length would be backwards. So the car drives forward while
     it faces the destination and reverses while it faces away: it turns and gets closer."""
     env = world(harmful_g_force=None)
     env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (200.0, 0.0)})
