@@ -2,11 +2,12 @@
 
 Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0`` and
 ``mo-deepdrive-intersection-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments,
-:func:`reference_point` and :func:`reference_front` tell what returns are compared with.
+:func:`reference_point` and :func:`reference_front` are what returns are compared with.
 """
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
     from pettingzoo import AECEnv
 
     from mo_deepdrive.envs.parallel import DrivingParallelEnv
-    from mo_deepdrive.fronts import reference_front, reference_point
+    from mo_deepdrive.reference_fronts import reference_front
+    from mo_deepdrive.reference_points import reference_point
 
 __all__ = ["env", "parallel_env", "raw_env", "reference_front", "reference_point"]
 
@@ -23,6 +25,11 @@ __version__ = "0.1.0"
 
 _VECTOR = "mo_deepdrive.envs.vector:DrivingVectorEnv"
 _SINGLE = "mo_deepdrive.envs.single:DrivingEnv"
+# Attributes that are imported on first use, and their modules.
+_LAZY = {
+    "reference_front": "mo_deepdrive.reference_fronts",
+    "reference_point": "mo_deepdrive.reference_points",
+}
 
 gymnasium.register(
     "mo-deepdrive-one-waypoint-v0",
@@ -45,11 +52,9 @@ gymnasium.register(
 
 
 def __getattr__(name: str) -> Any:
-    """What is imported when it is first asked for: registering the ids alone takes no time."""
-    if name in ("reference_front", "reference_point"):
-        from mo_deepdrive import fronts
-
-        return getattr(fronts, name)
+    """Import ``reference_front`` and ``reference_point`` when they are first used."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
@@ -57,20 +62,21 @@ def parallel_env(**kwargs: Any) -> DrivingParallelEnv:
     """The PettingZoo parallel environment with vector rewards.
 
     Args:
-        **kwargs: of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: ``scenario`` (the intersection unless
-            named), ``render_mode``, ``keep_finished`` and every field of :class:`mo_deepdrive.config.EnvConfig`.
+        **kwargs: arguments of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: ``scenario`` (default:
+            "intersection"), ``render_mode``, ``keep_finished`` and every field of
+            :class:`mo_deepdrive.config.EnvConfig`.
     """
     return raw_env(**kwargs)
 
 
 def env(**kwargs: Any) -> AECEnv:
-    """The PettingZoo AEC environment with vector rewards, by MOMAland's conversion.
+    """The PettingZoo AEC environment with vector rewards, converted by MOMAland.
 
     Args:
-        **kwargs: as of :func:`parallel_env`.
+        **kwargs: the arguments of :func:`parallel_env`.
 
     Raises:
-        ImportError: where MOMAland is not installed: ``pip install "mo-deepdrive[momaland]"``.
+        ImportError: if MOMAland is not installed (``pip install "mo-deepdrive[momaland]"``).
     """
     from mo_deepdrive.envs.parallel import aec_env
 
@@ -78,7 +84,7 @@ def env(**kwargs: Any) -> AECEnv:
 
 
 def raw_env(**kwargs: Any) -> DrivingParallelEnv:
-    """The environment that :func:`parallel_env` and :func:`env` build on, without any wrapper."""
+    """The environment behind :func:`parallel_env` and :func:`env`, without wrappers."""
     from mo_deepdrive.envs.parallel import DrivingParallelEnv
 
     return DrivingParallelEnv(**kwargs)

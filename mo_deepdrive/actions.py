@@ -1,7 +1,7 @@
-"""The action sets: tables of discrete actions, and the decoders that turn actions into target controls.
+"""The action sets: tables of discrete actions, and the functions that decode actions into target controls.
 
 A discrete action is a row: target ``steer = decay * held + offset + curl / max(speed, 1)^2`` and a speed change.
-Only "decay steer" depends on the held steer; the others set the wheel anew. Target controls are steer (rad),
+Only "decay steer" depends on the held steer. Target controls are steer (rad),
 throttle (m/s^2) and brake (1); see ``simulation.dynamics.drive``.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Records
 
 IDLE, MAINTAIN, DECREASE, INCREASE = 0, 1, 2, 3
 SPEED_CHANGES = {MAINTAIN: "maintain speed", DECREASE: "decrease speed", INCREASE: "increase speed"}
@@ -29,7 +29,7 @@ LARGE_STEER = math.pi / 30
 
 @dataclass(frozen=True)
 class Steer:
-    """How a group of discrete actions moves the wheel."""
+    """How a group of discrete actions steers."""
 
     name: str
     decay: float = 0.0
@@ -62,7 +62,7 @@ def action_table(action_type: str) -> NDArray[np.float64]:
 
 
 def action_names(action_type: str) -> tuple[str, ...]:
-    """What each discrete action (or each continuous axis) does, in order."""
+    """A name for each discrete action (or each continuous axis), in order."""
     if action_type == CONTINUOUS:
         return CONTINUOUS_NAMES
     steers = DISCRETE[action_type]
@@ -70,7 +70,9 @@ def action_names(action_type: str) -> tuple[str, ...]:
 
 
 @jit
-def decode_discrete(worlds, actions, table, controls):
+def decode_discrete(
+    worlds: Records, actions: NDArray[np.int64], table: NDArray[np.float64], controls: NDArray[np.float64]
+) -> None:
     """Write the target controls of discrete actions.
 
     Args:
@@ -106,7 +108,7 @@ def decode_discrete(worlds, actions, table, controls):
 
 
 @jit
-def decode_continuous(actions, controls):
+def decode_continuous(actions: NDArray[np.float64], controls: NDArray[np.float64]) -> None:
     """Write the target controls of continuous actions (worlds, vehicles, 3), clipped to [-1, 1]."""
     for i in range(actions.shape[0]):
         for v in range(actions.shape[1]):

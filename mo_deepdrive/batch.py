@@ -1,4 +1,4 @@
-"""A batch of worlds: the buffers around the kernel that every face of the environments shares."""
+"""A batch of worlds: the buffers around the kernel, which all environments share."""
 
 from __future__ import annotations
 
@@ -22,34 +22,31 @@ from mo_deepdrive.simulation.state import ENDS, SPAWN, VEHICLE
 Draw = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 MAX_REDRAWS = 1000
 
-# Telemetry name -> field of the state.
-TELEMETRY = {
-    name: name
-    for name in (
-        "x",
-        "y",
-        "heading",
-        "speed",
-        "steer",
-        "throttle",
-        "brake",
-        "g_force",
-        "jerk",
-        "route_distance",
-        "travelled",
-        "left_lane_distance",
-        "right_lane_distance",
-        "vx",
-        "vy",
-        "ax",
-        "ay",
-    )
-}
+# The fields of the state that telemetry reports.
+TELEMETRY = (
+    "x",
+    "y",
+    "heading",
+    "speed",
+    "steer",
+    "throttle",
+    "brake",
+    "g_force",
+    "jerk",
+    "route_distance",
+    "travelled",
+    "left_lane_distance",
+    "right_lane_distance",
+    "vx",
+    "vy",
+    "ax",
+    "ay",
+)
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Consecutive worlds that one thread moves: views of the buffers and a scratch path of its own."""
+    """Consecutive worlds that one thread moves: views of the buffers, and a scratch path."""
 
     rows: slice
     worlds: NDArray[Any]
@@ -64,9 +61,21 @@ class _Part:
 class WorldBatch:
     """``worlds`` independent copies of one scenario, moved together.
 
-    The buffers ``observations`` (worlds, vehicles, size), ``rewards`` (worlds, vehicles, d), ``terminated`` and
-    ``truncated`` (worlds, vehicles) are overwritten by every call; ``state`` (worlds, vehicles) is all there is to
-    save. Randomness is handed in by the caller.
+    Random numbers come from the caller. A checkpoint is a copy of ``state``.
+
+    Args:
+        config: the environment's configuration.
+        worlds: how many worlds.
+        threads: how many threads share a step.
+
+    Attributes:
+        state: (worlds, vehicles) of VEHICLE.
+        observations: (worlds, vehicles, size), overwritten by every call.
+        rewards: (worlds, vehicles, d), overwritten by every step.
+        terminated: (worlds, vehicles), overwritten by every call.
+        truncated: (worlds, vehicles), overwritten by every call.
+        objectives: names of the d objectives.
+        continuous: whether actions are continuous.
     """
 
     def __init__(self, config: EnvConfig, worlds: int, threads: int = 1):
@@ -96,7 +105,7 @@ class WorldBatch:
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def __getstate__(self) -> dict[str, Any]:
-        """The parts are views of the buffers and the pool is a resource: a copy makes its own."""
+        """Without the parts, which are views of the buffers, and the thread pool: a copy makes new ones."""
         return {**self.__dict__, "_parts": len(self._parts), "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -117,10 +126,15 @@ class WorldBatch:
         )
 
     def place(self, rows: NDArray[np.int64], draw: Draw, pins: NDArray[Any] | None = None) -> None:
-        """Start new episodes in the worlds ``rows``; ``draw(rows)`` gives (len(rows), DRAWS) uniforms in [0, 1).
+        """Start new episodes in the worlds ``rows``.
+
+        Args:
+            rows: (k,) indices of worlds.
+            draw: returns uniforms in [0, 1) of shape (len(rows), DRAWS) for the rows it is called with.
+            pins: (1,) of SPAWN; entries that are not NaN are used instead of drawn ones.
 
         Raises:
-            ValueError: if no fair scenario is found: the pins leave none.
+            ValueError: if no valid scenario is found, because the pins allow none.
         """
         for _ in range(MAX_REDRAWS):
             fair = np.zeros(len(rows), dtype=np.bool_)
@@ -140,8 +154,8 @@ class WorldBatch:
             if not len(rows):
                 return
         raise ValueError(
-            f"reset options leave no possible scenario in {MAX_REDRAWS} draws: the bicycle touches the vehicle at "
-            "its start or lies within 1 m of the destination"
+            f"no valid scenario in {MAX_REDRAWS} draws with these reset options: the bicycle touches the vehicle at "
+            "its start or is within 1 m of the destination"
         )
 
     def step(self, actions: NDArray[Any]) -> None:
@@ -203,28 +217,28 @@ class WorldBatch:
         )
 
     def over(self) -> NDArray[np.bool_]:
-        """Which worlds have no vehicle left on the road, shape (worlds,)."""
+        """The worlds without a vehicle on the road, shape (worlds,)."""
         ended: NDArray[np.bool_] = self.terminated | self.truncated
         over = ended[:, 0]
-        # Column by column: a reduction over an axis of length two costs ten times as much.
+        # Column by column: a reduction over an axis of length two takes ten times as long.
         for v in range(1, ended.shape[1]):
             over = over & ended[:, v]
         return over
 
     def restore(self, state: NDArray[Any]) -> None:
-        """Overwrite the state (worlds, vehicles) and bring the observations and flags in line with it."""
+        """Overwrite the state (worlds, vehicles), and compute the observations and flags from it."""
         self.state[:] = state
         observe_batch(self.state, self.params, self.observations, self.terminated, self.truncated)
 
     def end_names(self, row: int) -> tuple[str, ...]:
-        """Why each vehicle of world ``row`` has ended ("" while it runs)."""
+        """Why each vehicle of world ``row`` has ended; "" if it has not."""
         return tuple(ENDS[end] for end in self.state["end"][row])
 
     def telemetry(self, row: int) -> tuple[dict[str, float], ...]:
-        """Named SI floats of every vehicle of world ``row``; yaw_rate in rad/s."""
+        """TELEMETRY and ``yaw_rate`` (rad/s) of every vehicle of world ``row``, in SI units."""
         readings = []
         for vehicle in self.state[row]:
-            reading = {name: float(vehicle[field]) for name, field in TELEMETRY.items()}
+            reading = {name: float(vehicle[name]) for name in TELEMETRY}
             reading["yaw_rate"] = float(vehicle.yaw_step) * self.config.simulation_frequency
             readings.append(reading)
         return tuple(readings)

@@ -1,4 +1,4 @@
-"""Validated settings: the environment's configuration, and the errors that every settings model shares."""
+"""Validated settings: the environment's configuration, and the base of all settings models."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ S = TypeVar("S", bound=Settings)
 
 
 def nearest(name: object, known: Iterable[str]) -> str:
-    """A hint that names the known name nearest to ``name`` and lists them all."""
+    """A hint with the known name nearest to ``name``, and all known names."""
     names = sorted(known)
     close = difflib.get_close_matches(str(name), names, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""
@@ -39,7 +39,7 @@ def nearest(name: object, known: Iterable[str]) -> str:
 
 
 def _settings_in(annotation: Any) -> Any:
-    """The settings model of ``X`` or ``X | None``; a dict stays one."""
+    """The settings model, or dict, in the annotation ``X`` or ``X | None``; None if there is none."""
     members = [annotation] if get_origin(annotation) in (None, dict) else list(get_args(annotation))
     return next((each for each in members if get_origin(each) is dict or _is_model(each)), None)
 
@@ -71,7 +71,7 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
     """Build ``model`` from ``values``.
 
     Raises:
-        ValueError: naming every offending key, its value and what is allowed.
+        ValueError: with every invalid key, its value and what is allowed.
     """
     try:
         return model.model_validate(dict(values))
@@ -91,10 +91,10 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
 
 
 class UtilityChoice(Settings):
-    """A utility by name, as :func:`mo_deepdrive.utilities.make_utility` takes it.
+    """A utility, as the arguments of :func:`mo_deepdrive.utilities.make_utility`.
 
     Attributes:
-        name: a registered utility, or "package.module:callable" for one of your own.
+        name: a registered utility, or "package.module:callable" for a custom one.
         arguments: its keyword arguments.
     """
 
@@ -107,22 +107,22 @@ class EnvConfig(Settings):
 
     Attributes:
         scenario: which scenario.
-        action_type: "discrete" (the paper's 22), "discrete-16" or "continuous".
+        action_type: "discrete" (the paper's 22 actions), "discrete-16" or "continuous".
         fixed_destination: the same destination in every episode (OneWaypoint, StaticObstacle).
-        fixed_obstacle: the same bicycle in every episode: its place along the route, length and angle (StaticObstacle).
+        fixed_obstacle: the same bicycle in every episode: place along the route, length and angle (StaticObstacle).
         time_limit: seconds after which an episode is truncated.
-        objectives: names and order of the objectives emitted; None for all of the scenario's.
-        cost_sign: "maximise" negates every cost; "paper" emits magnitudes.
+        objectives: names of the reward's objectives, in order; None for all of the scenario's.
+        cost_sign: "maximise" negates every cost; with "paper" rewards are magnitudes.
         simulation_frequency: physics steps per second.
         decision_frequency: decisions per second; divides simulation_frequency.
-        constrain_controls: limit how fast steer and throttle move.
-        ignore_brake: the brake does nothing.
+        constrain_controls: limit how fast steer and throttle change.
+        ignore_brake: the brake has no effect.
         harmful_g_force: g-force above which the episode ends (g); None for never.
         harmful_jerk: jerk above which the episode ends (m/s^3); None for never.
         lane_margin: distance to the lane line below which lane violation counts (m).
         end_on_lane_violation: end the episode more than 0.25 m outside the lane (Intersection).
-        yield_to_oncoming: progress of the left turn counts negative while the other approaches (Intersection).
-        end_together: the first vehicle to end ends the episode for both, as in the published code (Intersection).
+        yield_to_oncoming: progress of the left turn is negative while the other vehicle approaches (Intersection).
+        end_together: both vehicles end when the first one ends, as in the published code (Intersection).
     """
 
     scenario: ScenarioName
@@ -157,11 +157,11 @@ class EnvConfig(Settings):
             )
         if round(self.time_limit * self.decision_frequency) < 1:
             raise ValueError(
-                f"time_limit = {self.time_limit} must hold at least one decision of 1/{self.decision_frequency} s"
+                f"time_limit = {self.time_limit} must be at least one decision of 1/{self.decision_frequency} s"
             )
         if self.objectives is not None:
             if not self.objectives or len(set(self.objectives)) != len(self.objectives):
-                raise ValueError(f"objectives = {list(self.objectives)} must be one or more names, each once")
+                raise ValueError(f"objectives = {list(self.objectives)} must be one or more distinct names")
             for name in self.objectives:
                 if name not in NAMES:
                     raise ValueError(f"objectives has {name!r}; {nearest(name, NAMES)}")
@@ -174,5 +174,5 @@ class EnvConfig(Settings):
 
     @property
     def max_decisions(self) -> int:
-        """Decisions after which an episode is truncated."""
+        """Number of decisions after which an episode is truncated."""
         return round(self.time_limit * self.decision_frequency)

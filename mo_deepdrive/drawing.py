@@ -1,9 +1,7 @@
-"""Shapes of the map seen from above, drawn in metres: roads, waypoints, trails, the bicycle and the cars."""
+"""Shapes on the map, in metres: roads, waypoints, trails, the bicycle and the cars."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import itertools
 import math
 from typing import Any
@@ -11,19 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mo_deepdrive.quiet_pygame import gfxdraw, pygame
 from mo_deepdrive.scenarios import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, RUNNING
-
-with contextlib.redirect_stdout(io.StringIO()):  # pygame greets on import; standard output belongs to the program
-    import pygame
-    from pygame import gfxdraw
 
 Colour = tuple[int, ...]  # red, green, blue and possibly alpha, each 0 to 255
 Points = NDArray[np.float64]  # (points, 2), m
 
 MAP_PIXELS = 720
 SUPERSAMPLING = 2
-DESTINATION_RADIUS = 1.8  # m, of the ring that makes it stand out
+DESTINATION_RADIUS = 1.8  # m, of the outer ring
 
 GROUND, FINE_GRID, GRID = (232, 233, 228), (223, 225, 220), (207, 210, 205)
 GRASS, KERB, ASPHALT = (176, 190, 160), (205, 205, 196), (72, 76, 84)
@@ -35,7 +30,7 @@ OBSTACLE, WARNING = (196, 30, 84), (196, 30, 84, 30)
 
 CIRCLE = np.stack([np.cos(np.linspace(0.0, math.tau, 49)), np.sin(np.linspace(0.0, math.tau, 49))], axis=1)
 TICK = np.array([(-0.5, 0.05), (-0.12, -0.38), (0.56, 0.46)])
-# Right halves of a car's parts (m to the right, m ahead of its centre).
+# Right halves of a car's parts (m to the right of its centre, m in front of it).
 NOSE = ((0.0, 2.588), (0.55, 2.55), (0.85, 2.42), (1.0, 2.12), (1.04, 1.2), (1.02, 0.0))
 BODY = np.array([*NOSE, (1.04, -1.2), (1.0, -2.2), (0.86, -2.48), (0.55, -2.57), (0.0, -2.588)])
 BONNET = np.array([(0.0, 2.34), (0.5, 2.3), (0.66, 1.05), (0.0, 1.05)])
@@ -59,12 +54,12 @@ FRAME = (
 
 
 def mix(colour: Colour, other: Colour, share: float) -> Colour:
-    """``colour`` with a ``share`` in [0, 1] of ``other``."""
+    """A mix of ``colour`` and ``other``, whose ``share`` is in [0, 1]."""
     return tuple(round(a + (b - a) * share) for a, b in zip(colour, other, strict=True))
 
 
 def turned(points: Points, angle: float) -> Points:
-    """``points`` turned counter-clockwise by ``angle`` (rad) about the origin."""
+    """``points`` rotated counter-clockwise by ``angle`` (rad) about the origin."""
     cos, sin = math.cos(angle), math.sin(angle)
     rotated: Points = points @ np.array([[cos, sin], [-sin, cos]])
     return rotated
@@ -74,7 +69,7 @@ class Canvas:
     """Draws in metres (x to the right, y up) on a surface that shows ``reach`` m to each side of the map's centre.
 
     Attributes:
-        touched: rectangles of pixels that hold everything drawn so far; none of their sides is odd.
+        touched: rectangles of pixels that cover everything drawn so far; their sides are even.
     """
 
     def __init__(self, surface: pygame.Surface, reach: float):
@@ -89,7 +84,7 @@ class Canvas:
         return np.rint(offset).astype(np.int64)
 
     def touch(self, area: pygame.Rect) -> None:
-        """Take note of a rectangle that has been drawn on, together with one that it overlaps."""
+        """Record a rectangle that was drawn on; it is merged with one that it overlaps."""
         area = area.inflate(4, 4).clip(self.surface.get_rect())
         left, top = area.left // SUPERSAMPLING * SUPERSAMPLING, area.top // SUPERSAMPLING * SUPERSAMPLING
         width, height = (-(-size // SUPERSAMPLING) * SUPERSAMPLING for size in (area.right - left, area.bottom - top))
@@ -101,7 +96,7 @@ class Canvas:
             self.touched.append(area)
 
     def polygon(self, points: ArrayLike, colour: Colour) -> None:
-        """A filled polygon, blended with what is below it if ``colour`` has an alpha."""
+        """A filled polygon, blended with the background if ``colour`` has an alpha."""
         corners = self.pixels(points)
         pixels = corners.tolist()
         gfxdraw.filled_polygon(self.surface, pixels, colour)
@@ -117,11 +112,11 @@ class Canvas:
         self.polygon([a - side, a + side, b + side, b - side], colour)
 
     def ring(self, centre: Points, radius: float, width: float, colour: Colour) -> None:
-        """A ring of outer ``radius``; a disc if it is as wide."""
+        """A ring of outer ``radius``; a disc if ``width`` equals it."""
         self.polygon(np.concatenate([centre + radius * CIRCLE, centre + (radius - width) * CIRCLE[::-1]]), colour)
 
     def grid(self) -> None:
-        """A line for every metre and a stronger one for every fifth; none where they would lie too densely."""
+        """A line every metre and a stronger one every five metres, unless they would be too dense."""
         low, high = math.floor(MAP_CENTRE - self.reach), math.ceil(MAP_CENTRE + self.reach)
         for step, colour in ((1, FINE_GRID), (5, GRID)):
             for k in range(low - low % step, high + 1, step) if step * self.scale > 8 * SUPERSAMPLING else ():
@@ -129,11 +124,11 @@ class Canvas:
                 self.line((low, k), (high, k), 1 / self.scale, colour)
 
     def roads(self) -> None:
-        """Two crossing roads of two lanes; their lines break at the crossing."""
+        """Two crossing roads with two lanes each; the lines end at the crossing."""
         far = self.reach + 1.0
         lines = [(side, LANE_WIDTH, far, EDGE_LINE) for side in (0.07 - LANE_WIDTH, LANE_WIDTH - 0.07)]
         lines += [(0.0, start, start + 1.5, CENTRE_LINE) for start in np.arange(LANE_WIDTH + 0.75, far, 3.0)]
-        arms = [turned(np.eye(2), quarter * math.pi / 2) for quarter in range(4)]  # each: its right and its way out
+        arms = [turned(np.eye(2), quarter * math.pi / 2) for quarter in range(4)]  # each: to its right, and outwards
         for width, surface in ((LANE_WIDTH + 0.4, KERB), (LANE_WIDTH, ASPHALT)):
             for _, out in arms:
                 self.line(np.full(2, MAP_CENTRE), MAP_CENTRE + far * out, 2 * width, surface)
@@ -143,7 +138,7 @@ class Canvas:
                 self.line(origin + start * out, origin + end * out, 0.14, colour)
 
     def route(self, vehicle: Any, colour: Colour) -> None:
-        """Waypoints: rings of the arrival radius, the next one filled, reached ones ticked, the last ringed twice."""
+        """Waypoints: rings of the arrival radius; the next is filled, reached ones are ticked, the last has two."""
         reached = vehicle.n_waypoints if vehicle.end == ARRIVED else vehicle.next_waypoint
         for k, waypoint in enumerate(vehicle.waypoints[: vehicle.n_waypoints]):
             strength = 255 if k == reached else 150
@@ -159,27 +154,27 @@ class Canvas:
                 self.ring(waypoint, 0.16, 0.16, (*colour, strength))
 
     def trail(self, positions: Points, colour: Colour, sheet: pygame.Surface) -> None:
-        """A ribbon along ``positions`` (points, 2), oldest first, that widens and gains colour towards the last.
+        """A ribbon along ``positions`` (points, 2), oldest first, that gets wider and stronger towards the last one.
 
-        It is drawn on ``sheet`` first, transparent and of this surface's size, and taken off it again.
+        It is drawn on ``sheet``, which is transparent, of the size of this surface, and cleared afterwards.
         """
         course = np.gradient(positions, axis=0)
         course /= np.maximum(np.hypot(course[:, 0], course[:, 1]), 1e-9)[:, None]
-        youth = np.linspace(0.0, 1.0, len(positions))
-        side = course[:, ::-1] * (-1, 1) * (0.15 + 0.3 * youth)[:, None]
+        recency = np.linspace(0.0, 1.0, len(positions))
+        side = course[:, ::-1] * (-1, 1) * (0.15 + 0.3 * recency)[:, None]
         left, right = self.pixels(positions + side).tolist(), self.pixels(positions - side).tolist()
         pieces = []
         for k in range(len(positions) - 1):
-            # Unlike gfxdraw, pygame.draw replaces what is below: pieces that share an edge show no seam.
+            # Unlike gfxdraw, pygame.draw does not blend, so pieces that share an edge have no visible seam.
             corners = [left[k], right[k], right[k + 1], left[k + 1]]
-            pieces.append(pygame.draw.polygon(sheet, (*colour, round(170 * youth[k])), corners))
+            pieces.append(pygame.draw.polygon(sheet, (*colour, round(170 * recency[k])), corners))
         area = pieces[0].unionall(pieces[1:])
         self.surface.blit(sheet, area, area)
         sheet.fill((0, 0, 0, 0), area)
         self.touch(area)
 
     def bicycle(self, ends: Points) -> None:
-        """A bicycle lying from ``ends[0]`` to ``ends[1]``; the line between them is what can be hit."""
+        """A bicycle from ``ends[0]`` to ``ends[1]``; collisions are with the line between them."""
         along = ends[1] - ends[0]
         length = math.hypot(*along)
         axes = np.stack([along, (-along[1], along[0])])
@@ -193,14 +188,14 @@ class Canvas:
                 self.line(start, end, 0.05 * length, TYRE)
 
     def vehicle(self, vehicle: Any, colour: Colour, number: int | None = None) -> None:
-        """A car, with its number on the roof if it has one; pale when its episode has ended."""
+        """A car, with its number on the roof if given; pale if its episode has ended."""
         paint = colour if vehicle.end == RUNNING else mix(colour, GREY, 0.6)
         glow, light = ([(BRAKE_GLOW, GLOW)], BRAKE_LIGHT) if vehicle.brake > 0.0 else ([], TAIL_LIGHT)
         trim, bonnet, roof = mix(paint, BLACK, 0.35), mix(paint, WHITE, 0.14), mix(paint, WHITE, 0.22)
         parts = [*glow, (BODY, trim), (BODY * (0.95, 0.98), paint), (BONNET, bonnet), (CABIN, GLASS), (ROOF, roof)]
         parts += [(MIRROR, trim), (FRONT_LAMP, HEADLIGHT), (REAR_LAMP, light), (WHEEL + REAR_HUB, TYRE)]
         shapes: list[tuple[Points, Colour]] = [(part * side, shade) for part, shade in parts for side in SIDES]
-        # Both front wheels turn the same way: they are no mirror images.
+        # Both front wheels turn the same way, so they are not mirror images.
         shapes += [(turned(WHEEL, vehicle.steer) + FRONT_HUB * side, TYRE) for side in SIDES]
         position = np.array([vehicle.x, vehicle.y])
         for spread in (1.02, 1.07):
@@ -212,7 +207,7 @@ class Canvas:
             self.number(number, position + turned(ROOF_CENTRE, vehicle.heading))
 
     def number(self, number: int, centre: Points) -> None:
-        """An upright number; it lies on what is there already."""
+        """An upright number, drawn on top."""
         pygame.font.init()
-        picture = pygame.font.Font(None, round(NUMBER_HEIGHT * self.scale)).render(str(number), True, TYRE)
-        self.surface.blit(picture, picture.get_rect(center=self.pixels([centre])[0].tolist()))
+        image = pygame.font.Font(None, round(NUMBER_HEIGHT * self.scale)).render(str(number), True, TYRE)
+        self.surface.blit(image, image.get_rect(center=self.pixels([centre])[0].tolist()))

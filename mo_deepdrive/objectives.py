@@ -1,7 +1,7 @@
-"""The objectives: one row each, with its unit, its sign and its nominal scale.
+"""The objectives: unit, sign and nominal scale of each.
 
-The kernel measures *magnitudes* (a g-force of 0.2, a collision of 1). The environments return rewards
-to be maximised: magnitude times sign. ``cost_sign="paper"`` returns the magnitudes themselves.
+The kernel measures *magnitudes* (a g-force of 0.2, a collision of 1). The environments return rewards to be
+maximised: magnitude times sign. ``cost_sign="paper"`` returns the magnitudes themselves.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ class Objective:
     """One objective of the benchmark.
 
     Attributes:
-        name: the name used in configs, logs and telemetry.
+        name: the name in configurations and logs.
         unit: SI unit of the magnitude per decision.
-        sign: +1 where more is better, -1 for a cost.
-        scale: nominal size of the *return* of a sensible episode, by which learners divide.
+        sign: +1 if more is better, -1 for a cost.
+        scale: nominal magnitude of the *return* of an episode, by which learners divide.
         description: what the magnitude measures.
     """
 

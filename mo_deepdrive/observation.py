@@ -1,4 +1,4 @@
-"""What a vehicle observes: LAYOUT names every entry with its size, unit, bounds and scale; `write` fills them.
+"""What a vehicle observes: LAYOUT has the name, unit, bounds and scale of every entry; :func:`write` computes them.
 
 Observations are float32 and in SI units. Learners divide by ``scale``.
 """
@@ -15,9 +15,9 @@ from mo_deepdrive.scenarios import Scenario
 from mo_deepdrive.simulation import geometry
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import RUNNING
+from mo_deepdrive.simulation.state import RUNNING, Record, Records
 
-# A vehicle that has left the road is seen straight ahead, at rest, this far away (m).
+# A vehicle that has left the road is observed straight ahead, at rest, at this distance (m).
 ABSENT_DISTANCE = 100.0
 
 _TURN = math.pi
@@ -31,9 +31,10 @@ class Entry:
     Attributes:
         name: unique within LAYOUT.
         unit: SI.
-        low, high: bounds of the observation space; None where they follow from the configuration (see `bounds`).
+        low: lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
+        high: upper bound, likewise.
         scale: nominal magnitude, by which learners divide.
-        needs: "" (always), "obstacle" or "lanes": the scenarios that have it.
+        needs: the scenarios that have it: "" (all), "obstacle" or "lanes".
     """
 
     name: str
@@ -87,7 +88,7 @@ LAYOUT: tuple[Entry, ...] = (
 
 
 def layout(scenario: Scenario) -> tuple[Entry, ...]:
-    """The entries observed in ``scenario``, in order."""
+    """The entries that are observed in ``scenario``, in order."""
     has = {"": True, "obstacle": scenario.obstacle, "lanes": scenario.lanes}
     return tuple(entry for entry in LAYOUT if has[entry.needs])
 
@@ -98,8 +99,8 @@ def scales(scenario: Scenario) -> NDArray[np.float64]:
 
 
 @jit
-def write(worlds, i, v, params, out):
-    """Write what vehicle ``v`` of world ``i`` observes into ``out`` (worlds, vehicles, size)."""
+def write(worlds: Records, i: int, v: int, params: Record, out: NDArray[np.float32]) -> None:
+    """Write the observation of vehicle ``v`` of world ``i`` into ``out`` (worlds, vehicles, size)."""
     vehicle = worlds[i, v]
     cos = vehicle.cos_heading
     sin = vehicle.sin_heading
@@ -167,7 +168,7 @@ def write(worlds, i, v, params, out):
 
 
 def bounds(scenario: Scenario, limits: dict[str, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Low and high of every observed entry, shape (size,) each; ``limits`` holds the bounds by unit or name."""
+    """Lower and upper bounds of every observed entry, (size,) each; ``limits`` has bounds by unit or name."""
     low, high = [], []
     for entry in layout(scenario):
         limit = limits.get(entry.name, limits.get(entry.unit, 0.0))

@@ -1,9 +1,8 @@
-"""Pictures of a world: a map seen from above beside a panel of readings.
+"""Frames of a world: a map seen from above, and a panel of readings.
 
-Nothing here moves or measures anything: a :class:`Viewer` reads the state of one world and remembers, for the trail
-and the sums, what it has been shown of the episode. Everything is drawn at twice its size and scaled down, which
-smooths every edge, on surfaces in memory; only ``render_mode="human"`` needs a display. What stands still is drawn
-and scaled once.
+A :class:`Viewer` reads the state of one world. For trails and sums it remembers the decisions of the episode that it
+was shown. Everything is drawn at twice the size and scaled down, which smooths edges, on surfaces in memory; only
+``render_mode="human"`` needs a display. Static parts are drawn and scaled once.
 """
 
 from __future__ import annotations
@@ -24,18 +23,18 @@ from mo_deepdrive.drawing import (
     SUPERSAMPLING,
     Canvas,
     Colour,
-    pygame,  # imported there without its greeting
 )
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 RENDER_MODES = ("rgb_array", "human")
 PANEL_PIXELS = 336
-FRAME_SIZE = (MAP_PIXELS + PANEL_PIXELS, MAP_PIXELS)  # multiples of 16, as video encoders want them
+FRAME_SIZE = (MAP_PIXELS + PANEL_PIXELS, MAP_PIXELS)  # multiples of 16, which video encoders need
 TRAIL_SECONDS = 5.0
-VEHICLE_MARGIN = 3.0  # m that are visible around a vehicle's centre: more than half its diagonal
+VEHICLE_MARGIN = 3.0  # m visible around a vehicle's centre; more than half its diagonal
 
 VEHICLE_COLOURS = ((38, 116, 232), (240, 126, 38))
 PANEL, TILE, RULE, TEXT, DIM = (24, 28, 36), (36, 42, 53), (54, 62, 76), (240, 243, 248), (150, 160, 176)
@@ -45,12 +44,12 @@ READINGS = (("speed", "m/s"), ("g_force", "g"), ("jerk", "m/s³"), ("route_dista
 
 
 def titled(name: str) -> str:
-    """A name of the code as people write it."""
+    """A name in the code as a title: "route_distance" as "Route distance"."""
     return name.replace("_", " ").capitalize()
 
 
 def reach_of(world: NDArray[Any]) -> float:
-    """How far (m) from the map's centre to look: the map, and as far beyond as vehicles and waypoints lie."""
+    """Visible distance (m) from the map's centre: at least the map, and all vehicles and waypoints."""
     reaches = [MAP_SIZE / 2]
     for vehicle in world:
         reaches.append(max(abs(vehicle.x - MAP_CENTRE), abs(vehicle.y - MAP_CENTRE)) + VEHICLE_MARGIN)
@@ -59,9 +58,9 @@ def reach_of(world: NDArray[Any]) -> float:
 
 
 class Panel:
-    """The readings beside the map; what they are called is drawn once.
+    """The readings beside the map; their labels are drawn once.
 
-    Positions are pixels of the finished frame from the panel's upper left corner.
+    Positions are in pixels of the final frame, from the panel's upper left corner.
     """
 
     def __init__(self, title: str, objectives: tuple[str, ...], vehicles: int, decision_frequency: int):
@@ -70,14 +69,14 @@ class Panel:
         self._vehicles = vehicles
         self._decision_frequency = decision_frequency
         self._alone = vehicles == 1
-        self._pitch = 1.6 if self._alone else 1.0  # how far heights are spread
+        self._pitch = 1.6 if self._alone else 1.0  # factor of vertical distances
         self._fonts: dict[int, pygame.font.Font] = {}
         self._surface = pygame.Surface((PANEL_PIXELS, MAP_PIXELS), 0, 32)
         self._labels: pygame.Surface | None = None
 
-    def draw(self, world: NDArray[Any], episode: Episode) -> pygame.Surface:
+    def draw(self, world: NDArray[Any], trace: EpisodeTrace) -> pygame.Surface:
         """The panel for ``world`` (vehicles,)."""
-        pygame.font.init()  # and fonts anew for every picture: other environments shut pygame down when they close
+        pygame.font.init()  # and new fonts for every frame: other environments quit pygame when they close
         self._fonts.clear()
         if self._labels is None:
             self._draw_labels()
@@ -85,11 +84,11 @@ class Panel:
         self._surface.blit(self._labels, (0, 0))
         self._write(f"{world['decisions'].max() / self._decision_frequency:.1f} s", -316, 34, 34, TEXT)
         for v, vehicle in enumerate(world):
-            self._draw_readings(v, vehicle, episode)
+            self._draw_readings(v, vehicle, trace)
         return self._surface
 
     def _height(self, v: int, offset: float) -> float:
-        """How far down lies what is ``offset`` below the upper end of the section of vehicle ``v``."""
+        """Vertical position of a point ``offset`` below the top of the section of vehicle ``v``."""
         return 72.0 + 322.0 * v + offset * self._pitch
 
     def _tile(self, v: int, k: int) -> tuple[float, float]:
@@ -119,9 +118,9 @@ class Panel:
                 if unit != "1":
                     self._write(unit, name_end + 6, row + 1, 16, DIM)
 
-    def _draw_readings(self, v: int, vehicle: Any, episode: Episode) -> None:
+    def _draw_readings(self, v: int, vehicle: Any, trace: EpisodeTrace) -> None:
         end = titled(ENDS[vehicle.end]) or "Driving"
-        if vehicle.end != RUNNING and not self._alone:  # where the other one may drive on
+        if vehicle.end != RUNNING and not self._alone:  # where the other vehicle may still drive
             end += f", {vehicle.decisions / self._decision_frequency:.1f} s"
         self._write(end, -306, self._height(v, 12), 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
         for k, (field, _) in enumerate(READINGS):
@@ -130,7 +129,7 @@ class Panel:
         for k, name in enumerate(self._objectives):
             row = self._height(v, 164 + 22 * k)
             self._write(f"{vehicle.objectives[INDEX[name]]:,.2f}", -226, row, 21, TEXT)
-            total = f"{episode.sums[v, INDEX[name]]:,.2f}" if episode.complete[v] else "—"
+            total = f"{trace.sums[v, INDEX[name]]:,.2f}" if trace.complete[v] else "—"
             self._write(total, -316, row, 21, TEXT)
 
     def _rectangle(self, left: float, top: float, width: float, height: float, colour: Colour, radius: int = 0) -> None:
@@ -141,38 +140,46 @@ class Panel:
         self._surface.blit(pygame.transform.smoothscale_by(large, 1 / SUPERSAMPLING), (round(left), round(top)))
 
     def _write(self, text: str, x: float, y: float, size: int, colour: Colour, fill: Colour | None = None) -> float:
-        """Write ``text`` about the height ``y`` from ``x`` on, or up to -``x`` if negative; ``fill`` is a label's.
+        """Write ``text`` centred vertically at ``y``, from ``x`` on, or up to -``x`` if ``x`` is negative.
+
+        Args:
+            text: what to write.
+            x: left end, or minus the right end.
+            y: vertical centre.
+            size: size of the font.
+            colour: of the text.
+            fill: colour of a label behind the text; None for no label.
 
         Returns:
-            Where it ends.
+            The right end.
         """
         if size not in self._fonts:
             self._fonts[size] = pygame.font.Font(None, round(size * SUPERSAMPLING * (1.15 if self._alone else 1.0)))
         large = self._fonts[size].render(text, True, colour)
-        picture = pygame.transform.smoothscale_by(large, 1 / SUPERSAMPLING)
-        width, height = picture.get_size()
+        image = pygame.transform.smoothscale_by(large, 1 / SUPERSAMPLING)
+        width, height = image.get_size()
         left = x if x >= 0 else -x - width
         if fill is not None:
             self._rectangle(left - 10, y - 0.8 * height, width + 20, 1.6 * height, fill, radius=16)
-        self._surface.blit(picture, (round(left), round(y - height / 2)))
+        self._surface.blit(image, (round(left), round(y - height / 2)))
         return left + width
 
 
-class Episode:
-    """What a viewer remembers of the episode it is shown, per vehicle."""
+class EpisodeTrace:
+    """The part of an episode that a viewer was shown, per vehicle."""
 
     def __init__(self, vehicles: int, trail_length: int):
         self.trails = [deque[tuple[float, float]](maxlen=trail_length) for _ in range(vehicles)]  # m, oldest first
-        self.sums = np.zeros((vehicles, len(INDEX)))  # magnitudes of the decisions shown
-        self.complete = np.ones(vehicles, dtype=np.bool_)  # whether those are all decisions so far
+        self.sums = np.zeros((vehicles, len(INDEX)))  # of the magnitudes of the decisions shown
+        self.complete = np.ones(vehicles, dtype=np.bool_)  # whether these are all decisions so far
         self._decisions = np.zeros(vehicles, dtype=np.int64)
         self._along = np.full((vehicles, MAX_WAYPOINTS), np.nan)
 
     def follow(self, world: NDArray[Any]) -> None:
-        """Take in ``world`` (vehicles,); to take in the same state again changes nothing."""
+        """Add the state ``world`` (vehicles,); adding the same state again changes nothing."""
         decisions, along = world["decisions"].copy(), world["along"].copy()
         begins = not decisions.any()
-        # Who shows only some decisions may first show a new episode when it is older than the last one was.
+        # If only some decisions are shown, those of a new episode may begin later than the previous one ended.
         if begins or (decisions < self._decisions).any() or not np.array_equal(along, self._along):
             self.sums[:] = 0.0
             self.complete[:] = True
@@ -192,7 +199,7 @@ class Viewer:
 
     Args:
         config: the environment's configuration.
-        render_mode: "rgb_array", or "human" to show every picture in a window, too, at decision_frequency.
+        render_mode: "rgb_array", or "human" to also show every frame in a window, at decision_frequency.
 
     Raises:
         ValueError: for another render_mode.
@@ -205,25 +212,25 @@ class Viewer:
         self.render_mode = render_mode
         self.scenario = SCENARIOS[config.scenario]
         self.objectives = chosen_objectives(config)
-        self._episode = Episode(self.scenario.vehicles, 1 + round(TRAIL_SECONDS * config.decision_frequency))
+        self._trace = EpisodeTrace(self.scenario.vehicles, 1 + round(TRAIL_SECONDS * config.decision_frequency))
         self._panel = Panel(self.scenario.title, self.objectives, self.scenario.vehicles, config.decision_frequency)
         large = (MAP_PIXELS * SUPERSAMPLING, MAP_PIXELS * SUPERSAMPLING)
         self._ground = Canvas(pygame.Surface(large, 0, 32), math.inf)
         self._small_ground = pygame.Surface((MAP_PIXELS, MAP_PIXELS), 0, 32)
-        self._map = pygame.Surface(large, 0, 32)  # the ground, but while something is drawn on it
+        self._map = pygame.Surface(large, 0, 32)  # the ground; while drawing, with everything on it
         self._sheet = pygame.Surface(large, pygame.SRCALPHA, 32)
         self._frame = pygame.Surface(FRAME_SIZE, 0, 32)
         self._clock = pygame.time.Clock()
         self._dismissed = False
 
     def draw(self, world: NDArray[Any]) -> NDArray[np.uint8]:
-        """The picture of ``world`` (vehicles,) of dtype VEHICLE: a new RGB array (height, width, 3).
+        """The frame of ``world`` (vehicles,) of dtype VEHICLE: a new RGB array (height, width, 3).
 
-        Under "human" it is shown, too, until the user closes the window.
+        With "human" it is also shown in the window, unless the user has closed it.
         """
-        self._episode.follow(world)
+        self._trace.follow(world)
         self._draw_map(world)
-        self._frame.blit(self._panel.draw(world, self._episode), (MAP_PIXELS, 0))
+        self._frame.blit(self._panel.draw(world, self._trace), (MAP_PIXELS, 0))
         if self.render_mode == "human" and not self._dismissed:
             self._show()
         pixels = np.frombuffer(bytearray(pygame.image.tobytes(self._frame, "RGB")), dtype=np.uint8)
@@ -252,13 +259,13 @@ class Viewer:
         if reach != self._ground.reach:
             self._draw_ground(reach)
         canvas = Canvas(self._map, reach)
-        for vehicle, positions, colour in zip(world, self._episode.trails, VEHICLE_COLOURS, strict=False):
+        for vehicle, positions, colour in zip(world, self._trace.trails, VEHICLE_COLOURS, strict=False):
             canvas.route(vehicle, colour)
             if len(positions) > 1:
                 canvas.trail(np.array(positions), colour, self._sheet)
         if self.scenario.obstacle:
             canvas.bicycle(world[0].obstacle)
-        # A vehicle that has ended has left the road: the other one drives over it.
+        # A vehicle that has ended is off the road, so the other one is drawn on top of it.
         for v in np.argsort(world["end"] == RUNNING, kind="stable"):
             canvas.vehicle(world[v], VEHICLE_COLOURS[v], int(v) if len(world) > 1 else None)
         self._frame.blit(self._small_ground, (0, 0))

@@ -1,9 +1,9 @@
-"""The three scenarios, as data, and the functions that draw and place one.
+"""The three scenarios as data, and the functions that draw and place one.
 
-A scenario is one row of SCENARIOS. Every random number of an episode is one of DRAWS uniforms in [0, 1) that the
-caller hands in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
-moves by ``draws[:2] * destination_span``; ``draws[2:5]`` place the obstacle. Scenarios that do not use a draw have
-a span of zero.
+A scenario is one row of SCENARIOS. All random numbers of an episode are DRAWS uniforms in [0, 1) that the caller
+passes in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
+moves by ``draws[:2] * destination_span``; ``draws[2:5]`` place the obstacle. A scenario that does not use
+a draw has a span of zero.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mo_deepdrive.simulation import geometry, progress
 from mo_deepdrive.simulation.jit import jit
@@ -21,11 +22,13 @@ from mo_deepdrive.simulation.state import (
     LENGTH,
     MAX_WAYPOINTS,
     RUNNING,
+    Record,
+    Records,
 )
 
 DRAWS = 5
 FIXED_DRAW = 0.2
-# Half way, 3.45 m long and across the straight way to the fixed destination, but for two degrees.
+# Half-way to the fixed destination, 3.45 m long, and perpendicular to the straight line to it up to two degrees.
 FIXED_OBSTACLE_DRAWS = (0.4, 0.5, 0.2)
 
 # The original draws on a 1000 px square with a 50 px margin.
@@ -50,7 +53,7 @@ def metres(p: float) -> float:
 
 @dataclass(frozen=True)
 class Route:
-    """Where a vehicle starts and the waypoints it heads for (m, rad)."""
+    """Where a vehicle starts (x, y, heading) and its waypoints (x, y), in m and rad."""
 
     start: tuple[float, float, float]
     waypoints: tuple[tuple[float, float], ...]
@@ -62,13 +65,13 @@ class Scenario:
     """One scenario as data.
 
     Attributes:
-        name: as in the ids and configs.
+        name: the name in ids and configurations.
         routes: one per vehicle.
-        objectives: names of the objectives that exist here, in order.
-        destination_span: how far the destination varies along x and y (m).
-        obstacle: whether a bicycle stands in the way.
-        lanes: whether lane lines exist (and with them lane distances and the other vehicle).
-        title: for people.
+        objectives: names of the objectives, in order.
+        destination_span: range of the destination along x and y (m).
+        obstacle: whether there is a bicycle on the way.
+        lanes: whether there are lanes (and with them lane distances and another vehicle).
+        title: the name in titles and messages.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Scenario:
 
     @property
     def vehicles(self) -> int:
+        """How many vehicles there are."""
         return len(self.routes)
 
 
@@ -132,14 +136,14 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 @jit
-def given(pinned, drawn):
-    """A pinned value where there is one (NaN stands for none), else the drawn one."""
+def given(pinned: float, drawn: float) -> float:
+    """The pinned value, or the drawn one where it is NaN."""
     return drawn if math.isnan(pinned) else pinned
 
 
 @jit
-def draw_spawn(draws, j, params, pins, spawn):
-    """Fill ``spawn`` (record SPAWN) from the uniforms ``draws[j]`` (DRAWS,); entries of ``pins`` not NaN win."""
+def draw_spawn(draws: NDArray[np.float64], j: int, params: Record, pins: Record, spawn: Record) -> None:
+    """Fill ``spawn`` (record SPAWN) from ``pins``, or where they are NaN from the uniforms ``draws[j]`` (DRAWS,)."""
     vehicles = len(spawn.starts)
     for v in range(vehicles):
         spawn.starts[v, 0] = given(pins.starts[v, 0], params.starts[v, 0])
@@ -175,7 +179,7 @@ def draw_spawn(draws, j, params, pins, spawn):
 
 
 @jit
-def distance_to_segment(px, py, ax, ay, bx, by):
+def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Distance (m) from the point p to the segment a-b."""
     dx = bx - ax
     dy = by - ay
@@ -187,8 +191,8 @@ def distance_to_segment(px, py, ax, ay, bx, by):
 
 
 @jit
-def spawn_is_fair(spawn, params):
-    """False where the bicycle touches the vehicle at its start or lies within 1 m of the destination."""
+def spawn_is_fair(spawn: Record, params: Record) -> bool:
+    """False if the bicycle touches the vehicle at its start or is within 1 m of the destination."""
     if not params.has_obstacle:
         return True
     last = params.n_waypoints[0] - 1
@@ -205,7 +209,7 @@ def spawn_is_fair(spawn, params):
 
 
 @jit
-def place(worlds, i, spawn, params):
+def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
     """Put every vehicle of world ``i`` at rest at the start of its route."""
     for v in range(worlds.shape[1]):
         vehicle = worlds[i, v]
@@ -263,7 +267,7 @@ def place(worlds, i, spawn, params):
             progress.find_lane(vehicle, params)
 
 
-def pin_nothing(spawn: np.ndarray) -> None:
+def pin_nothing(spawn: Records) -> None:
     """Mark every entry of a SPAWN record array as not pinned."""
     for name in spawn.dtype.names or ():
         spawn[name] = np.nan

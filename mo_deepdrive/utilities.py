@@ -1,11 +1,11 @@
-"""Utility functions: from a vector return to the scalar that a user cares about.
+"""Utility functions, which map a vector return to a scalar.
 
-A utility takes returns (or rewards) of shape (..., d), oriented to be maximised as the environments emit them, as a
-NumPy array or a torch tensor, and gives shape (...) of the same kind, differentiable where it is smooth. The paper
-states its utilities on magnitudes (appendix D); `make_utility` knows each objective's sign and turns them.
+A utility takes returns (or rewards) of shape (..., d) with the signs of the environment's rewards, as a NumPy array or
+a torch tensor, and returns shape (...) of the same type, differentiable where the function is. The paper defines its
+utilities on magnitudes (appendix D); :func:`make_utility` converts the signs.
 
-A new utility is one function of magnitudes (or of oriented returns) and one row in the tables below; a user's own
-is named by its dotted path, ``package.module:function``.
+To add a utility, write a function of magnitudes (or of returns) and add a row to the tables below. A custom utility is
+given by its path, ``package.module:function``.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Utility:
     """A named utility over d objectives.
 
     Attributes:
-        name: the registry name or dotted path.
-        objectives: the names of the d components it reads, in order.
-        weights: (d,) weights on maximised returns where the utility is linear, else None.
+        name: the registered name or the path.
+        objectives: names of the d components of its argument, in order.
+        weights: (d,) weights of the returns if the utility is linear, else None.
     """
 
     def __init__(
@@ -45,18 +45,18 @@ class Utility:
         """Utility of ``returns`` (..., d): shape (...).
 
         Raises:
-            ValueError: if the last axis is not d long.
+            ValueError: if the length of the last axis is not d.
         """
         if returns.ndim == 0 or returns.shape[-1] != len(self.objectives):
             raise ValueError(
-                f"utility {self.name!r} reads {len(self.objectives)} objectives {self.objectives}; "
+                f"utility {self.name!r} takes {len(self.objectives)} objectives {self.objectives}; "
                 f"the returns have {returns.shape[-1] if returns.ndim else 'no axis'}"
             )
         return self._function(_real(returns))
 
 
 def _real(returns: Any) -> Any:
-    """Whole numbers as real ones: weights must not be rounded to the type of the returns."""
+    """Integers as floats, so that weights are not rounded to the type of the returns."""
     if isinstance(returns, np.ndarray):
         return returns if returns.dtype.kind == "f" else returns.astype(np.float64)
     return returns if returns.is_floating_point() else returns.double()
@@ -87,12 +87,12 @@ def _obstacle_nonlinear(m: dict[str, Any]) -> Any:
 
 def _intersection_nonlinear(m: dict[str, Any]) -> Any:
     lane = 0.06 * m["lane_violation"]
-    standing = m["distance"] == 0.0
+    at_rest = m["distance"] == 0.0
     base = _obstacle_nonlinear(m)
-    return _where(standing, base, base - lane)
+    return _where(at_rest, base, base - lane)
 
 
-# Linear utilities of the paper: weights on magnitudes.
+# The paper's linear utilities: weights of the magnitudes.
 LINEAR: dict[str, dict[str, float]] = {
     "one_waypoint_linear": {"distance": 0.5, "destination": 1.0, "g_force": -0.03, "jerk": -3.3e-5},
     "static_obstacle_linear": {
@@ -112,7 +112,7 @@ LINEAR: dict[str, dict[str, float]] = {
     },
 }
 
-# Non-linear utilities of the paper: the objectives each needs and its formula on magnitudes.
+# The paper's non-linear utilities: the objectives that each needs, and its formula in magnitudes.
 NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
     "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
     "static_obstacle_nonlinear": (
@@ -145,7 +145,7 @@ def _like(values: list[float], returns: Any) -> Any:
 
 
 def linear(objectives: Sequence[str], weights: Any = None) -> Utility:
-    """sum_i w_i R_i."""
+    """sum_i w_i R_i, with the weights w (d,)."""
     w = _vector("linear", "weights", weights, len(objectives))
     return Utility("linear", objectives, lambda returns: (returns * _like(w, returns)).sum(-1), w)
 
@@ -153,12 +153,12 @@ def linear(objectives: Sequence[str], weights: Any = None) -> Utility:
 def augmented_chebyshev(
     objectives: Sequence[str], weights: Any = None, ideal: Any = None, rho: float = 0.05
 ) -> Utility:
-    """-(max_i w_i (z_i - R_i) + rho sum_i w_i (z_i - R_i)) with ideal point z (Steuer and Choo 1983)."""
+    """-(max_i w_i (z_i - R_i) + rho sum_i w_i (z_i - R_i)), with ideal point z (Steuer and Choo 1983)."""
     d = len(objectives)
     w = _vector("augmented_chebyshev", "weights", weights, d)
     z = _vector("augmented_chebyshev", "ideal", ideal, d)
     if not (isinstance(rho, (int, float)) and math.isfinite(rho) and rho >= 0):
-        raise ValueError(f"rho = {rho!r} must be a finite number of at least 0")
+        raise ValueError(f"rho = {rho!r} must be finite and not negative")
 
     def function(returns: Any) -> Any:
         gaps = _like(w, returns) * (_like(z, returns) - returns)
@@ -169,12 +169,12 @@ def augmented_chebyshev(
 
 
 def generalised_gini(objectives: Sequence[str], weights: Any = None, scales: Any = None) -> Utility:
-    """sum_i w_i (R / s)_(i), components in increasing order, weights not increasing (Weymark 1981)."""
+    """sum_i w_i (R / s)_(i), components in increasing order, with non-increasing weights w (Weymark 1981)."""
     d = len(objectives)
     w = _vector("generalised_gini", "weights", weights, d)
     s = _vector("generalised_gini", "scales", [1.0] * d if scales is None else scales, d)
     if any(later > earlier for earlier, later in pairwise(w)) or w[-1] < 0.0:
-        raise ValueError(f"weights = {w} of generalised_gini must not increase and not be negative")
+        raise ValueError(f"weights = {w} of generalised_gini must be non-increasing and non-negative")
     if any(scale <= 0.0 for scale in s):
         raise ValueError(f"scales = {s} of generalised_gini must be positive")
 
@@ -195,23 +195,23 @@ UTILITIES: tuple[str, ...] = (*LINEAR, *NONLINEAR, *STANDARD)
 
 
 def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximise", **arguments: Any) -> Utility:
-    """The utility called ``name`` for an environment that emits ``objectives``.
+    """The utility ``name`` for an environment with the given objectives.
 
     Args:
-        name: one of UTILITIES, or the dotted path ``package.module:function`` of a function from returns (..., d),
-            oriented as the environment emits them, to (...).
-        objectives: the names of the environment's reward components, in order.
+        name: one of UTILITIES, or the path ``package.module:function`` of a function that maps returns (..., d), with
+            the signs of the environment's rewards, to (...).
+        objectives: names of the components of the environment's reward, in order.
         cost_sign: the environment's setting: "maximise" or "paper".
-        **arguments: of the utility, for example ``weights``.
+        **arguments: arguments of the utility, for example ``weights``.
 
     Raises:
-        ValueError: for an unknown name, missing objectives or unfit arguments.
+        ValueError: for an unknown name, missing objectives or invalid arguments.
     """
     objectives = tuple(objectives)
     if cost_sign not in ("maximise", "paper"):
         raise ValueError(f"cost_sign = {cost_sign!r} must be 'maximise' or 'paper'")
     if ":" in name:
-        return Utility(name, objectives, _own(name, arguments))
+        return Utility(name, objectives, _custom(name, arguments))
     if name in STANDARD:
         try:
             return STANDARD[name](objectives, **arguments)
@@ -223,7 +223,7 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
         raise ValueError(f"utility {name!r} takes no arguments; got {sorted(arguments)}")
     needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
     if sorted(needed) != sorted(objectives):
-        raise ValueError(f"utility {name!r} is defined on {needed}; the environment emits {objectives}")
+        raise ValueError(f"utility {name!r} is defined for {needed}; the environment has {objectives}")
     signs = [1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[objective]].sign) for objective in objectives]
     if name in LINEAR:
         weights = [LINEAR[name][objective] * sign for objective, sign in zip(objectives, signs, strict=True)]
@@ -237,7 +237,7 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
     return Utility(name, objectives, function)
 
 
-def _own(path: str, arguments: dict[str, Any]) -> Function:
+def _custom(path: str, arguments: dict[str, Any]) -> Function:
     module_name, _, attribute = path.partition(":")
     try:
         function = getattr(importlib.import_module(module_name), attribute)

@@ -1,4 +1,4 @@
-"""Wrappers: a vector-reward environment as a scalar one, for libraries that know no other."""
+"""Wrappers: a scalar reward instead of a vector reward, for libraries that need one."""
 
 from __future__ import annotations
 
@@ -16,31 +16,30 @@ Measure = Literal["reward", "return"]
 class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
     """Makes the reward the utility of the vector reward; the vector is ``info["vector_reward"]``.
 
-    Observations, actions, seeds, ends and everything else in ``info`` are those of the wrapped environment. Works on
-    any Gymnasium environment with vector rewards, ours or MO-Gymnasium's::
+    Everything else is unchanged. It wraps any Gymnasium environment with vector rewards, of this package or of
+    MO-Gymnasium::
 
         env = UtilityReward(mo_gymnasium.make("mo-deepdrive-one-waypoint-v0"), "one_waypoint_linear")
 
-    For a linear utility the sum of the utilities is the utility of the sum, and both measures learn the same. For any
-    other one they differ:
+    With a linear utility the sum of the utilities is the utility of the sum, so both values of ``of`` give the same
+    problem. With any other utility they differ:
 
     - ``of="reward"``: the reward of a decision is u(r_t), as in the paper's A2C;
-    - ``of="return"``: it is u(R_{t+1}) - u(R_t), by which the decision raises the utility of the return so far,
-      R_t = sum over i < t of r_i. The rewards of an episode sum to u(return) - u(0), so an agent that maximises their
-      undiscounted sum maximises the expected utility (ESR). The best action may then depend on R_t, which the
-      observation does not hold.
+    - ``of="return"``: it is u(R_{t+1}) - u(R_t), the increase of the utility of the accrued reward R_t = sum over i < t
+      of r_i. The rewards of an episode sum to u(return) - u(0), so an agent that maximises their undiscounted sum
+      maximises the expected utility (ESR). The best action may then depend on R_t, which is not observed.
 
     Args:
         env: an environment with vector rewards (d,) and ``reward_space``.
-        utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, or a utility that is made already.
-        of: what it is the utility of.
-        **arguments: of the named utility, for example ``weights``.
+        utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, or a utility.
+        of: "reward" or "return".
+        **arguments: arguments of a utility given by name, for example ``weights``.
 
     Attributes:
-        utility: what makes the reward.
+        utility: the utility.
 
     Raises:
-        ValueError: if the environment's rewards are no vectors, or the utility is unknown or does not fit them.
+        ValueError: if the environment has no vector rewards, or the utility is unknown or does not fit them.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], utility: str | Utility, of: Measure = "reward", **arguments: Any):
@@ -59,7 +58,7 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         elif arguments:
             raise ValueError(f"arguments {sorted(arguments)} are for a utility given by name")
         if len(utility.objectives) != len(objectives):
-            raise ValueError(f"utility {utility.name!r} reads {utility.objectives}; the environment emits {objectives}")
+            raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; the environment has {objectives}")
         self.utility = utility
         self._of = of
         self._accrued: dict[int, NDArray[np.float64]] = {}
@@ -80,7 +79,7 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if self._of == "reward":
             value = self.utility(rewards)
         else:
-            # Where vehicles take turns, every one has a return of its own.
+            # If vehicles take turns, each has its own return.
             vehicle = info.get("vehicle", 0)
             before = self._accrued.get(vehicle, np.zeros(rewards.shape))
             after = before + rewards

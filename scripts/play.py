@@ -1,4 +1,4 @@
-"""Drive in a window: alone, two people at one keyboard, or against a trained policy.
+"""Drive in a window: alone, as two people at one keyboard, or against a trained policy.
 
     python scripts/play.py --env mo-deepdrive-one-waypoint-v0
     python scripts/play.py --env mo-deepdrive-intersection-v0
@@ -6,72 +6,82 @@
 
 RUN is the directory of a run, or the name of a policy of the zoo (scripts/evaluate.py --zoo lists them).
 
-Arrow keys: up speeds up, down brakes, left and right steer. With two people they drive vehicle 0, and W A S D drives
-vehicle 1. R starts the episode again, Escape or closing the window quits. Hard braking and fast bends can exceed the
-harmful g-force, which ends the episode.
+Arrow keys: up accelerates, down brakes, left and right steer. With two people the arrow keys drive vehicle 0, and
+W A S D drives vehicle 1. R restarts the episode; Escape or closing the window quits. Hard braking and fast turns can
+exceed the harmful g-force, which ends the episode.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import os
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-sys.path.append(os.getcwd())  # where a user's own utility lives
+sys.path.append(str(Path.cwd()))  # so that a utility of the user's own can be imported
 
-import numpy as np
-import pygame
 import torch
-from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from algorithms.agent import Agent
-from algorithms.driving import PICTURES, HumanPlayEnv, Outcome
-from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
+from algorithms.evaluation.policy_driver import PolicyDriver
+from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
-from algorithms.reporting.videos import make_world, writing
+from algorithms.reporting.videos import writing
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.play import (
+    EpisodeOutcome,
+    HumanPlayEnv,
+    describe_controls,
+    make_play_env,
+    open_display,
+    play_in_window,
+)
+from mo_deepdrive.quiet_pygame import pygame
 
-# Of every person, in the order of algorithms.driving.Keys: accelerate, brake, left, right.
-KEYBOARD = {
-    "arrow keys": (pygame.K_UP, pygame.K_DOWN, pygame.K_LEFT, pygame.K_RIGHT),
-    "W A S D": (pygame.K_w, pygame.K_s, pygame.K_a, pygame.K_d),
-}
-AGAIN = pygame.K_r
-FASTEST = 1000
-INVISIBLE = ("dummy", "offscreen")  # SDL's video drivers without a display
+MAX_FPS = 1000
+MAX_SEED = 2**31 - 1
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
-    """The options of this script."""
+    """Parse the command line.
+
+    Raises:
+        ValueError: for a value out of range, or a video in a directory that does not exist.
+    """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
     parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
-    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: a random one)")
-    parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: in real time)")
-    parser.add_argument("--against", metavar="RUN", help="a run or policy of the zoo that drives the other vehicle")
-    parser.add_argument("--vehicle", type=int, choices=(0, 1), help="the one that you drive against RUN (default: 0)")
-    parser.add_argument("--stochastic", action="store_true", help="RUN's stochastic policy, not the greedy one")
-    parser.add_argument("--record", metavar="FILE", help="write an MP4 of what was driven")
-    return parser.parse_args(arguments)
+    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: random)")
+    parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: real time)")
+    parser.add_argument("--against", metavar="RUN", help="run or policy of the zoo that drives the other vehicle")
+    parser.add_argument("--vehicle", type=int, choices=(0, 1), help="the vehicle you drive against RUN (default: 0)")
+    parser.add_argument("--stochastic", action="store_true", help="sample RUN's actions instead of the greedy ones")
+    parser.add_argument("--record", metavar="FILE", help="write an MP4 of the session")
+    options = parser.parse_args(arguments)
+    if options.seed is not None and not 0 <= options.seed <= MAX_SEED:
+        raise ValueError(f"--seed {options.seed} must be between 0 and {MAX_SEED}")
+    if options.fps is not None and not 1 <= options.fps <= MAX_FPS:
+        raise ValueError(f"--fps {options.fps} must be between 1 and {MAX_FPS}")
+    if options.record and not Path(options.record).absolute().parent.is_dir():
+        raise ValueError(
+            f"--record {options.record}: {str(Path(options.record).absolute().parent)!r} is not a directory"
+        )
+    return options
 
 
-def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None]:
-    """The world that the options ask for and the agent in it, if there is one.
+def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None]:
+    """The environment that the options ask for, and the agent that drives the other vehicle, if any.
 
     Raises:
-        ValueError: for an environment or a run that is not there or does not fit.
+        ValueError: for an unknown environment or run, or one that does not fit.
     """
     spec = find_environment(options.env)
     if not is_ours(spec):
@@ -79,8 +89,8 @@ def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | N
     if options.against is None:
         for name, given in (("--vehicle", options.vehicle is not None), ("--stochastic", options.stochastic)):
             if given:
-                raise ValueError(f"{name} goes with --against RUN, which is missing")
-        return make_world(EnvironmentSettings(id=options.env)).unwrapped, None  # type: ignore[return-value]
+                raise ValueError(f"{name} requires --against RUN")
+        return make_play_env(options.env), None
     run = Run.open(options.against, device="cpu")
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
@@ -89,22 +99,16 @@ def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | N
     if agent.env.vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
     agent.load(run.checkpoint, policy_only=True)
-    return make_world(theirs).unwrapped, agent  # type: ignore[return-value]
+    return make_play_env(theirs.id, **theirs.arguments), agent
 
 
-def key_table(codes: list[int]) -> dict[tuple[int, ...], NDArray[np.int8]]:
-    """For every set of keys held down, by their codes, the action that says so."""
-    rows = list(itertools.product((0, 1), repeat=len(codes)))[1:]
-    return {tuple(itertools.compress(codes, row)): np.array(row, dtype=np.int8) for row in rows}
-
-
-def say(console: Console, world: DrivingVectorEnv, outcome: Outcome) -> None:
+def print_outcome(console: Console, objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
     """Print how an episode ended."""
     table = Table(title=f"episode {outcome.episode}, seed {outcome.seed}", title_justify="left", box=SIMPLE_HEAD)
     table.add_column()
     table.add_column("end\n")
     table.add_column("time\ns", justify="right")
-    for name in world.objectives:
+    for name in objectives:
         unit = OBJECTIVES[INDEX[name]].unit
         table.add_column(f"{name}\n{unit if unit != '1' else ''}", justify="right")
     for v, (end, seconds, returns) in enumerate(zip(outcome.ends, outcome.seconds, outcome.returns, strict=True)):
@@ -112,68 +116,30 @@ def say(console: Console, world: DrivingVectorEnv, outcome: Outcome) -> None:
     console.print(table)
 
 
-def open_display() -> None:
-    """Prepare to show a window.
-
-    Raises:
-        ValueError: if there is no display.
-    """
-    try:
-        pygame.display.init()
-        pygame.display.set_caption("MO-DeepDrive")
-        driver = pygame.display.get_driver()
-        # Without a display SDL may fall back on a window that nobody sees.
-        problem = f"SDL has only {driver!r}" if driver in INVISIBLE and not os.environ.get("SDL_VIDEODRIVER") else ""
-    except pygame.error as error:
-        problem = f"SDL says {str(error)!r}"
-    if problem:
-        raise ValueError(
-            f"no window can be opened ({problem}): driving needs a display; on Linux set DISPLAY or WAYLAND_DISPLAY, "
-            "and if SDL_VIDEODRIVER is set, it must name a driver that has one"
-        )
-
-
-def drive(cockpit: HumanPlayEnv, seats: list[int], fps: int, console: Console) -> None:
-    """Drive in a window until the user quits."""
-    from gymnasium.utils.play import play  # it chooses a backend for matplotlib: not for who only imports this
-
-    def tell(before: Any, after: Any, action: Any, reward: Any, terminated: bool, truncated: bool, info: Any) -> None:
-        if "outcome" in info:
-            say(console, cockpit.world, info["outcome"])
-
-    keyboard = list(KEYBOARD.items())[: len(seats)]
-    people = (f"vehicle {v}: {name}" for v, (name, _) in zip(seats, keyboard, strict=True))
-    console.print("; ".join((*people, "R starts again, Escape quits")), highlight=False)
-    codes = [*(code for _, keys in keyboard for code in keys), AGAIN]
-    noop = np.zeros(len(codes), dtype=np.int8)
-    play(cockpit, fps=fps * PICTURES, callback=tell, keys_to_action=key_table(codes), noop=noop)
-
-
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
-    options = parse_arguments(arguments)
     console = make_console()
     try:
-        if options.seed is not None and not 0 <= options.seed < 2**31:
-            raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
-        if options.fps is not None and not 1 <= options.fps <= FASTEST:
-            raise ValueError(f"--fps {options.fps} must be between 1 and {FASTEST}")
-        if options.record and not Path(options.record).absolute().parent.is_dir():
-            raise ValueError(f"{str(Path(options.record).absolute().parent)!r} is no directory to write a video to")
-        world, agent = open_world(options)
-        open_display()
-        rate = world.config.decision_frequency
-        seats = list(range(world.vehicles)) if agent is None else [options.vehicle or 0]
+        options = parse_arguments(arguments)
+        env, agent = open_environment(options)
+        # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
+        open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
+        rate = env.config.decision_frequency
+        seats = list(range(env.vehicles)) if agent is None else [options.vehicle or 0]
         generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
-        with writing(options.record, rate) if options.record else nullcontext() as film:
-            cockpit = HumanPlayEnv(world, seats, agent=agent, generator=generator, film=film)
-            cockpit.reset(seed=options.seed)
+        driver = None if agent is None else PolicyDriver(agent, generator)
+        with writing(options.record, rate) if options.record else nullcontext() as on_frame:
+            human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
+            human_env.reset(seed=options.seed)
+            console.print(describe_controls(seats), highlight=False)
             try:
-                drive(cockpit, seats, options.fps or rate, console)
+                play_in_window(
+                    human_env, options.fps or rate, lambda outcome: print_outcome(console, env.objectives, outcome)
+                )
             except KeyboardInterrupt:
                 return 130
             finally:
-                cockpit.close()
+                human_env.close()
     except (ValueError, OSError, pygame.error) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,8 @@ import pytest
 import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
-
-GOLDEN = REPOSITORY.parent / "shared" / "golden"
 
 hypothesis.settings.register_profile(
     "mo-deepdrive",
@@ -42,29 +39,13 @@ def _one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-@dataclass(frozen=True)
-class Golden:
-    """The recorded trajectories: episodes, each a list of one entry per vehicle, and the rows of all decisions."""
-
-    episodes: dict[int, list[dict[str, Any]]]
-    steps: dict[str, np.ndarray]
-
-    def of(self, scenario: str) -> dict[int, list[dict[str, Any]]]:
-        """The episodes of one scenario."""
-        return {number: vehicles for number, vehicles in self.episodes.items() if vehicles[0]["scenario"] == scenario}
-
-
-@pytest.fixture(scope="session")
-def golden() -> Golden:
-    """The recorded trajectories of the original simulator; tests that ask for them skip where they are absent."""
-    if not (GOLDEN / "episodes.json").exists() or not (GOLDEN / "steps.npz").exists():
-        pytest.skip(f"the recorded trajectories are not in {GOLDEN}")
-    episodes: dict[int, list[dict[str, Any]]] = {}
-    for entry in json.loads((GOLDEN / "episodes.json").read_text()):
-        episodes.setdefault(entry["episode"], []).append(entry)
-    with np.load(GOLDEN / "steps.npz") as arrays:
-        steps = {name: arrays[name] for name in arrays.files}
-    return Golden(episodes, steps)
+@pytest.fixture(scope="session", params=["sample", "full set"])
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Trajectories recorded from the original simulator: the sample in the repository, and the full set if present."""
+    directory = SAMPLE if request.param == "sample" else FULL_SET
+    if directory is FULL_SET and not is_complete(directory):
+        pytest.skip(f"the full set of recorded trajectories is not in {directory}")
+    return read_golden(request.param, directory)
 
 
 @pytest.fixture(scope="session")
@@ -75,7 +56,7 @@ def repository() -> Path:
 
 @pytest.fixture(scope="session")
 def make_single() -> Callable[..., Any]:
-    """Make the single environment of a scenario ("one_waypoint" or "static_obstacle") without any wrapper."""
+    """Make the single environment of a scenario, without wrappers."""
 
     def make(scenario: str = "one_waypoint", **options: Any) -> Any:
         name = f"mo-deepdrive-{scenario.replace('_', '-')}-v0"

@@ -255,9 +255,9 @@ def test_only_the_faces_import_rendering_and_only_when_they_draw(sources: Source
 
 
 def test_fronts_are_imported_only_when_they_are_asked_for(sources: Sources) -> None:
-    assert sources.offences(eager("mo_deepdrive.fronts"), sources.below("mo_deepdrive")) == {}
-    check = bans("mo_deepdrive.fronts", "moocore")
-    parts = ["config", "objectives", "scenarios", "actions", "observation", "simulator", "simulation"]
+    assert sources.offences(eager("mo_deepdrive.reference_fronts"), sources.below("mo_deepdrive")) == {}
+    check = bans("mo_deepdrive.reference_fronts", "moocore")
+    parts = ["config", "objectives", "scenarios", "actions", "observation", "batch", "simulation"]
     assert sources.offences(check, sources.below(*(f"mo_deepdrive.{part}" for part in parts))) == {}
 
 
@@ -313,8 +313,8 @@ GOOD: list[tuple[Callable[..., list[str]], str]] = [
     (allows("mo_deepdrive.objectives"), "import numpy\nfrom mo_deepdrive.objectives import NAMES"),
     (eager("mo_deepdrive.rendering"), "def render():\n    from mo_deepdrive.rendering import Viewer"),
     (
-        eager("mo_deepdrive.fronts"),
-        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import mo_deepdrive.fronts",
+        eager("mo_deepdrive.reference_fronts"),
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import mo_deepdrive.reference_fronts",
     ),
     (surroundings_read, "import sys, os\nsys.path, os.path.join('a')\nargv = environ = 1"),
     (global_random_state, "import numpy as np\nrng = np.random.default_rng(0)\nrng.random()\nrng.seed(1)"),

@@ -15,11 +15,11 @@ from algorithms.planning.front_search import UNKNOWN_SOURCE, FrontSearch
 from algorithms.planning.plans import EvaluatedPlans
 from algorithms.planning.subset_selection import select_front
 from algorithms.planning.trained_runs import RunRecording
-from mo_deepdrive.fronts import KnownPolicy
-from mo_deepdrive.fronts import decode as decode_actions
-from mo_deepdrive.fronts import encode as encode_actions
-from mo_deepdrive.fronts import read as read_front
-from mo_deepdrive.fronts import write as format_front
+from mo_deepdrive.action_sequences import decode as decode_actions
+from mo_deepdrive.action_sequences import encode as encode_actions
+from mo_deepdrive.reference_fronts import KnownPolicy
+from mo_deepdrive.reference_fronts import read as read_front
+from mo_deepdrive.reference_fronts import write as format_front
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import GAMMAS, EvaluatedPlans
 from algorithms.planning.subset_selection import dominated_volume
 from algorithms.planning.variation import make_offspring
-from mo_deepdrive.fronts import reference_point
+from mo_deepdrive.reference_points import reference_point
 from mo_deepdrive.scenarios import SCENARIOS
 
 POPULATION = 4096  # plans per generation

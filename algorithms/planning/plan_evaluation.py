@@ -12,7 +12,7 @@ from algorithms.planning.driving_rules import RULE, follow_rule
 from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFormat, Plans
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.fronts import front_config
+from mo_deepdrive.reference_fronts import front_config
 from mo_deepdrive.scenarios import DRAWS
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import step_world

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mo_deepdrive.action_sequences import CONTINUOUS_UNIT
+from mo_deepdrive.action_sequences import idle as idle_action
 from mo_deepdrive.actions import CONTINUOUS, action_table
-from mo_deepdrive.fronts import CONTINUOUS_UNIT, GAMMA
-from mo_deepdrive.fronts import idle as idle_action
+from mo_deepdrive.reference_fronts import GAMMA
 
 GAMMAS = (GAMMA, 1.0)  # the discount factors for which returns are maximised
 FULL_SCALE = round(1 / CONTINUOUS_UNIT)  # units of a continuous action of 1.0

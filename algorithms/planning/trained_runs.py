@@ -16,7 +16,7 @@ from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
 from algorithms.pcn import PCN
-from mo_deepdrive.fronts import front_config
+from mo_deepdrive.reference_fronts import front_config
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""The environments: single, turn-based, vector, PettingZoo and RLlib."""

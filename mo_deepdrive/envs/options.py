@@ -1,4 +1,4 @@
-"""Reset options: pin a scenario instead of drawing it."""
+"""Reset options, which set parts of a scenario that would be drawn otherwise."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from mo_deepdrive.config import nearest
 from mo_deepdrive.scenarios import Scenario, pin_nothing
 from mo_deepdrive.simulation.state import SPAWN
 
-FARTHEST = 250.0  # m; a pinned coordinate lies within it, so that observations stay in their space
+FARTHEST = 250.0  # m; largest coordinate, so that observations stay in their space
 
 
 def option_names(scenario: Scenario) -> tuple[str, ...]:
-    """The options that ``reset`` understands in this scenario."""
+    """The names of the reset options of a scenario."""
     if scenario.vehicles > 1:
         return ("starts",)
     return ("start", "destination", "obstacle") if scenario.obstacle else ("start", "destination")
@@ -34,10 +34,10 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
 
 
 def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.ndarray | None:
-    """The (1,) array of SPAWN that pins what ``options`` name and leaves the rest to be drawn; None for no options.
+    """The reset options as an array (1,) of SPAWN, with NaN for what is drawn; None for no options.
 
     Raises:
-        ValueError: on unknown options, wrong shapes, or numbers that are not finite.
+        ValueError: for unknown options, wrong shapes, or numbers that are not finite.
     """
     if not options:
         return None

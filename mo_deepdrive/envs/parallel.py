@@ -1,4 +1,4 @@
-"""The PettingZoo environments: the vehicles of one world act together, or (AEC) one after the other."""
+"""The PettingZoo environments, in which the vehicles act together (parallel) or in turns (AEC)."""
 
 from __future__ import annotations
 
@@ -22,34 +22,45 @@ from mo_deepdrive.envs.world import RENDER_MODES, World
 Array = NDArray[np.float32]
 
 
-class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
-    """The vehicles of one world as PettingZoo agents with vector rewards, after MOMAland's conventions.
+class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
+    """The vehicles as PettingZoo agents with vector rewards, by MOMAland's conventions.
+
+    ## Description
 
     At the intersection ``vehicle_0`` turns left across the path of ``vehicle_1``, which drives straight on; the other
-    scenarios have ``vehicle_0`` alone. Actions, observations and rewards are those of the Gymnasium environments (see
-    :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv`). All vehicles move together: none sees the other's choice.
+    scenarios have only ``vehicle_0``. All vehicles move together, and neither sees the other's choice. Action,
+    observation and reward spaces and starting states are those of the Gymnasium environments (see
+    :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv` and :class:`mo_deepdrive.envs.single.DrivingEnv`).
 
-    A vehicle whose episode ends reports its last observation and reward, its ``terminated`` or ``truncated`` flag and
-    ``infos[agent] = {"end": why, "success": whether it arrived}``, and leaves ``agents``; the other drives on. When
-    ``agents`` is empty the episode is over.
+    ## Episode End
+
+    When a vehicle ends, the step returns its last observation and reward, its ``terminated`` or ``truncated`` flag and
+    ``infos[agent] = {"end": why, "success": whether it arrived}``, and removes it from ``agents``. The other vehicle
+    continues. The episode is over when ``agents`` is empty.
+
+    ## Version History
+
+    As of the Gymnasium environments; the version is in ``metadata["name"]``.
 
     Args:
         scenario: "intersection", or any other scenario.
         render_mode: None, "rgb_array" or "human".
-        keep_finished: keep a vehicle that has ended in ``agents`` until the episode is over: it goes on reporting its
-            last observation, a reward of zeros and flags that are down; the actions that it must still be given are
-            ignored. Its ``infos`` tell of its end when it ends, its own flag is up in the last step. For wrappers that
-            need every agent in every step, such as MOMAland's RecordEpisodeStatistics and CentraliseAgent.
+        keep_finished: keep a vehicle that has ended in ``agents`` until the episode is over, for wrappers that need
+            every agent in every step, such as MOMAland's RecordEpisodeStatistics and CentraliseAgent. Its observation
+            is the last one, its reward is zero, its flags are False until the last step, and its actions, which are
+            still required, are ignored. Its ``infos`` are those of its end in the step in which it ends.
         **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
 
     Attributes:
         objectives: names of the reward's components, in order.
-        reward_dim: how many they are, d.
-        observation_spaces, action_spaces, reward_spaces: per agent.
-        state_space: of :meth:`state`.
+        reward_dim: their number, d.
+        observation_spaces: per agent.
+        action_spaces: per agent.
+        reward_spaces: per agent.
+        state_space: the space of :meth:`state`.
 
     Raises:
-        ValueError: for unknown or ill-typed arguments.
+        ValueError: for unknown arguments or wrong types.
     """
 
     metadata: dict[str, Any] = {
@@ -91,17 +102,17 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         self.reward_spaces = {agent: env_spaces.reward_space(config) for agent in self.possible_agents}
         self.state_space = env_spaces.joint_observation_space(config)
         self._np_random: np.random.Generator | None = None
-        # Of each vehicle: whether it is on the road, and what it observed last if it has left.
+        # For each vehicle: whether it is on the road, and its last observation if it is not.
         self._driving = [True] * vehicles
         self._last = [np.zeros_like(row) for row in self.batch.observations[0]]
         self._joint = self.world.joint_action()
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """What ``agent`` observes: float32 in SI units."""
+        """The observations of ``agent``: float32 in SI units."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Discrete | spaces.Box:
-        """What ``agent`` may do."""
+        """The actions of ``agent``."""
         return self.action_spaces[agent]
 
     def reward_space(self, agent: str) -> spaces.Box:
@@ -109,11 +120,11 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         return self.reward_spaces[agent]
 
     def get_central_observation_space(self) -> spaces.Box:
-        """The space of :meth:`state`, by the name that MOMAland's CentraliseAgent asks for."""
+        """The space of :meth:`state`, by the name that MOMAland's CentraliseAgent uses."""
         return self.state_space
 
     def state(self) -> Array:
-        """The last observations of all vehicles, one after the other: float32, (vehicles * size,)."""
+        """The concatenated last observations of all vehicles: float32, (vehicles * size,)."""
         return np.concatenate([self._observation(v) for v in self._index.values()])
 
     def reset(
@@ -122,15 +133,15 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         """Start a new episode.
 
         Args:
-            seed: of the random stream; None goes on drawing.
-            options: pin the scenario as in the Gymnasium environments (``{"starts": ...}`` at the intersection).
-                Names that are unknown there are ignored with a warning: PettingZoo's own checks pass one.
+            seed: seed of the random stream; None continues it.
+            options: reset options of the Gymnasium environments (``{"starts": ...}`` at the intersection). Unknown
+                names are ignored with a warning, because PettingZoo's own checks pass one.
 
         Returns:
             observations and (empty) infos per agent.
 
         Raises:
-            ValueError: for options that make no scenario; nothing has changed.
+            ValueError: for options without a valid scenario; nothing changes.
         """
         known = option_names(self.batch.scenario)
         unknown = [name for name in options or {} if name not in known]
@@ -149,34 +160,34 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Array], dict[str, Array], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Drive for one decision.
+        """Move all vehicles by one decision.
 
         Args:
-            actions: one for every agent in ``agents``, and for no other.
+            actions: one for every agent in ``agents``, and no others.
 
         Returns:
             observations (size,), vector rewards (d,), terminated, truncated and infos of every agent that acted.
 
         Raises:
             ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for missing or other agents and for actions outside the action space; nothing has changed.
+            ValueError: for missing or other agents and for actions outside the action space; nothing changes.
         """
         if not self.agents:
             raise ResetNeeded("step() before reset() or after the end of an episode")
         self._choose(actions)
         self.world.step(self._joint)
-        sim = self.batch
-        terminated, truncated = sim.terminated[0].tolist(), sim.truncated[0].tolist()
+        batch = self.batch
+        terminated, truncated = batch.terminated[0].tolist(), batch.truncated[0].tolist()
         observations, rewards, terminations, truncations = {}, {}, {}, {}
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
         for agent in self.agents:
             v = self._index[agent]
             if self._driving[v] and (terminated[v] or truncated[v]):
                 self._driving[v] = False
-                self._last[v] = sim.observations[0, v].copy()
-                infos[agent] = self.world.outcome(v)
+                self._last[v] = batch.observations[0, v].copy()
+                infos[agent] = self.world.end_info(v)
             observations[agent] = self._observation(v).copy()
-            rewards[agent] = sim.rewards[0, v].copy()
+            rewards[agent] = batch.rewards[0, v].copy()
             terminations[agent], truncations[agent] = terminated[v], truncated[v]
         if self.keep_finished and any(self._driving):
             terminations, truncations = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, False)
@@ -185,8 +196,9 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         return observations, rewards, terminations, truncations, infos
 
     def _observation(self, v: int) -> Array:
-        """What a vehicle observes, or observed last."""
-        return self.batch.observations[0, v] if self._driving[v] else self._last[v]
+        """The current observation of a vehicle, or its last one."""
+        observation: Array = self.batch.observations[0, v] if self._driving[v] else self._last[v]
+        return observation
 
     def _choose(self, actions: Mapping[str, Any]) -> None:
         """Check the actions of all agents and write them into the joint action."""
@@ -195,26 +207,28 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):
         if actions.keys() != set(self.agents):
             missing = [agent for agent in self.agents if agent not in actions]
             others = [agent for agent in actions if agent not in self.agents]
-            wrong = [f"{what} {names}" for what, names in (("lack", missing), ("name others:", others)) if names]
+            wrong = [
+                f"{what} {names}" for what, names in (("are missing for", missing), ("are given for", others)) if names
+            ]
             raise ValueError(f"actions {' and '.join(wrong)}; expected one for each of {self.agents} and no more")
         for agent in self.agents:
             self._joint[0, self._index[agent]] = self.world.checked(actions[agent], agent)
 
     def telemetry(self) -> tuple[dict[str, float], ...]:
-        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        """A dict per vehicle: pose, motion, controls, comfort and progress, in SI units."""
         return self.world.telemetry()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
         return self.world.render()
 
     def close(self) -> None:
-        """Release what rendering holds."""
+        """Close the renderer."""
         self.world.close()
 
 
-class CheckedSteps(BaseWrapper[str, Array, Any]):
-    """Refuses a wrong step when it is made, where the conversion to AEC would find it when the world moves.
+class CheckedSteps(BaseWrapper[str, Array, Any]):  # type: ignore[misc]  # PettingZoo has no types
+    """Refuses an invalid action at once; the conversion to AEC would do so only when the world moves.
 
     Raises:
         ResetNeeded: before the first reset and after the end of an episode.
@@ -222,7 +236,7 @@ class CheckedSteps(BaseWrapper[str, Array, Any]):
     """
 
     def step(self, action: Any) -> None:
-        """Choose for ``agent_selection``; None for a vehicle that has ended."""
+        """Choose the action of ``agent_selection``; None for a vehicle that has ended."""
         if not getattr(self.env, "agents", None):
             raise ResetNeeded("step() before reset() or after the end of an episode")
         agent = self.agent_selection
@@ -234,10 +248,10 @@ class CheckedSteps(BaseWrapper[str, Array, Any]):
 
 
 def aec_env(parallel: DrivingParallelEnv) -> AECEnv[str, Array, Any]:
-    """``parallel`` as an AEC environment, by MOMAland's conversion.
+    """``parallel`` as an AEC environment, converted by MOMAland.
 
     Raises:
-        ImportError: where MOMAland is not installed.
+        ImportError: if MOMAland is not installed.
     """
     try:
         from momaland.utils.conversions import mo_parallel_to_aec

@@ -1,6 +1,6 @@
-"""The RLlib environment (current API stack): the parallel environment with a utility that makes every reward a scalar.
+"""The RLlib environment (new API stack): the parallel environment with scalar rewards, by a utility.
 
-Needs Ray, which nothing else in the package imports: ``pip install "mo-deepdrive[rllib]"``.
+It needs Ray, which nothing else in the package imports: ``pip install "mo-deepdrive[rllib]"``.
 """
 
 from __future__ import annotations
@@ -25,30 +25,32 @@ Array = NDArray[np.float32]
 KEYS = (*EnvConfig.model_fields, "utility", "render_mode")
 
 
-class DrivingMultiAgentEnv(MultiAgentEnv):
-    """The vehicles of one world as RLlib agents.
+class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types are not followed
+    """The vehicles as RLlib agents with scalar rewards.
 
-    RLlib learns from scalars: the reward of a vehicle is the utility of the vector reward of this one decision, so
-    what is maximised is the sum of utilities over time, which for a non-linear utility differs from the utility of
-    the summed rewards. The vector itself is ``infos[agent]["vector_reward"]``, float32 of shape (d,).
+    RLlib needs scalar rewards. The reward of a vehicle is the utility of the vector reward of one decision, so the sum
+    of utilities over time is maximised; for a non-linear utility it differs from the utility of the summed rewards. The
+    vector is ``infos[agent]["vector_reward"]``, float32 of shape (d,).
 
-    Agents, spaces and episodes are those of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: a vehicle whose
-    episode ends reports ``infos[agent]["end"]`` and ``["success"]`` with its last observation and leaves ``agents``.
+    Agents, spaces, episodes and versions are those of :class:`mo_deepdrive.envs.parallel.DrivingParallelEnv`: when a
+    vehicle ends, it has ``infos[agent]["end"]`` and ``["success"]`` with its last observation and leaves ``agents``.
 
     Args:
-        config: a dict, as in ``AlgorithmConfig.environment(env_config=...)``, of
+        config: a dict, as in ``AlgorithmConfig.environment(env_config=...)``, with the keys
 
             - ``"scenario"``: "intersection" (default), or any other scenario;
             - ``"utility"``: a name, or ``{"name": ..., "arguments": {...}}``, or a dict with one of these for every
-              vehicle; by default the linear utility that the paper has for the scenario;
+              vehicle; by default the paper's linear utility of the scenario;
             - ``"render_mode"``: None, "rgb_array" or "human";
             - any other field of :class:`mo_deepdrive.config.EnvConfig`.
 
     Attributes:
         objectives: names of the vector reward's components, in order.
-        reward_dim: how many they are, d.
+        reward_dim: their number, d.
         utilities: per vehicle.
-        observation_spaces, action_spaces, reward_spaces: per vehicle.
+        observation_spaces: per vehicle.
+        action_spaces: per vehicle.
+        reward_spaces: per vehicle.
 
     Raises:
         ValueError: for unknown keys, vehicles or utilities, and for a utility that does not fit the objectives.
@@ -61,7 +63,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):
         options = dict(config or {})
         for key in options:
             if key not in KEYS:
-                raise ValueError(f"env config has {key!r}, which is unknown; {nearest(key, KEYS)}")
+                raise ValueError(f"unknown key {key!r} in the env config; {nearest(key, KEYS)}")
         utility = options.pop("utility", None)
         self.parallel = DrivingParallelEnv(**options)
         self.metadata = self.parallel.metadata
@@ -81,7 +83,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):
         """Start a new episode; ``seed`` and ``options`` as in the Gymnasium environments.
 
         Raises:
-            ValueError: for unknown options and for options that make no scenario; nothing has changed.
+            ValueError: for unknown options and for options without a valid scenario; nothing changes.
         """
         # The parallel environment would ignore unknown ones.
         make_pins(options, self.parallel.batch.scenario)
@@ -92,20 +94,20 @@ class DrivingMultiAgentEnv(MultiAgentEnv):
     def step(
         self, action_dict: Mapping[str, Any]
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Drive for one decision.
+        """Move all vehicles by one decision.
 
         Args:
-            action_dict: one action for every agent in ``agents``, and for no other.
+            action_dict: one action for every agent in ``agents``, and no others.
 
         Returns:
-            observations, utilities, terminated, truncated and infos. ``terminated`` has every vehicle that acted;
-            ``truncated`` has "__all__" alone: the time limit ends the episode for whoever is on the road, and RLlib
-            would take a truncated vehicle for a terminated one, and not bootstrap, if each had a flag of its own.
-            At the end of an episode exactly one of the two flags of "__all__" is up.
+            observations, utilities, terminated, truncated and infos. ``terminated`` has every vehicle that acted.
+            ``truncated`` has "__all__" alone: the time limit ends the episode for all vehicles on the road, and with
+            a flag per vehicle RLlib would treat a truncated vehicle as terminated and not bootstrap. At the end of an
+            episode exactly one of the two "__all__" flags is True.
 
         Raises:
             ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for missing or other agents and for actions outside the action space; nothing has changed.
+            ValueError: for missing or other agents and for actions outside the action space; nothing changes.
         """
         observations, vectors, terminations, truncations, infos = self.parallel.step(action_dict)
         self.agents = list(self.parallel.agents)
@@ -121,11 +123,11 @@ class DrivingMultiAgentEnv(MultiAgentEnv):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
         return self.parallel.render()
 
     def close(self) -> None:
-        """Release what rendering holds."""
+        """Close the renderer."""
         self.parallel.close()
 
 
@@ -143,7 +145,7 @@ def _make_utilities(choice: Any, env: DrivingParallelEnv) -> dict[str, Utility]:
             raise ValueError(f"utility is given for {agent!r}, which is unknown; {nearest(agent, agents)}")
     for agent in agents:
         if agent not in choice:
-            raise ValueError(f"utility lacks {agent!r}; expected one for each of {agents}")
+            raise ValueError(f"utility is missing for {agent!r}; expected one for each of {agents}")
     return {agent: _make_utility(choice[agent], agent, env) for agent in agents}
 
 

@@ -1,4 +1,4 @@
-"""The single-vehicle environment: the kernel at N = 1."""
+"""The Gymnasium environment with one vehicle."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from mo_deepdrive.scenarios import SCENARIOS
 
 
 class DrivingEnv(WorldEnv):
-    """## Description
+    """A car that drives to a destination, alone or around a bicycle.
 
-    A car drives to a destination in the plane (OneWaypoint), around a bicycle in its way (StaticObstacle). After
+    ## Description
+
+    A car drives to a destination in the plane (OneWaypoint), or around a bicycle on its way (StaticObstacle). Based on
     DeepDrive Zero and its multi-objective extension (Ajridi et al., "Deconstructing Reinforcement Learning
     Benchmarks: Revealing the Objectives", ECAI 2023). The car is a kinematic bicycle with friction, simulated at
     60 Hz; the agent decides at 10 Hz.
@@ -24,11 +26,11 @@ class DrivingEnv(WorldEnv):
     ## Action Space
 
     - ``action_type="discrete"`` (default): ``Discrete(22)``. 0 is idle; action 1 + 3 g + c steers by group g (decay,
-      small left, small right, micro left, micro right, large left, large right) and changes speed by c (maintain,
+      small left, small right, micro left, micro right, large left, large right) and changes the speed by c (maintain,
       decrease, increase). ``mo_deepdrive.actions.action_names`` lists them.
     - ``"discrete-16"``: ``Discrete(16)``, the older set without the micro groups.
     - ``"continuous"``: ``Box(-1, 1, (3,))``: steer (times 30 degrees, positive to the left), acceleration (times
-      3.625 m/s^2) and brake (-1 none, 1 full). Values beyond are clipped.
+      3.625 m/s^2) and brake (-1 none, 1 full). Values out of range are clipped.
 
     ## Observation Space
 
@@ -42,16 +44,16 @@ class DrivingEnv(WorldEnv):
     | 6, 7 | acceleration x, y | m/s^2 |
     | 8, 9, 10 | held steer, throttle, brake | rad, m/s^2, 1 |
     | 11 | speed | m/s |
-    | 12, 13 | distance to the left and right lane line (1.524 where there is none) | m |
-    | 14 | inside the crossing | 0 or 1 |
+    | 12, 13 | distance to the left and right lane line (always 1.524: there are no lanes) | m |
+    | 14 | inside the crossing (always 0) | 0 or 1 |
     | 15, 16 | distances to the bicycle's two ends (StaticObstacle) | m |
     | 17, 18 | angles to the bicycle's two ends (StaticObstacle) | rad |
 
     ## Reward Space
 
-    ``Box`` of float32, every component to be maximised (``cost_sign="paper"`` gives magnitudes instead).
+    ``Box`` of float32, every component to be maximised (magnitudes with ``cost_sign="paper"``).
 
-    | objective | reward per decision | in |
+    | objective | reward per decision | scenario |
     |---|---|---|
     | distance | route distance gained (m) | both |
     | destination | 1 on the decision that arrives | both |
@@ -61,9 +63,9 @@ class DrivingEnv(WorldEnv):
 
     ## Starting State
 
-    The car rests at the left edge of the map, facing +x. The destination is uniform over the right part of the map;
-    the bicycle stands somewhere along the way. ``reset(options={"start": (x, y, heading), "destination": (x, y),
-    "obstacle": ((x, y), (x, y))})`` pins what it names, for that episode.
+    The car is at rest at the left edge of the map, facing +x. The destination is drawn uniformly from the right part
+    of the map, the bicycle from places along the way. ``reset(options={"start": (x, y, heading), "destination":
+    (x, y), "obstacle": ((x, y), (x, y))})`` sets each of them for that episode.
 
     ## Episode End
 
@@ -82,7 +84,10 @@ class DrivingEnv(WorldEnv):
 
     ## Version History
 
-    - v0: initial release; the departures from the published code are listed in ``docs/simulator.md``.
+    - v0: initial release. ``docs/simulator.md`` lists the departures from the published code.
+
+    The version is raised by every change of what an agent experiences: dynamics, rewards, observations, spaces and
+    termination. Changes of speed, rendering and documentation keep it.
     """
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
@@ -98,7 +103,7 @@ class DrivingEnv(WorldEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode; ``options`` pin the scenario (see the class)."""
+        """Start a new episode; ``options`` set parts of the scenario (see the class)."""
         self._place(seed, options)
         self._running = True
         return self.batch.observations[0, 0].copy(), {}
@@ -111,7 +116,7 @@ class DrivingEnv(WorldEnv):
 
         Raises:
             ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for an action outside the action space; the state has not changed.
+            ValueError: for an action outside the action space; the state is unchanged.
         """
         if not self._running:
             raise ResetNeeded("step() before reset() or after the end of an episode")
@@ -119,11 +124,11 @@ class DrivingEnv(WorldEnv):
         if array.shape != self.action_space.shape:
             raise ValueError(f"action {action!r} has shape {array.shape}; expected {self.action_space.shape}")
         self.world.step(array[None, None])
-        sim = self.batch
-        terminated = bool(sim.terminated[0, 0])
-        truncated = bool(sim.truncated[0, 0])
+        batch = self.batch
+        terminated = bool(batch.terminated[0, 0])
+        truncated = bool(batch.truncated[0, 0])
         info: dict[str, Any] = {}
         if terminated or truncated:
             self._running = False
-            info = self.world.outcome(0)
-        return sim.observations[0, 0].copy(), sim.rewards[0, 0].copy(), terminated, truncated, info
+            info = self.world.end_info(0)
+        return batch.observations[0, 0].copy(), batch.rewards[0, 0].copy(), terminated, truncated, info

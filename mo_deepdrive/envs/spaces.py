@@ -1,4 +1,4 @@
-"""The spaces of an environment, derived from its configuration: finite, and never left."""
+"""The spaces of an environment, derived from its configuration. They are finite and contain every value."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 from mo_deepdrive.simulation.state import GRAVITY, LENGTH, STEER_RANGE, TOP_SPEED
 
-# Held throttle stays below this (m/s^2): "maintain speed" raises it only while friction outweighs it, and friction
-# at top speed takes 6 m/s^2.
+# The held throttle is below this (m/s^2): "maintain speed" raises it only while friction is larger, and friction at
+# top speed is 6 m/s^2.
 TOP_THROTTLE = 10.0
 
 
@@ -29,34 +29,34 @@ def limits(config: EnvConfig) -> dict[str, float]:
         "g": acceleration / GRAVITY,
         "steer": STEER_RANGE,
         "throttle": TOP_THROTTLE,
-        # One decision's drive, the swing of the front, and the step to the next waypoint.
+        # The distance of one decision, the swing of the front, and the change to the next waypoint.
         "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
         "lane_violation": 2 * observation.FAR + 2 * config.lane_margin,
     }
 
 
 def observation_space(config: EnvConfig) -> spaces.Box:
-    """What one vehicle observes: float32, shape (size,), SI units; entries in ``observation.layout``."""
+    """The observation of one vehicle: float32, shape (size,), SI units; entries in ``observation.layout``."""
     low, high = observation.bounds(SCENARIOS[config.scenario], limits(config))
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def joint_observation_space(config: EnvConfig) -> spaces.Box:
-    """The observations of all vehicles, one after the other: float32, shape (vehicles * size,)."""
+    """The concatenated observations of all vehicles: float32, shape (vehicles * size,)."""
     space = observation_space(config)
     vehicles = SCENARIOS[config.scenario].vehicles
     return spaces.Box(np.tile(space.low, vehicles), np.tile(space.high, vehicles), dtype=np.float32)
 
 
 def action_space(config: EnvConfig) -> spaces.Discrete | spaces.Box:
-    """What one vehicle may do: Discrete(22), Discrete(16) or Box(-1, 1, (3,)) (steer, acceleration, brake)."""
+    """The action of one vehicle: Discrete(22), Discrete(16) or Box(-1, 1, (3,)) (steer, acceleration, brake)."""
     if config.action_type == actions.CONTINUOUS:
         return spaces.Box(-1.0, 1.0, (3,), dtype=np.float32)
     return spaces.Discrete(len(actions.action_table(config.action_type)))
 
 
 def reward_space(config: EnvConfig) -> spaces.Box:
-    """The vector reward of one vehicle and decision: float32, shape (d,), finite."""
+    """The vector reward of one vehicle in one decision: float32, shape (d,), finite."""
     limit = limits(config)
     largest = {
         "distance": limit["distance"],

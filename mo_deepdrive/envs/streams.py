@@ -1,6 +1,8 @@
-"""One random stream per world, drawn in blocks so that a reset costs no Python call per world."""
+"""One random stream per world, drawn in blocks, so that a reset needs no Python call per world."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -13,7 +15,11 @@ _WORD = (1 << 64) - 1
 
 
 class Streams:
-    """Generators, one per world; world i draws what a single environment with the same seed would draw."""
+    """Generators, one per world, which draw the same numbers as a single environment with the same seed.
+
+    Args:
+        seeds: one per world; None for a random seed.
+    """
 
     def __init__(self, seeds: list[int | None]):
         self._generators: list[np.random.Generator] = []
@@ -27,10 +33,12 @@ class Streams:
 
     @property
     def seeds(self) -> tuple[int, ...]:
+        """The seed of every world."""
         return tuple(self._seeds)
 
     @property
     def generators(self) -> tuple[np.random.Generator, ...]:
+        """The generator of every world."""
         return tuple(self._generators)
 
     def reseed(self, seeds: list[int | None], mask: NDArray[np.bool_]) -> None:
@@ -52,7 +60,7 @@ class Streams:
         self._cursors[rows] = cursors + 1
         return self._blocks[rows, cursors]
 
-    def get_state(self) -> dict[str, NDArray]:
+    def get_state(self) -> dict[str, NDArray[Any]]:
         """Generator states (N, 4) uint64 (PCG64 state and increment, high and low words), blocks and cursors."""
         words = np.zeros((len(self._generators), 4), dtype=np.uint64)
         for row, generator in zip(words, self._generators, strict=True):
@@ -60,8 +68,8 @@ class Streams:
             row[:] = [state["state"] >> 64, state["state"] & _WORD, state["inc"] >> 64, state["inc"] & _WORD]
         return {"generators": words, "blocks": self._blocks.copy(), "cursors": self._cursors.copy()}
 
-    def set_state(self, state: dict[str, NDArray]) -> None:
-        """Resume from :meth:`get_state`."""
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Resume from the result of :meth:`get_state`."""
         for row, generator in zip(state["generators"], self._generators, strict=True):
             high, low, inc_high, inc_low = (int(word) for word in row)
             bit_generator = generator.bit_generator

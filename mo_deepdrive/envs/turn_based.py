@@ -1,4 +1,4 @@
-"""The turn-based environment: the vehicles of one world take turns in one Gymnasium environment."""
+"""The turn-based Gymnasium environment, in which two vehicles take turns."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from mo_deepdrive.envs.world import WorldEnv
 
 
 class TurnBasedEnv(WorldEnv):
-    """## Description
+    """Two cars at an intersection, which take turns.
+
+    ## Description
 
     Two cars meet at a crossing with one lane per direction: vehicle 0 makes an unprotected left turn across the path
-    of vehicle 1, which drives straight on. After MO-DeepDrive Zero (Ajridi et al., "Deconstructing Reinforcement
-    Learning Benchmarks: Revealing the Objectives", ECAI 2023), which offers its intersection in this alternating
+    of vehicle 1, which drives straight on. Based on MO-DeepDrive Zero (Ajridi et al., "Deconstructing Reinforcement
+    Learning Benchmarks: Revealing the Objectives", ECAI 2023), whose intersection has this alternating
     form. The cars are kinematic bicycles with friction, simulated at 60 Hz; each decides at 10 Hz.
 
     The vehicles take turns, and ``info["vehicle"]`` says whose turn it is. ``step`` takes that vehicle's action and
-    returns the observation of the vehicle whose turn is next, with the vector reward that its own previous decision
-    earned (zeros on its first turn). The world moves when every vehicle on the road has chosen, so none sees the
-    other's choice. A vehicle that has ended in a move has one last turn: it hands over its final observation and
-    reward, with ``info["end"]`` and ``info["success"]``; the action answered to it must be in the action space and is
-    ignored. From then on only the other has turns.
+    returns the observation of the vehicle whose turn is next, with the vector reward of that vehicle's own previous
+    decision (zeros on its first turn). The world moves when every vehicle on the road has chosen an action, so neither
+    sees the other's choice. A vehicle that has ended has one last turn, with its final observation and reward,
+    ``info["end"]`` and ``info["success"]``; its action must be in the action space and is ignored. From then on only
+    the other vehicle has turns.
 
     | call | the world | returns | of vehicle |
     |---|---|---|---|
@@ -37,19 +39,19 @@ class TurnBasedEnv(WorldEnv):
     | ``step(c0)`` | waits | final observation, reward of b1, ``"end": "arrived"`` | 1 |
     | ``step(any)`` | moves by c0; vehicle 0 arrives | final observation, reward of c0, ``"end"``, terminated | 0 |
 
-    So every vehicle is shown all that it observes and earns. Where both end in the same move, vehicle 0 has its last
+    So every vehicle receives all of its observations and rewards. If both end in the same move, vehicle 0 has its last
     turn before vehicle 1.
 
     ## Action Space
 
-    Of the vehicle whose turn it is:
+    The action of the vehicle whose turn it is:
 
     - ``action_type="discrete"`` (default): ``Discrete(22)``. 0 is idle; action 1 + 3 g + c steers by group g (decay,
-      small left, small right, micro left, micro right, large left, large right) and changes speed by c (maintain,
+      small left, small right, micro left, micro right, large left, large right) and changes the speed by c (maintain,
       decrease, increase). ``mo_deepdrive.actions.action_names`` lists them.
     - ``"discrete-16"``: ``Discrete(16)``, the older set without the micro groups.
     - ``"continuous"``: ``Box(-1, 1, (3,))``: steer (times 30 degrees, positive to the left), acceleration (times
-      3.625 m/s^2) and brake (-1 none, 1 full). Values beyond are clipped.
+      3.625 m/s^2) and brake (-1 none, 1 full). Values out of range are clipped.
 
     ## Observation Space
 
@@ -65,39 +67,39 @@ class TurnBasedEnv(WorldEnv):
     | 11 | speed | m/s |
     | 12, 13 | distance to the left and right lane line | m |
     | 14 | inside the crossing | 0 or 1 |
-    | 15, 16 | the other's velocity x, y relative to one's own | m/s |
+    | 15, 16 | the other's velocity x, y relative to its own | m/s |
     | 17, 18 | the other's velocity x, y | m/s |
     | 19, 20 | the other's acceleration x, y | m/s^2 |
     | 21 to 28 | angle and distance to the other's front left, front right, back right, back left corner | rad, m |
 
-    A vehicle that has left the road is seen straight ahead, at rest, 100 m away.
+    A vehicle that has left the road is observed straight ahead, at rest, at a distance of 100 m.
 
     ## Reward Space
 
-    ``Box`` of float32, every component to be maximised (``cost_sign="paper"`` gives magnitudes instead).
+    ``Box`` of float32, every component to be maximised (magnitudes with ``cost_sign="paper"``).
 
     | objective | reward per decision |
     |---|---|
-    | distance | route distance gained (m); negative for the left turn in the crossing while the other approaches |
+    | distance | route distance gained (m); negative for vehicle 0 in the crossing while vehicle 1 approaches |
     | destination | 1 on the decision that arrives |
     | g_force | minus the g-force at the end of the decision (g) |
-    | collision | -1 on the decision that collides, for both |
+    | collision | -1 on the decision that collides, for both vehicles |
     | jerk | minus the jerk at the end of the decision (m/s^3) |
-    | lane_violation | minus the metres outside the lane |
+    | lane_violation | minus the distance outside the lane at the end of the decision (m) |
 
     ## Starting State
 
-    Both cars rest in their lanes, each at a random distance from the crossing. ``reset(options={"starts": ((x, y,
-    heading), (x, y, heading))})`` pins where, for that episode.
+    Both cars are at rest in their lanes, each at a random distance from the crossing. ``reset(options={"starts": ((x,
+    y, heading), (x, y, heading))})`` sets where, for that episode.
 
     ## Episode End
 
-    Each vehicle ends for itself: ``arrived`` (front within 1 m of the destination), ``collision`` (ends both),
+    Each vehicle ends separately: ``arrived`` (front within 1 m of the destination), ``collision`` (ends both),
     ``harmful_g_force`` (above 1 g), ``harmful_jerk`` and ``off_lane`` (off by default), ``circling`` (turned by more
     than 400 degrees), ``skipped_waypoint``, ``backwards`` (more than 2 m behind its best route distance),
-    ``time_limit`` (60 s); with ``end_together=True`` the first to end ends it for the other too (``other_vehicle``).
-    The episode ends with the last turn of the last vehicle, which carries that vehicle's own flag: truncated at the
-    time limit, otherwise terminated. Both flags are down in all turns before, whichever vehicle has ended.
+    ``time_limit`` (60 s); with ``end_together=True`` the other vehicle ends with the first one (``other_vehicle``).
+    The episode ends with the last turn of the last vehicle: truncated if that vehicle reached the time limit, otherwise
+    terminated. Both flags are False in all turns before, even if a vehicle has ended.
 
     ## Arguments
 
@@ -109,16 +111,19 @@ class TurnBasedEnv(WorldEnv):
 
     ## Version History
 
-    - v0: initial release; the departures from the published code are listed in ``docs/simulator.md``.
+    - v0: initial release. ``docs/simulator.md`` lists the departures from the published code.
+
+    The version is raised by every change of what an agent experiences: dynamics, rewards, observations, spaces and
+    termination. Changes of speed, rendering and documentation keep it.
     """
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         super().__init__(config, render_mode)
         self.vehicles = self.batch.scenario.vehicles
-        # Turns per second, so that a video with a frame per turn plays at the speed of life.
+        # Turns per second, so that a video with a frame per turn plays in real time.
         self.metadata["render_fps"] = self.vehicles * config.decision_frequency
-        # Vehicles that have a turn before the world moves on, the next one first; none where no episode runs.
+        # The vehicles with a turn before the next move, in order; empty outside an episode.
         self._turns: list[int] = []
         self._moved = False
         self._joint = self.world.joint_action()
@@ -126,26 +131,26 @@ class TurnBasedEnv(WorldEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode with the first turn of vehicle 0; ``options`` pin the scenario (see the class)."""
+        """Start a new episode with the first turn of vehicle 0; ``options`` set its start (see the class)."""
         self._place(seed, options)
         self._turns = list(range(self.vehicles))
         self._moved = False
         return self.batch.observations[0, 0].copy(), {"vehicle": 0}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
-        """Choose for the vehicle whose turn it is.
+        """Choose the action of the vehicle whose turn it is.
 
         Returns:
-            observation (size,), vector reward (d,), terminated, truncated, info of the vehicle whose turn is next,
-            ``info["vehicle"]``.
+            observation (size,), vector reward (d,), terminated, truncated and info of the vehicle whose turn is next,
+            which is ``info["vehicle"]``.
 
         Raises:
             ResetNeeded: before the first reset and after the end of an episode.
-            ValueError: for an action outside the action space; nothing has changed and it is still that vehicle's turn.
+            ValueError: for an action outside the action space; nothing changes, and it is still that vehicle's turn.
         """
         if not self._turns:
             raise ResetNeeded("step() before reset() or after the end of an episode")
-        sim = self.batch
+        batch = self.batch
         vehicle, *waiting = self._turns
         self._joint[0, vehicle] = self.world.checked(action, f"vehicle {vehicle}")
         if not waiting:
@@ -153,11 +158,11 @@ class TurnBasedEnv(WorldEnv):
             self.world.step(self._joint)
             self._moved = True
         vehicle = waiting[0]
-        reward = sim.rewards[0, vehicle].copy() if self._moved else np.zeros(self.reward_dim, dtype=np.float32)
+        reward = batch.rewards[0, vehicle].copy() if self._moved else np.zeros(self.reward_dim, dtype=np.float32)
         info: dict[str, Any] = {"vehicle": vehicle}
-        terminated, truncated = bool(sim.terminated[0, vehicle]), bool(sim.truncated[0, vehicle])
+        terminated, truncated = bool(batch.terminated[0, vehicle]), bool(batch.truncated[0, vehicle])
         if terminated or truncated:
-            info.update(self.world.outcome(vehicle))
+            info.update(self.world.end_info(vehicle))
         over = len(waiting) == 1 and not self.world.on_road()
         self._turns = [] if over else waiting
-        return sim.observations[0, vehicle].copy(), reward, over and terminated, over and truncated, info
+        return batch.observations[0, vehicle].copy(), reward, over and terminated, over and truncated, info

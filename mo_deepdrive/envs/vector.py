@@ -1,4 +1,4 @@
-"""The native vector environment: N worlds moved by one kernel call."""
+"""The native vector environment: N worlds, moved by one call of the kernel."""
 
 from __future__ import annotations
 
@@ -24,31 +24,46 @@ END_NAMES = np.array(ENDS, dtype=object)
 class DrivingVectorEnv(VectorEnv):
     """N independent worlds of one scenario, stepped together in compiled code.
 
-    World i behaves bit for bit like the single environment seeded with ``seed + i``.
+    ## Description
 
-    Shapes: with one vehicle observations (N, size), rewards (N, d), terminated and truncated (N,), actions (N,) or
-    (N, 3). In Intersection every array has a vehicle axis: observations (N, 2, size), rewards (N, 2, d), terminated
-    and truncated (N, 2), actions (N, 2) or (N, 2, 3). There a vehicle's flags stay True from the decision on which
-    it ends until its world starts anew, which it does when both have ended, and ``infos["acted"]`` (N, 2) tells
-    which vehicles were on the road in this step, ``infos["arrived"]`` (N, 2) which of them arrived in it.
+    World i behaves bit for bit like the single environment with the seed ``seed + i``. Spaces, rewards and ends are
+    those of :class:`mo_deepdrive.envs.single.DrivingEnv` and :class:`mo_deepdrive.envs.turn_based.TurnBasedEnv`.
 
-    At the end of a world's episode ``infos["end"]`` says why (see the single environment) and ``infos["success"]``
-    whether it arrived, per vehicle in Intersection; under SAME_STEP both are in ``infos["final_info"]`` beside
-    ``infos["final_obs"]`` (rows valid where ``infos["_final_obs"]``).
+    ## Shapes
+
+    | array | one vehicle | Intersection |
+    |---|---|---|
+    | actions | (N,) or (N, 3) | (N, 2) or (N, 2, 3) |
+    | observations | (N, size) | (N, 2, size) |
+    | rewards | (N, d) | (N, 2, d) |
+    | terminated, truncated | (N,) | (N, 2) |
+
+    In Intersection a vehicle's flag stays True from the decision on which it ends until the world is reset, after both
+    have ended. ``infos["acted"]`` (N, 2) says which vehicles were on the road in this step, and ``infos["arrived"]``
+    (N, 2) which of them arrived in it.
+
+    ## Episode End
+
+    At the end of an episode ``infos["end"]`` says why it ended, and ``infos["success"]`` whether the vehicle arrived
+    (per vehicle in Intersection). With SAME_STEP both are in ``infos["final_info"]``, beside ``infos["final_obs"]``
+    (rows valid where ``infos["_final_obs"]``).
+
+    ## Version History
+
+    As of the single and the turn-based environment.
 
     Args:
         num_envs: N.
         scenario: "one_waypoint", "static_obstacle" or "intersection".
-        autoreset_mode: NEXT_STEP (a finished world starts anew in the next step, which ignores its action and pays
-            nothing), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
-        threads: how many threads share a step; worth it from about 2,000 worlds on. The result is the same.
-        render_mode: None or "rgb_array" (``render()`` gives one frame per world).
-        max_episode_steps: if given, decisions after which an episode is truncated, if ``time_limit`` does not end it
-            before.
+        autoreset_mode: NEXT_STEP (a finished world is reset by the next step, which ignores its action and has zero
+            reward), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
+        threads: how many threads share a step, which pays off from about 2,000 worlds. It does not change the results.
+        render_mode: None or "rgb_array" (``render()`` returns one frame per world).
+        max_episode_steps: number of decisions after which an episode is truncated, unless ``time_limit`` is shorter.
         **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
 
     Raises:
-        ValueError: for unknown or ill-typed arguments.
+        ValueError: for unknown arguments or wrong types.
     """
 
     metadata: dict[str, Any] = {
@@ -100,11 +115,11 @@ class DrivingVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._streams: Streams | None = None
         self._begun = False
-        # Worlds whose episode is over and that have not been reset (NEXT_STEP and DISABLED).
+        # Worlds whose episode is over and which have not been reset (NEXT_STEP and DISABLED).
         self._over = np.ones(num_envs, dtype=np.bool_)
         self._viewers: list[Any] = []
 
-    def _per_vehicle(self, space: spaces.Space) -> Any:
+    def _per_vehicle(self, space: spaces.Space[Any]) -> Any:
         if self.vehicles == 1:
             return space
         if isinstance(space, spaces.Discrete):
@@ -134,8 +149,8 @@ class DrivingVectorEnv(VectorEnv):
         """Start new episodes.
 
         Args:
-            seed: an int seeds world i with ``seed + i``; a list seeds every world; None goes on drawing.
-            options: ``"reset_mask"`` (N,) bool resets only those worlds; the rest as in the single environment.
+            seed: an int seeds world i with ``seed + i``; a list has a seed per world; None continues the streams.
+            options: ``"reset_mask"`` (N,) bool resets only those worlds; other options as in the single environment.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -156,7 +171,7 @@ class DrivingVectorEnv(VectorEnv):
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
             raise ValueError(f"reset option 'reset_mask' = {mask!r} must be a bool array of shape ({self.num_envs},)")
         if not mask.any():
-            raise ValueError("reset option 'reset_mask' must hold at least one True")
+            raise ValueError("reset option 'reset_mask' must have at least one True")
         return mask
 
     def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
@@ -172,55 +187,55 @@ class DrivingVectorEnv(VectorEnv):
         self, actions: NDArray[Any]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Move every world by one decision; see the class for shapes and infos."""
-        sim = self.batch
+        batch = self.batch
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
             worlds = np.flatnonzero(self._over)[:5].tolist()
             raise ResetNeeded(
-                f"step() on worlds whose episode is over or has not begun (first ones: {worlds}); reset them first"
+                f"step() on worlds whose episode is over or has not begun (the first ones: {worlds}); reset them first"
             )
         if not self._begun:
             raise ResetNeeded("step() before the first reset()")
         streams = self._seeded()
         infos: dict[str, Any] = {}
-        acted = ~(sim.terminated | sim.truncated) if self.vehicles > 1 else None
-        sim.step(self._batched(actions))
+        acted = ~(batch.terminated | batch.truncated) if self.vehicles > 1 else None
+        batch.step(self._batched(actions))
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
-            sim.place(np.flatnonzero(self._over), streams.draw)
-        over = sim.over()
+            batch.place(np.flatnonzero(self._over), streams.draw)
+        over = batch.over()
         if acted is not None:
             infos["acted"] = acted
             infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
             infos.update(self._arrivals(acted))
-        rewards = self._shaped(sim.rewards)
-        terminated = self._shaped(sim.terminated)
-        truncated = self._shaped(sim.truncated)
+        rewards = self._shaped(batch.rewards)
+        terminated = self._shaped(batch.terminated)
+        truncated = self._shaped(batch.truncated)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             rows = np.flatnonzero(over)
             if len(rows):
-                infos["final_obs"] = self._shaped(sim.observations)
+                infos["final_obs"] = self._shaped(batch.observations)
                 infos["_final_obs"] = over
-                infos["final_info"] = self._why(over)
+                infos["final_info"] = self._ends(over)
                 infos["_final_info"] = over
-                sim.place(rows, streams.draw)
+                batch.place(rows, streams.draw)
         else:
             self._over = over
             if over.any():
-                infos.update(self._why(over))
-        return self._shaped(sim.observations), rewards, terminated, truncated, infos
+                infos.update(self._ends(over))
+        return self._shaped(batch.observations), rewards, terminated, truncated, infos
 
     def _batched(self, actions: Any) -> NDArray[Any]:
-        """``actions`` as the simulator takes them: (N, vehicles) or (N, vehicles, 3)."""
+        """``actions`` as the batch takes them: (N, vehicles) or (N, vehicles, 3)."""
         array = np.asarray(actions)
         if array.shape != self.action_space.shape:
             raise ValueError(f"actions have shape {array.shape}; expected {self.action_space.shape}")
         return array[:, None] if self.vehicles == 1 else array
 
     def _shaped(self, buffer: NDArray[Any]) -> NDArray[Any]:
-        """A copy of a buffer (N, vehicles, ...), without the vehicle axis where there is one vehicle."""
+        """A copy of a buffer (N, vehicles, ...), without the vehicle axis if there is only one vehicle."""
         return buffer[:, 0].copy() if self.vehicles == 1 else buffer.copy()
 
     def _arrivals(self, acted: NDArray[np.bool_]) -> dict[str, Any]:
-        """Which vehicles arrived in this step, whether or not their world goes on; nothing where none has ended."""
+        """Infos on the vehicles that arrived in this step; empty if no vehicle ended."""
         ended = acted & (self.batch.terminated | self.batch.truncated)
         rows = np.flatnonzero(ended.any(axis=1))
         if not len(rows):
@@ -231,8 +246,8 @@ class DrivingVectorEnv(VectorEnv):
         mask[rows] = True
         return {"arrived": arrived, "_arrived": mask}
 
-    def _why(self, over: NDArray[np.bool_]) -> dict[str, Any]:
-        """Why the episodes of the worlds ``over`` ended, in Gymnasium's form of vector infos."""
+    def _ends(self, over: NDArray[np.bool_]) -> dict[str, Any]:
+        """Why the episodes of the worlds ``over`` ended, in the form of Gymnasium's vector infos."""
         codes = self.batch.state["end"][over]
         shape: tuple[int, ...] = (self.num_envs, self.vehicles)
         if self.vehicles == 1:
@@ -244,30 +259,30 @@ class DrivingVectorEnv(VectorEnv):
         return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
     def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:
-        """Per world and vehicle a dict of named SI floats."""
+        """A dict per world and vehicle: pose, motion, controls, comfort and progress, in SI units."""
         return tuple(self.batch.telemetry(row) for row in range(self.num_envs))
 
     def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
-        """The best-known front of one of the worlds, as in MO-Gymnasium; not proven to be the true one.
+        """The best-known front of one world, by MO-Gymnasium's name; it is not proven to be optimal.
 
-        There is one where every episode is the same and all else is default: ``fixed_destination=True``, in
-        StaticObstacle also ``fixed_obstacle=True``. Pinned scenarios (reset options) are others.
+        It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
+        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
 
         Args:
             gamma: discount factor in [0, 1].
 
         Returns:
-            The K returns (d,) of policies none of which dominates another, in this environment's objectives and signs.
+            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
 
         Raises:
-            ValueError: where none is known, saying what it requires.
+            ValueError: if there is no best-known front, with what it would require.
         """
-        from mo_deepdrive.fronts import pareto_front
+        from mo_deepdrive.reference_fronts import pareto_front
 
         return pareto_front(self.config, gamma)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Everything that determines the future, as plain arrays: hand it to :meth:`set_state` to resume exactly."""
+        """Everything that determines the future, as plain arrays; :meth:`set_state` resumes from it exactly."""
         return {
             "state": self.batch.state.view(np.uint8).copy(),
             "over": self._over.copy(),
@@ -276,10 +291,10 @@ class DrivingVectorEnv(VectorEnv):
         }
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Resume from :meth:`get_state` of an environment with the same arguments.
+        """Resume from the result of :meth:`get_state` of an environment with the same arguments.
 
         Raises:
-            ValueError: if the state belongs to an environment of another size or version.
+            ValueError: if the state is of an environment of another size or version.
         """
         mine = self.get_state()
         for name, array in mine.items():
@@ -292,7 +307,7 @@ class DrivingVectorEnv(VectorEnv):
         self._seeded().set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One RGB frame per world under ``render_mode="rgb_array"``, else None."""
+        """One RGB frame per world for ``render_mode="rgb_array"``, else None."""
         if self.render_mode is None:
             return None
         from mo_deepdrive.rendering import Viewer
@@ -301,8 +316,8 @@ class DrivingVectorEnv(VectorEnv):
             self._viewers = [Viewer(self.config, self.render_mode) for _ in range(self.num_envs)]
         return tuple(viewer.draw(self.batch.state[row]) for row, viewer in enumerate(self._viewers))
 
-    def close_extras(self, **kwargs: Any) -> None:
-        """Release what rendering holds."""
+    def close_extras(self, **_kwargs: Any) -> None:
+        """Close the renderers."""
         for viewer in self._viewers:
             viewer.close()
         self._viewers = []

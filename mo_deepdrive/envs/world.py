@@ -1,4 +1,4 @@
-"""One world: what every environment of a single world shares."""
+"""One world: what all environments with a single world share."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WORLD = np.zeros(1, dtype=np.int64)
 
 
 class World:
-    """A simulator of one world, with its window or picture.
+    """A batch of one world, with a renderer and checks of actions.
 
     Args:
         config: the environment's settings.
@@ -47,15 +47,15 @@ class World:
         self._allowed = f"integers in [0, {self._choices})" if self._choices else "finite numbers"
 
     def place(self, generator: np.random.Generator, options: Mapping[str, Any] | None) -> None:
-        """Start a new episode drawn from ``generator``, with what ``options`` pin.
+        """Start a new episode drawn from ``generator``, with the reset options ``options``.
 
         Raises:
-            ValueError: for options that make no scenario; the world and the generator stand where they stood.
+            ValueError: for options without a valid scenario; the world and the generator are unchanged.
         """
         pins = make_pins(options, self.batch.scenario)
         stream = generator.bit_generator.state
         try:
-            self.batch.place(_WORLD, lambda rows: generator.random((1, DRAWS)), pins)
+            self.batch.place(_WORLD, lambda _: generator.random((1, DRAWS)), pins)
         except ValueError:
             generator.bit_generator.state = stream
             raise
@@ -63,7 +63,7 @@ class World:
             self.render()
 
     def joint_action(self) -> NDArray[Any]:
-        """A joint action to fill in, as :meth:`step` takes it: (1, vehicles) integers or (1, vehicles, 3) floats."""
+        """Zeros in the form that :meth:`step` takes: (1, vehicles) integers or (1, vehicles, 3) floats."""
         shape = (1, self.batch.scenario.vehicles, *self._shape)
         return np.zeros(shape, dtype=np.int64 if self._choices else np.float64)
 
@@ -97,17 +97,17 @@ class World:
         if self.render_mode == "human":
             self.render()
 
-    def outcome(self, vehicle: int) -> dict[str, Any]:
-        """Why a vehicle has ended, and whether it arrived."""
+    def end_info(self, vehicle: int) -> dict[str, Any]:
+        """The info of a vehicle that has ended: why it ended, and whether it arrived."""
         end = self.batch.end_names(0)[vehicle]
         return {"end": end, "success": end == "arrived"}
 
     def telemetry(self) -> tuple[dict[str, float], ...]:
-        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        """A dict per vehicle: pose, motion, controls, comfort and progress, in SI units."""
         return self.batch.telemetry(0)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
         if self.render_mode is None:
             return None
         if self._viewer is None:
@@ -118,18 +118,18 @@ class World:
         return frame if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Release what rendering holds."""
+        """Close the renderer."""
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """A copy or pickle goes on exactly where this world stands; windows stay behind."""
+        """Everything but the window: a copy or pickle continues exactly from here."""
         return {**self.__dict__, "_viewer": None}
 
 
 class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
-    """What the Gymnasium environments of one world share; a subclass says what a step is.
+    """Base of the Gymnasium environments with a single world; a subclass implements ``reset`` and ``step``.
 
     Args:
         config: the environment's settings.
@@ -151,38 +151,38 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
         self.reward_dim = len(self.objectives)
 
     def _place(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
-        """Start a new episode; where ``options`` are refused, the random stream stays too."""
+        """Start a new episode. If ``options`` are refused, the random stream is unchanged, too."""
         generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
         self.world.place(generator, options)
         self._np_random, self._np_random_seed = generator, used
 
     def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
-        """The best-known front of this environment, as in MO-Gymnasium; not proven to be the true one.
+        """The best-known front of this environment, by MO-Gymnasium's name; it is not proven to be optimal.
 
-        There is one where every episode is the same and all else is default: ``fixed_destination=True``, in
-        StaticObstacle also ``fixed_obstacle=True``. Pinned scenarios (reset options) are others.
+        It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
+        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
 
         Args:
             gamma: discount factor in [0, 1].
 
         Returns:
-            The K returns (d,) of policies none of which dominates another, in this environment's objectives and signs.
+            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
 
         Raises:
-            ValueError: where none is known, saying what it requires.
+            ValueError: if there is no best-known front, with what it would require.
         """
-        from mo_deepdrive.fronts import pareto_front
+        from mo_deepdrive.reference_fronts import pareto_front
 
         return pareto_front(self.config, gamma)
 
     def telemetry(self) -> tuple[dict[str, float], ...]:
-        """Per vehicle a dict of named SI floats: pose, motion, controls, comfort and progress."""
+        """A dict per vehicle: pose, motion, controls, comfort and progress, in SI units."""
         return self.world.telemetry()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An RGB frame (height, width, 3) under "rgb_array"; draws in a window under "human"."""
+        """An RGB frame (height, width, 3) for "rgb_array"; draws in a window for "human"."""
         return self.world.render()
 
     def close(self) -> None:
-        """Release what rendering holds."""
+        """Close the renderer."""
         self.world.close()

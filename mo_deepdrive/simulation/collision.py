@@ -1,32 +1,35 @@
-"""Collisions of solid shapes along the paths that one decision has driven.
+"""Collisions of solid shapes along their paths in one decision.
 
-Shapes are tested at every physics step; where a vehicle moves or turns by more than a quarter of its width
-within a step, the poses between are tested too, so that nothing passes through anything at any speed.
+Shapes are tested at every physics step. If a vehicle moves or turns by more than a quarter of its width within a step,
+poses in between are tested, too, so that nothing passes through anything at any speed.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mo_deepdrive.simulation.dynamics import PATH_COS, PATH_SIN, PATH_X, PATH_Y
 from mo_deepdrive.simulation.geometry import RADIUS, boxes_overlap, distance, segment_touches_box
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import WIDTH
+from mo_deepdrive.simulation.state import WIDTH, Record
 
 LONGEST_MOVE = WIDTH / 4
 
 
 @jit
-def sweep(path, v, i):
-    """Bound on how far any point of the vehicle moves in physics step ``i`` of ``path`` (m)."""
+def sweep(path: NDArray[np.float64], v: int, i: int) -> float:
+    """Upper bound of the distance that any point of the vehicle moves in physics step ``i`` of ``path`` (m)."""
     turn = distance(path[v, i, PATH_COS], path[v, i, PATH_SIN], path[v, i - 1, PATH_COS], path[v, i - 1, PATH_SIN])
     move = distance(path[v, i, PATH_X], path[v, i, PATH_Y], path[v, i - 1, PATH_X], path[v, i - 1, PATH_Y])
     return move + turn * RADIUS
 
 
 @jit
-def pose(path, v, i, part):
-    """x, y, cos, sin of vehicle ``v`` at the fraction ``part`` of physics step ``i``; row ``i`` where it is 1."""
+def pose(path: NDArray[np.float64], v: int, i: int, part: float) -> tuple[float, float, float, float]:
+    """x, y, cos, sin of vehicle ``v`` at the fraction ``part`` of physics step ``i``; row ``i`` if it is 1."""
     if part == 1.0:
         return path[v, i, PATH_X], path[v, i, PATH_Y], path[v, i, PATH_COS], path[v, i, PATH_SIN]
     rest = 1.0 - part
@@ -41,7 +44,7 @@ def pose(path, v, i, part):
 
 
 @jit
-def hits_obstacle(vehicle, moved, params, path):
+def hits_obstacle(vehicle: Record, moved: float, params: Record, path: NDArray[np.float64]) -> bool:
     """Whether the vehicle touches its obstacle, a segment, anywhere on its path of length ``moved`` (m)."""
     n = params.physics_steps
     ax = vehicle.obstacle[0, 0]
@@ -63,7 +66,7 @@ def hits_obstacle(vehicle, moved, params, path):
 
 
 @jit
-def vehicles_collide(first, second, moved, params, path):
+def vehicles_collide(first: Record, second: Record, moved: float, params: Record, path: NDArray[np.float64]) -> bool:
     """Whether the boxes of two vehicles overlap anywhere on their paths (2, steps + 1, 4)."""
     if distance(first.x, first.y, second.x, second.y) > 2 * RADIUS + moved:
         return False

@@ -9,15 +9,18 @@ Per physics step of length dt, with heading h, heading change per step w, speed 
     y'   = y + dt v cos(h - w - slip)
     h'   = h + w'
 
-The original turns (ahead, side) = dt v (cos(w + slip), sin(w + slip)) by the heading; x' and y' are the same
-motion after the addition theorem. As h - w is the heading one step ago, its sine and cosine are at hand, and
-one sine and cosine per step remain. Steer moves by equal parts, so its sine and cosine turn by a constant
-rotation; sin(slip) and cos(slip) follow from tan(slip) without a call.
+The original rotates (ahead, side) = dt v (cos(w + slip), sin(w + slip)) by the heading; x' and y' follow from the
+addition theorems. h - w is the heading one step ago, whose sine and cosine are known, so one sine and cosine per step
+remain. Steer changes by equal parts, so its sine and cosine change by a constant rotation; sin(slip) and cos(slip)
+follow from tan(slip) without a function call.
 """
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import (
@@ -25,6 +28,7 @@ from mo_deepdrive.simulation.state import (
     AXLE_B,
     GRAVITY,
     TOP_SPEED,
+    Record,
 )
 from mo_deepdrive.simulation.trigonometry import sine_cosine
 
@@ -32,28 +36,32 @@ SLIP_RATIO = AXLE_A / (AXLE_A + AXLE_B)
 MAX_STEER_CHANGE = 0.03  # rad per physics step, under constrain_controls
 MAX_THROTTLE_CHANGE = 0.04  # m/s^2 per physics step, under constrain_controls
 
-# Columns of the path that `drive` records: the pose after each physics step, the starting pose in row 0.
+# Columns of the path that `drive` records: the initial pose in row 0, then the pose after each physics step.
 PATH_X, PATH_Y, PATH_COS, PATH_SIN, PATH_WIDTH = 0, 1, 2, 3, 4
 
 
 @jit
-def limited(change, limit):
+def limited(change: float, limit: float) -> float:
+    """``change``, clipped to [-limit, limit]."""
     return min(max(change, -limit), limit)
 
 
 @jit
-def drive(vehicle, i, v, controls, params, path):
-    """Move ``vehicle`` through one decision and record its poses.
+def drive(
+    vehicle: Record, i: int, v: int, controls: NDArray[np.float64], params: Record, path: NDArray[np.float64]
+) -> float:
+    """Move ``vehicle`` by one decision and record its poses.
 
     Args:
         vehicle: record of dtype VEHICLE, changed in place.
-        i, v: which world and vehicle it is.
+        i: which world.
+        v: which vehicle.
         controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake (1).
         params: record of dtype PARAMS.
         path: (vehicles, physics_steps + 1, 4) buffer for x, y, cos(heading), sin(heading).
 
     Returns:
-        The length of the path driven (m).
+        The length of the path (m).
     """
     n = params.physics_steps
     dt = params.dt

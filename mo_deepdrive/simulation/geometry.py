@@ -17,13 +17,13 @@ RADIUS = math.hypot(HALF_LENGTH, HALF_WIDTH)
 
 
 @jit
-def corner(x, y, cos, sin, ahead, right):
-    """World position of the point ``ahead`` m before and ``right`` m to the right of the centre."""
+def corner(x: float, y: float, cos: float, sin: float, ahead: float, right: float) -> tuple[float, float]:
+    """World position of the point ``ahead`` m in front and ``right`` m to the right of the centre."""
     return x - sin * ahead + cos * right, y + cos * ahead + sin * right
 
 
 @jit
-def angle_to(front_x, front_y, cos, sin, px, py):
+def angle_to(front_x: float, front_y: float, cos: float, sin: float, px: float, py: float) -> float:
     """Angle (rad, in [-pi, pi], positive to the right) from the heading to the point (px, py)."""
     dx = px - front_x
     dy = py - front_y
@@ -33,13 +33,13 @@ def angle_to(front_x, front_y, cos, sin, px, py):
 
 
 @jit
-def distance(ax, ay, bx, by):
+def distance(ax: float, ay: float, bx: float, by: float) -> float:
     """Euclidean distance (m)."""
     return math.sqrt((ax - bx) * (ax - bx) + (ay - by) * (ay - by))
 
 
 @jit
-def segment_touches_box(x, y, cos, sin, ax, ay, bx, by):
+def segment_touches_box(x: float, y: float, cos: float, sin: float, ax: float, ay: float, bx: float, by: float) -> bool:
     """Whether the segment a-b and the solid box share a point (slab test in the box's own frame)."""
     a_right = (ax - x) * cos + (ay - y) * sin
     a_ahead = (ay - y) * cos - (ax - x) * sin
@@ -64,7 +64,9 @@ def segment_touches_box(x, y, cos, sin, ax, ay, bx, by):
 
 
 @jit
-def boxes_overlap(ax, ay, a_cos, a_sin, bx, by, b_cos, b_sin):
+def boxes_overlap(
+    ax: float, ay: float, a_cos: float, a_sin: float, bx: float, by: float, b_cos: float, b_sin: float
+) -> bool:
     """Whether two solid vehicle boxes share a point (separating axes: the two sides of each box)."""
     dx = bx - ax
     dy = by - ay
@@ -82,14 +84,14 @@ def boxes_overlap(ax, ay, a_cos, a_sin, bx, by, b_cos, b_sin):
 
 
 @jit
-def extent_x(x, cos, sin):
+def extent_x(x: float, cos: float, sin: float) -> tuple[float, float]:
     """Smallest and largest x over the four corners of the box."""
     half = HALF_LENGTH * abs(sin) + HALF_WIDTH * abs(cos)
     return x - half, x + half
 
 
 @jit
-def extent_y(y, cos, sin):
+def extent_y(y: float, cos: float, sin: float) -> tuple[float, float]:
     """Smallest and largest y over the four corners of the box."""
     half = HALF_LENGTH * abs(cos) + HALF_WIDTH * abs(sin)
     return y - half, y + half

@@ -1,7 +1,7 @@
-"""The one compiler decorator of the package.
+"""The compiler decorator of the package.
 
-Numba keys a cached function by its own source file, so a function goes stale when a function that
-it *imports* changes. Here every function is keyed by a hash of all sources of the package instead.
+Numba caches a function under the stamp of its own source file, so the cache becomes stale when a function that it
+*imports* changes. Here the stamp of every function is a hash of all sources of the package.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import caching
@@ -57,14 +57,20 @@ class _Cache(caching.FunctionCache):
 def jit(function: F) -> F:
     """Compile ``function`` in nopython mode, without the GIL, with IEEE arithmetic and a disk cache.
 
-    Functions are inlined into their callers: a call passes every array as seven words and counts a reference.
-    Where no cache folder is writable the function is compiled anew in every process.
+    Functions are inlined into their callers, because a call passes every array as seven words and counts a reference.
+    If no cache directory is writable, the function is compiled in every process.
+
+    Args:
+        function: the function; its annotations are for readers and type checkers alone.
+
+    Returns:
+        The compiled function, with the type of ``function``.
     """
     compiled: Any = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
-    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # Numba has no types
         try:
-            compiled._cache = _Cache(function)
+            compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]  # Numba has no types
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
-    return compiled
+    return cast(F, compiled)

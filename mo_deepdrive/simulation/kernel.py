@@ -1,11 +1,14 @@
 """The kernel: place worlds, and move a batch of worlds by one decision.
 
-Every buffer belongs to the caller and is shaped (worlds, vehicles, ...). The kernel allocates nothing, draws
-nothing, reads no global state and never resets a world by itself. One world and a row of a batch run through the
-same code.
+Every buffer belongs to the caller and has the shape (worlds, vehicles, ...). The kernel allocates nothing, draws no
+random numbers, reads no global state and never resets a world by itself. A single world and a row of a batch run
+through the same code.
 """
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mo_deepdrive import observation
 from mo_deepdrive.objectives import INDEX
@@ -29,6 +32,8 @@ from mo_deepdrive.simulation.state import (
     RUNNING,
     SKIPPED_WAYPOINT,
     TIME_LIMIT,
+    Record,
+    Records,
 )
 
 # Indices of the objectives within vehicle.objectives.
@@ -41,15 +46,16 @@ LANE_VIOLATION = INDEX["lane_violation"]
 
 
 @jit
-def lane_excess(vehicle, params):
+def lane_excess(vehicle: Record, params: Record) -> float:
     """Metres outside the lane: max(0, margin - left) + max(0, margin - right)."""
     margin = params.lane_margin
-    return max(0.0, margin - vehicle.left_lane_distance) + max(0.0, margin - vehicle.right_lane_distance)
+    excess: float = max(0.0, margin - vehicle.left_lane_distance) + max(0.0, margin - vehicle.right_lane_distance)
+    return excess
 
 
 @jit
-def ending(vehicle, collided, arrived, params):
-    """Why the vehicle's episode ends after this decision (RUNNING if it does not), in order of precedence."""
+def ending(vehicle: Record, collided: bool, arrived: bool, params: Record) -> int:
+    """Why the vehicle's episode ends after this decision (RUNNING if it does not), by precedence."""
     if collided:
         return COLLISION
     if vehicle.g_force > params.harmful_g_force:
@@ -72,7 +78,9 @@ def ending(vehicle, collided, arrived, params):
 
 
 @jit
-def step_world(worlds, i, controls, params, path):
+def step_world(
+    worlds: Records, i: int, controls: NDArray[np.float64], params: Record, path: NDArray[np.float64]
+) -> None:
     """Move the running vehicles of world ``i`` by one decision and measure their objectives.
 
     Args:
@@ -100,7 +108,7 @@ def step_world(worlds, i, controls, params, path):
     if vehicles > 1 and all_running:
         collided = vehicles_collide(worlds[i, 0], worlds[i, 1], moved, params, path)
 
-    # Everything that depends on where both vehicles now are comes before either is judged.
+    # Everything that depends on the positions of both vehicles is computed before either can end.
     for v in range(vehicles):
         vehicle = worlds[i, v]
         if vehicle.end == RUNNING:
@@ -138,7 +146,14 @@ def step_world(worlds, i, controls, params, path):
 
 
 @jit
-def observe_world(worlds, i, params, observations, terminated, truncated):
+def observe_world(
+    worlds: Records,
+    i: int,
+    params: Record,
+    observations: NDArray[np.float32],
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+) -> None:
     """Write what the vehicles of world ``i`` observe and whether they have ended."""
     for v in range(worlds.shape[1]):
         observation.write(worlds, i, v, params, observations)
@@ -148,14 +163,29 @@ def observe_world(worlds, i, params, observations, terminated, truncated):
 
 
 @jit
-def observe_batch(worlds, params, observations, terminated, truncated):
+def observe_batch(
+    worlds: Records,
+    params: Records,
+    observations: NDArray[np.float32],
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+) -> None:
     """Write what all vehicles of all worlds observe, from the state alone."""
     for i in range(worlds.shape[0]):
         observe_world(worlds, i, params[0], observations, terminated, truncated)
 
 
 @jit
-def step_batch(worlds, controls, params, path, observations, rewards, terminated, truncated):
+def step_batch(
+    worlds: Records,
+    controls: NDArray[np.float64],
+    params: Records,
+    path: NDArray[np.float64],
+    observations: NDArray[np.float32],
+    rewards: NDArray[np.float32],
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+) -> None:
     """Move a batch of worlds by one decision.
 
     Args:
@@ -165,7 +195,8 @@ def step_batch(worlds, controls, params, path, observations, rewards, terminated
         path: (vehicles, physics_steps + 1, 4) scratch buffer.
         observations: (worlds, vehicles, size) float32, written.
         rewards: (worlds, vehicles, objectives) float32, written; zero for vehicles that had ended before.
-        terminated, truncated: (worlds, vehicles) bool, written; they stay True until the world is placed anew.
+        terminated: (worlds, vehicles) bool, written; stays True until the world is placed again.
+        truncated: likewise.
     """
     for i in range(worlds.shape[0]):
         step_world(worlds, i, controls, params[0], path)
@@ -179,8 +210,19 @@ def step_batch(worlds, controls, params, path, observations, rewards, terminated
 
 
 @jit
-def reset_batch(worlds, rows, draws, pins, params, spawn, fair, observations, terminated, truncated):
-    """Place the worlds ``rows`` anew.
+def reset_batch(
+    worlds: Records,
+    rows: NDArray[np.int64],
+    draws: NDArray[np.float64],
+    pins: Records,
+    params: Records,
+    spawn: Records,
+    fair: NDArray[np.bool_],
+    observations: NDArray[np.float32],
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+) -> None:
+    """Start new episodes in the worlds ``rows``.
 
     Args:
         worlds: (worlds, vehicles) of VEHICLE.
@@ -189,8 +231,11 @@ def reset_batch(worlds, rows, draws, pins, params, spawn, fair, observations, te
         pins: (1,) of SPAWN; entries that are not NaN replace what would be drawn.
         params: (1,) of PARAMS.
         spawn: (1,) of SPAWN, scratch.
-        fair: (k,) bool, written; a world whose draw is not fair is left as it was, to be drawn again.
-        observations, terminated, truncated: as in step_batch, written for the worlds placed.
+        fair: (k,) bool, written; False where the draw is not a valid scenario. Such a world is unchanged and must be
+            drawn again.
+        observations: as in step_batch, written for the worlds placed.
+        terminated: likewise.
+        truncated: likewise.
     """
     for j in range(len(rows)):
         i = rows[j]

@@ -1,4 +1,4 @@
-"""From a configuration and its scenario to the record that the kernel reads."""
+"""The record that the kernel reads, from a configuration and its scenario."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mo_deepdrive.simulation.state import (
     YAW_FRICTION,
 )
 
-ORIGINAL_FREQUENCY = 60  # Hz, at which the frictions are stated
+ORIGINAL_FREQUENCY = 60  # Hz; the frictions are per physics step at this frequency
 OPEN_ROAD_ONLY = ("fixed_destination",)
 OBSTACLE_ONLY = ("fixed_obstacle",)
 LANES_ONLY = ("lane_margin", "end_on_lane_violation", "yield_to_oncoming", "end_together")
@@ -26,7 +26,7 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     """The names of the objectives that an environment of this configuration emits, in order.
 
     Raises:
-        ValueError: if the scenario lacks one of them.
+        ValueError: if the scenario does not have one of them.
     """
     scenario = SCENARIOS[config.scenario]
     if config.objectives is None:
@@ -34,7 +34,7 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     for name in config.objectives:
         if name not in scenario.objectives:
             raise ValueError(
-                f"objectives has {name!r}, which {scenario.title} lacks; {nearest(name, scenario.objectives)}"
+                f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, scenario.objectives)}"
             )
     return config.objectives
 
@@ -43,14 +43,14 @@ def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
     absent = (*(OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY), *(() if scenario.obstacle else OBSTACLE_ONLY))
     for name in absent:
         if getattr(config, name) != type(config).model_fields[name].default:
-            raise ValueError(f"{name} = {getattr(config, name)!r} has no meaning in {scenario.title}; leave it out")
+            raise ValueError(f"{name} = {getattr(config, name)!r} has no effect in {scenario.title}; omit it")
 
 
 def make_params(config: EnvConfig) -> np.ndarray:
     """The parameters of a configuration, shape (1,) of dtype PARAMS.
 
     Raises:
-        ValueError: if a setting has no meaning in the scenario.
+        ValueError: if a setting has no effect in the scenario.
     """
     scenario = SCENARIOS[config.scenario]
     _check_scenario(config, scenario)

@@ -1,20 +1,23 @@
-"""Where a vehicle stands: its progress along the waypoints and its distances to the lane lines."""
+"""Progress of a vehicle along its waypoints, and its distances to the lane lines."""
 
 from __future__ import annotations
 
 from mo_deepdrive.simulation import geometry
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, Record
 
 HALF_LANE = LANE_WIDTH / 2
 
 
 @jit
-def follow(vehicle):
-    """Update the front point, the next waypoint and the distances; True when the destination is reached.
+def follow(vehicle: Record) -> bool:
+    """Update the front point, the next waypoint and the distances.
 
     Route distance = distance along the waypoints to the next one - |front -> next waypoint|.
+
+    Returns:
+        Whether the destination is reached.
     """
     vehicle.front_x = vehicle.x - vehicle.sin_heading * HALF_LENGTH
     vehicle.front_y = vehicle.y + vehicle.cos_heading * HALF_LENGTH
@@ -32,7 +35,7 @@ def follow(vehicle):
 
 
 @jit
-def skipped(vehicle):
+def skipped(vehicle: Record) -> bool:
     """Whether the front is closer to a waypoint beyond the next one than to any other."""
     nearest = 0
     best = geometry.distance(vehicle.front_x, vehicle.front_y, vehicle.waypoints[0, 0], vehicle.waypoints[0, 1])
@@ -41,11 +44,12 @@ def skipped(vehicle):
         if away < best:
             nearest = k
             best = away
-    return nearest > vehicle.next_waypoint
+    beyond: bool = nearest > vehicle.next_waypoint
+    return beyond
 
 
 @jit
-def find_lane(vehicle, params):
+def find_lane(vehicle: Record, params: Record) -> None:
     """Update the distances (m) to the left and right lane line and the crossing and approaching flags.
 
     A route of one waypoint runs straight down its lane; one of more turns left between the first and the second.

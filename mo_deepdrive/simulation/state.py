@@ -1,12 +1,19 @@
 """The state of a vehicle and the parameters of a simulation, as NumPy records.
 
-State is one record array of shape (worlds, vehicles): copying it is a checkpoint, assigning the copy
-back resumes exactly. Nothing else in the simulator remembers anything.
+The state is one record array of shape (worlds, vehicles): a copy of it is a checkpoint, and assigning the copy back
+resumes exactly. The simulation has no other memory.
 """
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import numpy as np
+from numpy.typing import NDArray
+
+# Types of arguments: a record of one of the dtypes in this module, or an array of them (NumPy's stubs know no fields).
+Record: TypeAlias = Any
+Records: TypeAlias = NDArray[Any]
 
 MAX_VEHICLES = 2
 MAX_WAYPOINTS = 3
@@ -85,7 +92,7 @@ VEHICLE = np.dtype(
             ("throttle", _FLOAT),
             ("brake", _FLOAT),
             ("previous_speed", _FLOAT),
-            # where it stands along its route (m, rad)
+            # progress along the route (m, rad)
             ("front_x", _FLOAT),
             ("front_y", _FLOAT),
             ("travelled", _FLOAT),
@@ -112,7 +119,7 @@ VEHICLE = np.dtype(
     )
 )
 
-# One scenario as it is placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad).
+# One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad).
 SPAWN = np.dtype(
     (
         np.record,
@@ -124,7 +131,7 @@ SPAWN = np.dtype(
     )
 )
 
-# Everything the kernel needs to know of an environment's configuration.
+# The part of an environment's configuration that the kernel needs.
 PARAMS = np.dtype(
     (
         np.record,
@@ -145,7 +152,7 @@ PARAMS = np.dtype(
             ("end_together", np.bool_),
             ("has_obstacle", np.bool_),
             ("has_lanes", np.bool_),
-            # which objectives are emitted, in which order and with which sign
+            # the objectives emitted, in order, and their signs
             ("n_objectives", np.int64),
             ("objective_index", np.int64, (6,)),
             ("objective_sign", _FLOAT, (6,)),

@@ -1,8 +1,8 @@
-"""Sine and cosine of one angle together, inlined into the kernel.
+"""Sine and cosine of an angle, computed together and inlined into the kernel.
 
-The C library's functions are calls that the compiler cannot schedule around; half of a physics step's time went
-there. Here the angle is reduced by multiples of pi/2, split into two parts (Cody and Waite), to [-pi/4, pi/4],
-where Taylor polynomials of degree 15 and 16 are exact to the last bits (error below 3e-16; see the tests).
+The compiler cannot reorder calls of the C library's functions, which took half of the time of a physics step. Here the
+angle is reduced to [-pi/4, pi/4] by multiples of pi/2 in two parts (Cody and Waite 1980); there, Taylor polynomials of
+degree 15 and 16 are accurate to the last bits (error below 3e-16; see the tests).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mo_deepdrive.simulation.jit import jit
 HALF_PI_HIGH = 1.57079632673412561417e00
 HALF_PI_LOW = 6.07710050650619224932e-11
 TWO_OVER_PI = 2 / math.pi
-LARGEST = 1.0e4  # rad; beyond it the reduction loses digits and the C library takes over
+LARGEST = 1.0e4  # rad; beyond it the reduction loses digits, and the C library is used
 
 S3, S5, S7, S9 = -1 / 6, 1 / 120, -1 / 5040, 1 / 362880
 S11, S13, S15 = -1 / 39916800, 1 / 6227020800, -1 / 1307674368000
@@ -24,7 +24,7 @@ C12, C14, C16 = 1 / 479001600, -1 / 87178291200, 1 / 20922789888000
 
 
 @jit
-def sine_cosine(angle):
+def sine_cosine(angle: float) -> tuple[float, float]:
     """(sin(angle), cos(angle)) of a finite angle (rad)."""
     if not abs(angle) < LARGEST:
         return math.sin(angle), math.cos(angle)

@@ -1,7 +1,7 @@
-"""Helpers of the tests of the APIs: trajectories at the intersection, recorded once, and one player per API.
+"""Shared by the tests of the interfaces: recorded episodes at the intersection, and a replay function per interface.
 
-A player replays the joint actions of a :class:`Drive` through one API and returns what each vehicle received in each
-episode. All players must return the same, bit for bit.
+A replay function repeats the joint actions of :class:`RecordedEpisodes` through one interface and returns all that each
+vehicle received. All replay functions must return the same, bit for bit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _AT = {entry.name: k for k, entry in enumerate(layout(SCENARIOS["intersection"])
 
 @dataclass(frozen=True)
 class Report:
-    """What one vehicle receives in one step; the first report of an episode, after the reset, has a reward of zeros."""
+    """What one vehicle receives after one decision; the first report, after the reset, has a reward of zeros."""
 
     observation: np.ndarray
     reward: np.ndarray
@@ -38,54 +38,54 @@ class Report:
     end: str = ""
 
 
-Episode = tuple[list[Report], ...]  # the reports of every vehicle
+EpisodeReports = tuple[list[Report], ...]  # one list per vehicle
 
 
 @dataclass(frozen=True)
-class Plan:
-    """One episode: a driver per vehicle, the reset options, and why each vehicle's episode is expected to end.
+class EpisodePlan:
+    """How the vehicles drive in one episode, and how they end.
 
     Attributes:
-        drivers: one per vehicle.
-        ends: why each vehicle's episode ends.
-        ends_together: the same under ``end_together=True``.
-        pins: reset options.
+        rules: how each vehicle drives.
+        ends: why each vehicle ends.
+        ends_together: the same with ``end_together=True``.
+        options: reset options.
     """
 
-    drivers: tuple[Driver, ...]
+    rules: tuple[DrivingRule, ...]
     ends: tuple[str, ...]
     ends_together: tuple[str, ...]
-    pins: dict[str, Any] | None = None
+    options: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
-class Drive:
+class RecordedEpisodes:
     """Joint actions of consecutive episodes: the first is reset with SEED, the others without a seed.
 
     Attributes:
-        arguments: of the environment, besides the scenario.
-        pins: reset options per episode.
+        arguments: arguments of the environment, besides the scenario.
+        options: reset options per episode.
         actions: joint actions per episode, (decisions, vehicles) or (decisions, vehicles, 3).
     """
 
     arguments: dict[str, Any]
-    pins: list[dict[str, Any] | None]
+    options: list[dict[str, Any] | None]
     actions: list[np.ndarray]
 
     def resets(self) -> list[tuple[dict[str, Any], np.ndarray]]:
-        """The arguments of ``reset`` and the joint actions of each episode."""
+        """The arguments of ``reset`` and the joint actions of every episode."""
         seeds = [SEED] + [None] * (len(self.actions) - 1)
         return [
-            ({"seed": seed, "options": pins}, actions)
-            for seed, pins, actions in zip(seeds, self.pins, self.actions, strict=True)
+            ({"seed": seed, "options": options}, actions)
+            for seed, options, actions in zip(seeds, self.options, self.actions, strict=True)
         ]
 
 
-# ----------------------------------------------------------------------------------------------------------- drivers
+# ----------------------------------------------------------------------------------------------------------- driving
 
 
 def control(observation: np.ndarray, steer: float, speed: float, action_type: str) -> Any:
-    """The action closest to a steer (rad, positive to the left) and a speed (m/s); -1 m/s brakes fully."""
+    """The action nearest to a steer (rad, positive to the left) and a speed (m/s); -1 m/s is a full brake."""
     now = float(observation[_AT["speed"]])
     if action_type == CONTINUOUS:
         brake = 1.0 if speed < 0.0 else -1.0
@@ -104,15 +104,15 @@ def pursue(observation: np.ndarray, action_type: str) -> Any:
     return control(observation, steer, 3.0 if abs(angle) < 0.3 else 1.5, action_type)
 
 
-def stand(observation: np.ndarray, action_type: str) -> Any:
+def stay(observation: np.ndarray, action_type: str) -> Any:
     """Stay at rest."""
     return np.array([0.0, 0.0, -1.0], dtype=np.float32) if action_type == CONTINUOUS else 0
 
 
 def give_way(observation: np.ndarray, action_type: str) -> Any:
-    """Wait until the other vehicle has left the road, then drive."""
+    """Wait until the other vehicle has left the road, then recording."""
     alone = float(observation[_AT["other_front_left_distance"]]) == ABSENT_DISTANCE
-    return (pursue if alone else stand)(observation, action_type)
+    return (pursue if alone else stay)(observation, action_type)
 
 
 def straight(observation: np.ndarray, action_type: str) -> Any:
@@ -121,93 +121,92 @@ def straight(observation: np.ndarray, action_type: str) -> Any:
 
 
 def slam(observation: np.ndarray, action_type: str) -> Any:
-    """Drive straight on, and brake as hard as possible at high speed."""
+    """Drive straight on, and brake as hard as possible when fast."""
     speed, throttle = float(observation[_AT["speed"]]), float(observation[_AT["throttle"]])
     braking = speed > 5.5 or (throttle <= 0.0 and speed > 3.0)
     return control(observation, 0.0, -1.0 if braking else 10.0, action_type)
 
 
-Driver = Callable[[np.ndarray, str], Any]
+DrivingRule = Callable[[np.ndarray, str], Any]
 _AHEAD, _ONCOMING, _FAR_BEHIND = (27.077, 15.0, 0.0), (27.077, 25.0, math.pi), (27.077, -10.0, 0.0)
-PLANS: dict[str, Plan] = {
-    "both arrive": Plan((give_way, pursue), ("arrived", "arrived"), ("other_vehicle", "arrived")),
-    "the straight one fails": Plan(
+PLANS: dict[str, EpisodePlan] = {
+    "both arrive": EpisodePlan((give_way, pursue), ("arrived", "arrived"), ("other_vehicle", "arrived")),
+    "the straight one fails": EpisodePlan(
         (give_way, slam), ("arrived", "harmful_g_force"), ("other_vehicle", "harmful_g_force")
     ),
-    "the left turn fails": Plan(
+    "the left turn fails": EpisodePlan(
         (slam, pursue),
         ("harmful_g_force", "arrived"),
         ("harmful_g_force", "other_vehicle"),
         {"starts": (_FAR_BEHIND, (24.039, 45.0, math.pi))},
     ),
-    "they collide": Plan(
+    "they collide": EpisodePlan(
         (straight, straight),
         ("collision", "collision"),
         ("collision", "collision"),
         {"starts": (_AHEAD, _ONCOMING)},
     ),
-    "both fail in the same decision": Plan(
+    "both fail in the same decision": EpisodePlan(
         (slam, slam),
         ("harmful_g_force", "harmful_g_force"),
         ("harmful_g_force", "harmful_g_force"),
         {"starts": (_FAR_BEHIND, (24.039, 60.0, math.pi))},
     ),
-    "one arrives, one stands": Plan((pursue, stand), ("arrived", "time_limit"), ("arrived", "other_vehicle")),
-    "both stand": Plan((stand, stand), ("time_limit", "time_limit"), ("time_limit", "time_limit")),
+    "one arrives, one stays": EpisodePlan((pursue, stay), ("arrived", "time_limit"), ("arrived", "other_vehicle")),
+    "both stay": EpisodePlan((stay, stay), ("time_limit", "time_limit"), ("time_limit", "time_limit")),
 }
 
 
 @functools.cache
-def record(action_type: str, end_together: bool) -> Drive:
-    """Record every plan in the vector environment, once."""
+def record(action_type: str, end_together: bool) -> RecordedEpisodes:
+    """Drive an episode of every plan through the vector interface; cached."""
     arguments = {"action_type": action_type, "end_together": end_together}
     env = make_vector(1, arguments)
     actions = []
     for number, plan in enumerate(PLANS.values()):
-        observations, _ = env.reset(seed=SEED if number == 0 else None, options=plan.pins)
+        observations, _ = env.reset(seed=SEED if number == 0 else None, options=plan.options)
         taken = []
         infos: dict[str, Any] = {}
         while "end" not in infos:
-            joint = [driver(observations[0, v], action_type) for v, driver in enumerate(plan.drivers)]
+            joint = [rule(observations[0, v], action_type) for v, rule in enumerate(plan.rules)]
             taken.append(np.array(joint))
             observations, _, _, _, infos = env.step(taken[-1][None])
         actions.append(np.array(taken))
-    return Drive(arguments, [plan.pins for plan in PLANS.values()], actions)
+    return RecordedEpisodes(arguments, [plan.options for plan in PLANS.values()], actions)
 
 
-# ----------------------------------------------------------------------------------------------------------- players
+# ----------------------------------------------------------------------------------------------------------- replays
 
 
 def make_vector(num_envs: int, arguments: dict[str, Any]) -> Any:
-    """The vector environment of the intersection, without autoreset."""
     return gymnasium.make_vec("mo-deepdrive-intersection-v0", num_envs=num_envs, autoreset_mode="Disabled", **arguments)
 
 
-def play_vector(drive: Drive) -> list[Episode]:
-    """The vector environment with one copy."""
-    env = make_vector(1, drive.arguments)
-    return [_play_row(env, 0, actions, env.reset(**reset)[0]) for reset, actions in drive.resets()]
+def replay_vector(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """The vector interface with one world."""
+    env = make_vector(1, recording.arguments)
+    return [_replay_row(env, 0, actions, env.reset(**reset)[0]) for reset, actions in recording.resets()]
 
 
-def play_row(drive: Drive) -> list[Episode]:
-    """One row of the vector environment; the other rows take random actions and are reset whenever they end."""
+def replay_row(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """A row of the vector interface; the other rows drive at random and are reset whenever they end."""
     row, worlds = 3, 5
-    env = make_vector(worlds, drive.arguments)
+    env = make_vector(worlds, recording.arguments)
     env.action_space.seed(0)
     mine = np.arange(worlds) == row
     env.reset(seed=list(range(100, 100 + worlds)))
     episodes = []
-    for reset, actions in drive.resets():
+    for reset, actions in recording.resets():
         seeds = [reset["seed"] if this else None for this in mine]
         observations, _ = env.reset(seed=seeds, options={"reset_mask": mine, **(reset["options"] or {})})
-        episodes.append(_play_row(env, row, actions, observations))
+        episodes.append(_replay_row(env, row, actions, observations))
     return episodes
 
 
-def _play_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray) -> Episode:
-    """One episode of environment ``row``, which has just been reset."""
+def _replay_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray) -> EpisodeReports:
+    """One episode of world ``row``, which has just been reset."""
     zeros = np.zeros(env.reward_dim, dtype=np.float32)
-    reports: Episode = tuple([Report(observations[row, v], zeros)] for v in range(VEHICLES))
+    reports: EpisodeReports = tuple([Report(observations[row, v], zeros)] for v in range(VEHICLES))
     for joint in actions:
         batch = env.action_space.sample()
         batch[row] = joint
@@ -224,21 +223,21 @@ def _play_row(env: Any, row: int, actions: np.ndarray, observations: np.ndarray)
     return reports
 
 
-def play_turn_based(drive: Drive) -> list[Episode]:
-    """The turn-based Gymnasium API."""
-    env = gymnasium.make("mo-deepdrive-intersection-v0", disable_env_checker=True, **drive.arguments).unwrapped
+def replay_turn_based(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """The turn-based Gymnasium interface."""
+    env = gymnasium.make("mo-deepdrive-intersection-v0", disable_env_checker=True, **recording.arguments).unwrapped
     episodes = []
-    for reset, actions in drive.resets():
+    for reset, actions in recording.resets():
         observation, info = env.reset(**reset)
-        reports: Episode = ([Report(observation, np.zeros(env.reward_dim, dtype=np.float32))], [])
+        reports: EpisodeReports = ([Report(observation, np.zeros(env.reward_dim, dtype=np.float32))], [])
         terminated = truncated = False
         while not (terminated or truncated):
             vehicle = info["vehicle"]
-            # The answer to a vehicle's last turn is ignored.
+            # The action of a vehicle's last turn is ignored.
             decision = min(len(reports[vehicle]), len(actions)) - 1
             observation, reward, terminated, truncated, info = env.step(actions[decision][vehicle])
             end = info.get("end", "")
-            # The flags are False until the last turn of the episode; those of a vehicle follow from why it ended.
+            # The flags are False until the last turn of the episode, but each vehicle's flags follow from its end.
             flags = end not in ("", "time_limit"), end == "time_limit"
             assert (terminated, truncated) in (flags, (False, False))
             reports[info["vehicle"]].append(Report(observation, reward, *flags, end))
@@ -247,35 +246,35 @@ def play_turn_based(drive: Drive) -> list[Episode]:
     return episodes
 
 
-def play_parallel(drive: Drive) -> list[Episode]:
-    """The parallel API, in which vehicles leave when their episode ends."""
-    env = mo_deepdrive.parallel_env(**drive.arguments)
+def replay_parallel(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """The parallel interface, which removes vehicles when they end."""
+    env = mo_deepdrive.parallel_env(**recording.arguments)
     episodes = []
-    for reset, actions in drive.resets():
-        reports = begin(env, env.reset(**reset)[0])
+    for reset, actions in recording.resets():
+        reports = first_reports(env, env.reset(**reset)[0])
         for joint in actions:
-            told = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
+            returned = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
             for v, agent in enumerate(env.possible_agents):
-                if agent in told[0]:
-                    observation, reward, terminated, truncated, info = (each[agent] for each in told)
+                if agent in returned[0]:
+                    observation, reward, terminated, truncated, info = (each[agent] for each in returned)
                     reports[v].append(Report(observation, reward, terminated, truncated, info.get("end", "")))
         assert env.agents == []
         episodes.append(reports)
     return episodes
 
 
-def play_kept(drive: Drive) -> list[Episode]:
-    """The parallel API that keeps finished vehicles, with their last observation and a reward of zeros."""
-    env = mo_deepdrive.parallel_env(keep_finished=True, **drive.arguments)
+def replay_kept(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """The parallel interface with ``keep_finished``, which repeats the last observation, with a reward of zeros."""
+    env = mo_deepdrive.parallel_env(keep_finished=True, **recording.arguments)
     episodes = []
-    for reset, actions in drive.resets():
-        reports = begin(env, env.reset(**reset)[0])
+    for reset, actions in recording.resets():
+        reports = first_reports(env, env.reset(**reset)[0])
         for decision, joint in enumerate(actions, start=1):
             assert env.agents == env.possible_agents
-            told = env.step(dict(zip(env.agents, joint, strict=True)))
+            returned = env.step(dict(zip(env.agents, joint, strict=True)))
             last = decision == len(actions)
             for v, agent in enumerate(env.possible_agents):
-                observation, reward, terminated, truncated, info = (each[agent] for each in told)
+                observation, reward, terminated, truncated, info = (each[agent] for each in returned)
                 if reports[v][-1].end:
                     assert observation.tobytes() == reports[v][-1].observation.tobytes()
                     assert not reward.any()
@@ -291,13 +290,13 @@ def play_kept(drive: Drive) -> list[Episode]:
     return episodes
 
 
-def play_aec(drive: Drive) -> list[Episode]:
-    """The AEC API."""
-    env = mo_deepdrive.env(**drive.arguments)
+def replay_aec(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """The AEC interface."""
+    env = mo_deepdrive.env(**recording.arguments)
     episodes = []
-    for reset, actions in drive.resets():
+    for reset, actions in recording.resets():
         env.reset(**reset)
-        reports: Episode = tuple([] for _ in range(VEHICLES))
+        reports: EpisodeReports = tuple([] for _ in range(VEHICLES))
         for agent in env.agent_iter():
             v = env.possible_agents.index(agent)
             observation, reward, terminated, truncated, info = env.last()
@@ -307,24 +306,24 @@ def play_aec(drive: Drive) -> list[Episode]:
     return episodes
 
 
-def begin(env: Any, observations: dict[str, np.ndarray]) -> Episode:
-    """The reports after a reset of an API with named agents."""
+def first_reports(env: Any, observations: dict[str, np.ndarray]) -> EpisodeReports:
+    """The reports after a reset of an interface with named agents."""
     zeros = np.zeros(env.reward_dim, dtype=np.float32)
     return tuple([Report(observations[agent], zeros)] for agent in env.possible_agents)
 
 
-FACES: dict[str, Callable[[Drive], list[Episode]]] = {
-    "vector": play_vector,
-    "row of a batch": play_row,
-    "turn-based": play_turn_based,
-    "parallel": play_parallel,
-    "parallel that keeps finished vehicles": play_kept,
-    "AEC": play_aec,
+INTERFACES: dict[str, Callable[[RecordedEpisodes], list[EpisodeReports]]] = {
+    "vector": replay_vector,
+    "row of a batch": replay_row,
+    "turn-based": replay_turn_based,
+    "parallel": replay_parallel,
+    "parallel that keeps finished vehicles": replay_kept,
+    "AEC": replay_aec,
 }
 
 
-def assert_same(episodes: list[Episode], others: list[Episode]) -> None:
-    """Assert that both hold the same reports, with observations and rewards equal bit for bit."""
+def assert_same(episodes: list[EpisodeReports], others: list[EpisodeReports]) -> None:
+    """The reports are the same, observations and rewards bit for bit."""
     assert len(episodes) == len(others)
     for episode, other in zip(episodes, others, strict=True):
         for vehicle, (mine, theirs) in enumerate(zip(episode, other, strict=True)):

@@ -1,4 +1,4 @@
-"""Pictures: their form, what they show where, and that drawing never disturbs or is disturbed."""
+"""Rendering: the format of frames, what they show, and that drawing has no side effects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
-from mo_deepdrive.rendering import Episode, Viewer
+from mo_deepdrive.rendering import EpisodeTrace, Viewer
 from mo_deepdrive.scenarios import DRAWS, MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
@@ -26,11 +26,11 @@ INTERSECTION_ID = "mo-deepdrive-intersection-v0"
 MAP_PIXELS = 720
 SPEED_UP = 3
 BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (255, 36, 40)
-LABELS = ((84, 1030), (406, 1030))  # row and column in the frame, where it says why each of two vehicles ended
+LABELS = ((84, 1030), (406, 1030))  # row and column in the frame of the labels of how each of two vehicles ended
 
 
 def start(scenario: str) -> tuple[WorldBatch, Viewer]:
-    """A world at the start of an episode and a viewer for it."""
+    """A world at the start of an episode, and a viewer of it."""
     config = parse(EnvConfig, {"scenario": scenario, "harmful_g_force": None}, "settings")
     batch = WorldBatch(config, 1)
     batch.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.5))
@@ -53,13 +53,13 @@ def resembles(colour: NDArray[np.int64], expected: tuple[int, ...], tolerance: i
 
 
 def ahead_of(vehicle: Any, ahead: float, right: float = 0.0) -> tuple[float, float]:
-    """The point of the world that lies so many metres ahead and to the right of a vehicle's centre."""
+    """The point that is ``ahead`` m in front and ``right`` m to the right of a vehicle's centre."""
     cos, sin = np.cos(vehicle.heading), np.sin(vehicle.heading)
     return vehicle.x - sin * ahead + cos * right, vehicle.y + cos * ahead + sin * right
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_frame_is_a_fresh_writable_rgb_array_that_video_encoders_accept(scenario: str) -> None:
+def test_a_frame_is_a_new_writable_rgb_array_in_a_size_for_video_encoders(scenario: str) -> None:
     batch, viewer = start(scenario)
     first, second = viewer.draw(batch.state[0]), viewer.draw(batch.state[0])
     assert first.dtype == np.uint8
@@ -72,7 +72,7 @@ def test_a_frame_is_a_fresh_writable_rgb_array_that_video_encoders_accept(scenar
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_the_same_state_drawn_again_gives_the_same_picture(scenario: str) -> None:
+def test_the_same_state_gives_the_same_frame(scenario: str) -> None:
     batch, viewer = start(scenario)
     viewer.draw(batch.state[0])
     for _ in range(5):
@@ -82,7 +82,7 @@ def test_the_same_state_drawn_again_gives_the_same_picture(scenario: str) -> Non
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_drawing_leaves_the_state_alone(scenario: str) -> None:
+def test_drawing_does_not_change_the_state(scenario: str) -> None:
     batch, viewer = start(scenario)
     drive(batch, 3)
     before = batch.state.tobytes()
@@ -139,7 +139,7 @@ def test_a_car_whose_episode_has_ended_is_pale() -> None:
     assert resembles(colour_at(frame, *ahead_of(batch.state[0, 1], 1.8)), ORANGE)
 
 
-def test_each_of_two_cars_wears_its_number() -> None:
+def test_each_of_two_cars_shows_its_number() -> None:
     batch, viewer = start("intersection")
     darkest = {}
     for name, heading in (("ahead", 0.0), ("askew", 0.8)):
@@ -169,7 +169,7 @@ def test_waypoints_are_ticked_once_they_are_reached() -> None:
     assert resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
 
 
-def test_the_panel_says_in_colour_how_each_vehicle_ended() -> None:
+def test_the_panel_shows_in_colour_how_each_vehicle_ended() -> None:
     batch, viewer = start("intersection")
     colours = {}
     for end in (RUNNING, ARRIVED, COLLISION, TIME_LIMIT, OTHER_VEHICLE):
@@ -185,7 +185,7 @@ def test_the_panel_says_in_colour_how_each_vehicle_ended() -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_view_that_was_widened_returns_to_what_it_was(scenario: str) -> None:
+def test_a_widened_view_returns_to_its_former_size(scenario: str) -> None:
     batch, viewer = start(scenario)
     vehicle = batch.state[0, 0]
     before = viewer.draw(batch.state[0])
@@ -206,14 +206,14 @@ def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
     assert np.abs(colour_at(frame, *vehicle.obstacle.mean(axis=0)) - ground).max() > 30
 
 
-def test_a_car_beyond_the_map_stays_in_the_picture() -> None:
+def test_a_car_beyond_the_map_stays_in_the_frame() -> None:
     batch, viewer = start("one_waypoint")
     vehicle = batch.state[0, 0]
     inside = viewer.draw(batch.state[0])
     vehicle.x, vehicle.y = -80.0, 150.0
     outside = viewer.draw(batch.state[0])
     assert outside.shape == inside.shape
-    # Of the two blue things in view, the destination is close to the middle; the car is up and to the left.
+    # Two things in view are blue: the destination near the middle, and the car at the upper left.
     corner = outside[: MAP_PIXELS // 4, : MAP_PIXELS // 4].astype(np.int64)
     assert (np.abs(corner - BLUE).max(axis=2) < 70).any()
 
@@ -241,35 +241,35 @@ def test_the_trail_shows_where_the_car_has_been() -> None:
     assert colour_at(trailing, *behind)[0] < colour_at(without, *behind)[0] - 20
 
 
-def test_sums_add_every_decision_once_and_say_when_one_is_missing() -> None:
+def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
     batch, _ = start("intersection")
-    episode = Episode(2, 10)
-    expected = np.zeros_like(episode.sums)
-    episode.follow(batch.state[0])
+    trace = EpisodeTrace(2, 10)
+    expected = np.zeros_like(trace.sums)
+    trace.follow(batch.state[0])
     for _ in range(15):
         drive(batch)
         expected += batch.state[0]["objectives"]
-        episode.follow(batch.state[0])
-        episode.follow(batch.state[0])
-    assert episode.complete.all()
-    np.testing.assert_allclose(episode.sums, expected)
-    assert [len(trail) for trail in episode.trails] == [10, 10]
+        trace.follow(batch.state[0])
+        trace.follow(batch.state[0])
+    assert trace.complete.all()
+    np.testing.assert_allclose(trace.sums, expected)
+    assert [len(trail) for trail in trace.trails] == [10, 10]
     drive(batch, 2)
-    episode.follow(batch.state[0])
-    assert not episode.complete.any()
+    trace.follow(batch.state[0])
+    assert not trace.complete.any()
 
 
-def test_a_new_episode_is_noticed_even_if_it_is_first_shown_later_than_the_last_one() -> None:
+def test_a_new_episode_is_noticed_even_if_its_first_decisions_are_not_shown() -> None:
     batch, _ = start("one_waypoint")
-    episode = Episode(1, 10)
+    trace = EpisodeTrace(1, 10)
     for _ in range(5):
         drive(batch)
-        episode.follow(batch.state[0])
+        trace.follow(batch.state[0])
     batch.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.9))
     drive(batch, 8)
-    episode.follow(batch.state[0])
-    assert not episode.complete.any()
-    assert len(episode.trails[0]) == 1
+    trace.follow(batch.state[0])
+    assert not trace.complete.any()
+    assert len(trace.trails[0]) == 1
 
 
 @pytest.mark.parametrize("mode", ["ansi", "", None])
@@ -278,7 +278,7 @@ def test_an_unknown_render_mode_is_an_error_that_names_the_allowed_ones(mode: An
         Viewer(EnvConfig(scenario="one_waypoint"), mode)
 
 
-def test_rgb_array_needs_no_display_and_survives_others_shutting_pygame_down(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rgb_array_needs_no_display_and_works_after_pygame_quits(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("rgb_array must not touch the display")
 
@@ -331,7 +331,7 @@ def test_record_video_writes_a_video(tmp_path: Path) -> None:
 
 @pytest.fixture
 def human_env(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """An environment with a window on a display that does not exist, at a rate that does not slow the test."""
+    """An environment with an invisible window, at a frequency that does not slow down the test."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.quit()
     env = gymnasium.make(SINGLE_IDS[0], render_mode="human", decision_frequency=60, disable_env_checker=True)
@@ -352,7 +352,7 @@ def test_human_mode_shows_every_step_in_a_window(human_env: Any) -> None:
     assert not pygame.display.get_init()
 
 
-def test_closing_the_window_ends_the_showing_but_not_the_episode(human_env: Any) -> None:
+def test_an_episode_continues_after_its_window_is_closed(human_env: Any) -> None:
     human_env.reset(seed=1)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     human_env.step(SPEED_UP)
@@ -361,14 +361,14 @@ def test_closing_the_window_ends_the_showing_but_not_the_episode(human_env: Any)
     assert not pygame.display.get_init()
 
 
-def test_human_mode_reopens_its_window_when_others_shut_pygame_down(human_env: Any) -> None:
+def test_human_mode_reopens_its_window_after_pygame_quits(human_env: Any) -> None:
     human_env.reset(seed=1)
     pygame.quit()
     human_env.step(SPEED_UP)
     assert pygame.display.get_surface() is not None
 
 
-def test_importing_the_module_prints_nothing_and_leaves_the_process_environment_alone(
+def test_importing_the_module_prints_nothing_and_does_not_change_environment_variables(
     run_python: Callable[[str], str],
 ) -> None:
     lines = "import os", "before = {**os.environ}", "import mo_deepdrive.rendering", "assert before == {**os.environ}"

@@ -15,7 +15,7 @@ from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.state import ENDS
 
-# Section 1 and 4 of the specification, written out anew.
+# Sections 1 and 4 of the specification, independently.
 SCALE = 405 / 5.17652 / 4  # pixels per metre
 C = (900 / 2 + 50) / SCALE
 LANE = 3.048
@@ -39,12 +39,12 @@ def map_point(p: Any) -> np.ndarray:
 
 
 def generator(seed: int) -> np.random.Generator:
-    """What Gymnasium seeds an environment with."""
+    """The generator with which Gymnasium seeds an environment."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
 
 
 def named(env: Any, observation: np.ndarray) -> dict[str, float]:
-    """An observation by the names of its entries."""
+    """An observation as a dict by entry."""
     names = [entry.name for entry in layout(SCENARIOS[env.config.scenario])]
     return dict(zip(names, (float(value) for value in observation), strict=True))
 
@@ -61,7 +61,7 @@ def corners(x: float, y: float, heading: float) -> np.ndarray:
 
 
 def angle_to(x: float, y: float, heading: float, point: Any) -> float:
-    """From the heading to the point seen from the front, positive to the right."""
+    """Angle at the front from the heading to the point, positive to the right."""
     dx, dy = np.asarray(point) - front(x, y, heading)
     turn = (heading + math.pi / 2) - math.atan2(dy, dx)
     return math.atan2(math.sin(turn), math.cos(turn))
@@ -72,13 +72,13 @@ def distance_to(x: float, y: float, heading: float, point: Any) -> float:
 
 
 def set_vehicle(env: Any, vehicle: int = 0, **fields: Any) -> None:
-    """Change the saved state of a vector environment's first world."""
+    """Change the state of the first world of a vector environment."""
     saved = env.get_state()
     car = saved["state"].view(env.batch.state.dtype)[0, vehicle]
     for name, value in fields.items():
         car[name] = value
     if "heading" in fields:
-        # It has come straight.
+        # It drove straight.
         car.cos_heading = car.cos_before = math.cos(car.heading)
         car.sin_heading = car.sin_before = math.sin(car.heading)
     env.set_state(saved)
@@ -115,8 +115,8 @@ def test_the_bicycle_follows_its_three_draws(make_single: Any) -> None:
         car = env.batch.state[0, 0]
         goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
         if not np.allclose(car.waypoints[0], goal):
-            continue  # drawn again, see test_departures
-        # In map coordinates, as the specification has it.
+            continue  # drawn again, see test_departures.py
+        # In map coordinates, as in the specification.
         route = np.array([0.1 + 0.5 * u[0], (2 * u[1] - 1) * 0.5])
         size = np.hypot(*route)
         middle = np.array([0.1, 0.5]) + (0.6 * u[2] * size + 0.1) * route / size
@@ -126,7 +126,7 @@ def test_the_bicycle_follows_its_three_draws(make_single: Any) -> None:
     assert compared > 80
 
 
-def test_the_vehicles_of_the_intersection_start_where_their_draws_say(make_vector: Any) -> None:
+def test_the_starts_at_the_intersection_follow_their_draws(make_vector: Any) -> None:
     env = make_vector("intersection")
     for seed in range(100):
         u = generator(seed).random(5)
@@ -140,7 +140,7 @@ def test_the_vehicles_of_the_intersection_start_where_their_draws_say(make_vecto
 
 
 @pytest.mark.parametrize("scenario", OPEN)
-def test_spawns_fill_their_bounds_and_stay_within_them(make_vector: Any, scenario: str) -> None:
+def test_scenarios_fill_their_bounds_and_stay_within_them(make_vector: Any, scenario: str) -> None:
     env = make_vector(scenario, 4000)
     env.reset(seed=0)
     state = env.batch.state[:, 0]
@@ -199,7 +199,7 @@ def test_a_fixed_bicycle_is_the_same_in_every_episode(make_single: Any) -> None:
     np.testing.assert_allclose(car.obstacle, map_point([middle + side, middle - side]), **EXACT)
 
 
-def test_a_fixed_bicycle_stands_across_the_straight_way_half_way_to_the_fixed_destination(make_single: Any) -> None:
+def test_a_fixed_bicycle_is_across_the_line_to_the_fixed_destination_half_way(make_single: Any) -> None:
     env = make_single("static_obstacle", fixed_destination=True, fixed_obstacle=True)
     env.reset(seed=0)
     car = env.batch.state[0, 0]
@@ -210,7 +210,7 @@ def test_a_fixed_bicycle_stands_across_the_straight_way_half_way_to_the_fixed_de
     assert abs((first - second)[0]) < 0.05 * abs((first - second)[1])
 
 
-def test_a_fixed_bicycle_leaves_the_destination_to_be_drawn_as_ever(make_single: Any) -> None:
+def test_a_fixed_bicycle_does_not_change_the_draw_of_the_destination(make_single: Any) -> None:
     env, free = (make_single("static_obstacle", fixed_obstacle=fixed) for fixed in (True, False))
     compared = 0
     for seed in range(20):
@@ -220,7 +220,7 @@ def test_a_fixed_bicycle_leaves_the_destination_to_be_drawn_as_ever(make_single:
         u = generator(seed).random(5)
         goal = map_point([0.1 + 0.5 * u[0] + 0.1, 0.5 + (2 * u[1] - 1) * 0.5])
         if not np.allclose(other.waypoints[0], goal):
-            continue  # drawn again, see test_departures
+            continue  # drawn again, see test_departures.py
         np.testing.assert_array_equal(bicycle.waypoints, other.waypoints)
         assert np.hypot(*(bicycle.obstacle[0] - bicycle.obstacle[1])) == pytest.approx(0.075 * 900 / SCALE)
         compared += 1
@@ -228,8 +228,8 @@ def test_a_fixed_bicycle_leaves_the_destination_to_be_drawn_as_ever(make_single:
 
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "intersection"])
-def test_a_fixed_bicycle_is_refused_where_there_is_none(make_vector: Any, scenario: str) -> None:
-    with pytest.raises(ValueError, match="fixed_obstacle = True has no meaning in"):
+def test_a_fixed_bicycle_is_refused_in_scenarios_without_a_bicycle(make_vector: Any, scenario: str) -> None:
+    with pytest.raises(ValueError, match="fixed_obstacle = True has no effect in"):
         make_vector(scenario, fixed_obstacle=True)
 
 
@@ -239,7 +239,7 @@ def test_driving_straight_to_the_fixed_destination_hits_the_fixed_bicycle(world:
     assert run(env, lambda _, observation: chase(observation))[0] == ("collision",)
 
 
-def test_pins_win_over_draws_and_the_rest_is_drawn_as_ever(make_single: Any) -> None:
+def test_reset_options_replace_draws_and_the_rest_is_drawn_as_before(make_single: Any) -> None:
     env = make_single("static_obstacle")
     free = make_single("static_obstacle")
     free.reset(seed=5)
@@ -257,12 +257,12 @@ def test_pins_win_over_draws_and_the_rest_is_drawn_as_ever(make_single: Any) -> 
     reading = env.telemetry()[0]
     assert (reading["x"], reading["y"], reading["heading"]) == (-3.0, 2.0, 0.5)
     np.testing.assert_allclose(named(env, observation)["next_distance"], distance_to(-3.0, 2.0, 0.5, (4, 41)), **SINGLE)
-    # A pin holds for one episode.
+    # A reset option holds for one episode.
     env.reset(seed=5)
     assert env.batch.state[0, 0].tobytes() == drawn.tobytes()
 
 
-def test_pins_of_both_starts_hold_in_every_world_of_the_intersection(make_vector: Any) -> None:
+def test_reset_options_hold_in_every_world_of_the_intersection(make_vector: Any) -> None:
     env = make_vector("intersection", 3)
     starts = ((27.0, 9.0, 0.1), (24.0, 41.0, 3.0))
     env.reset(seed=0, options={"starts": starts})
@@ -274,7 +274,7 @@ def test_pins_of_both_starts_hold_in_every_world_of_the_intersection(make_vector
 
 
 def run(env: Any, policy: Any, most: int = 700) -> tuple[tuple[str, ...], np.ndarray, int]:
-    """Step a vector environment with one world (not resetting by itself) until it is over: ends, return, decisions."""
+    """Step a vector environment with one world until the episode is over: ends, return, decisions."""
     observations = env.batch.observations.copy()
     total = 0.0
     for decision in range(1, most):
@@ -294,7 +294,7 @@ def control(steer: float = 0.0, accelerate: float = 0.0, brake: float = -1.0) ->
 
 @pytest.fixture
 def world(make_vector: Any) -> Any:
-    """Make a vector environment with one world, continuous actions and no resets of its own."""
+    """Make a vector environment with one world and continuous actions, without autoreset."""
 
     def make(scenario: str = "one_waypoint", **options: Any) -> Any:
         return make_vector(scenario, 1, **{"action_type": "continuous", "autoreset_mode": "Disabled", **options})
@@ -321,7 +321,7 @@ def test_driving_into_the_bicycle_collides(world: Any, chase: Any) -> None:
         assert rewards_by_name(env, total)["destination"] == 0.0
 
 
-def test_a_harmful_g_force_ends_the_episode_and_none_switches_that_off(world: Any) -> None:
+def test_a_harmful_g_force_ends_the_episode_unless_the_limit_is_none(world: Any) -> None:
     hard = control(1.0, 1.0)
     env = world()
     env.reset(seed=0)
@@ -335,7 +335,7 @@ def test_a_harmful_g_force_ends_the_episode_and_none_switches_that_off(world: An
     assert run(never, lambda *_: hard)[0] != ("harmful_g_force",)
 
 
-def test_a_harmful_jerk_ends_the_episode_where_it_is_limited(world: Any) -> None:
+def test_a_harmful_jerk_ends_the_episode_if_it_is_limited(world: Any) -> None:
     jerky = control(0.0, 1.0)
     free = world()
     free.reset(seed=0)
@@ -346,7 +346,7 @@ def test_a_harmful_jerk_ends_the_episode_where_it_is_limited(world: Any) -> None
     assert run(free, lambda *_: jerky)[0] != ("harmful_jerk",)
 
 
-def test_leaving_the_lane_ends_the_episode_where_it_is_asked_for(world: Any) -> None:
+def test_leaving_the_lane_ends_the_episode_if_requested(world: Any) -> None:
     def veer(v: int, observation: np.ndarray) -> np.ndarray:
         return control(0.05, 0.5) if v == 0 else control()
 
@@ -367,8 +367,8 @@ def test_leaving_the_lane_ends_the_episode_where_it_is_asked_for(world: Any) -> 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_turning_by_more_than_400_degrees_is_circling(world: Any, side: float) -> None:
-    """A car turns its front away from the destination by its own length, which is backwards, unless it drives forward
-    while it looks at the destination and reverses while it looks away: so it turns and comes nearer."""
+    """Turning the front away from the destination by a car's length would be backwards. So the car drives forward while
+    it faces the destination and reverses while it faces away: it turns and gets closer."""
     env = world(harmful_g_force=None)
     env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (200.0, 0.0)})
 
@@ -387,9 +387,9 @@ def test_turning_by_more_than_400_degrees_is_circling(world: Any, side: float) -
     assert rewards_by_name(env, total)["destination"] == 0.0
 
 
-def test_passing_a_waypoint_by_is_skipping_it(world: Any) -> None:
+def test_driving_past_a_waypoint_skips_it(world: Any) -> None:
     env = world("intersection")
-    # It turns left before its first waypoint, and comes nearer to the second.
+    # It turns left before its first waypoint and gets closer to the second one.
     env.reset(options={"starts": ((26.2, 21.0, math.radians(30)), (C - 1.524, 47.0, math.pi))})
     nearest = []
     while env.batch.end_names(0)[0] == "":
@@ -412,11 +412,11 @@ def test_falling_two_metres_behind_is_backwards(world: Any) -> None:
         env.step(control(0.0, 0.5 if len(distances) < 15 else -0.5)[None])
         distances.append(env.telemetry()[0][0]["route_distance"])
     assert env.batch.end_names(0) == ("backwards",)
-    assert max(distances) > HALF_LENGTH + 1.0, "it was further than at its start"
+    assert max(distances) > HALF_LENGTH + 1.0, "it was farther away than at its start"
     assert distances[-1] < max(distances) - 2.0 <= distances[-2]
 
 
-def test_a_vehicle_that_looks_away_falls_behind_from_a_furthest_of_zero(world: Any) -> None:
+def test_a_vehicle_that_faces_away_falls_behind_from_a_furthest_of_zero(world: Any) -> None:
     env = world()
     env.reset(options={"start": (0.0, 0.0, math.pi), "destination": (0.0, 50.0)})
     assert env.telemetry()[0][0]["route_distance"] == pytest.approx(-HALF_LENGTH)
@@ -433,7 +433,7 @@ def test_the_time_limit_counts_seconds(world: Any, time_limit: float, frequency:
     assert run(env, lambda *_: control())[0::2] == (("time_limit",), decisions)
 
 
-def test_where_the_episode_is_shared_the_other_vehicle_ends_it(world: Any) -> None:
+def test_with_end_together_the_other_vehicle_ends_the_episode(world: Any) -> None:
     env = world("intersection", end_together=True)
     env.reset(seed=0)
     assert run(env, lambda v, _: control(0.0, -0.5 if v == 0 else 0.0))[0] == ("backwards", "other_vehicle")
@@ -441,8 +441,8 @@ def test_where_the_episode_is_shared_the_other_vehicle_ends_it(world: Any) -> No
     assert run(env, lambda v, _: control(0.0, -0.5 if v == 1 else 0.0))[0] == ("other_vehicle", "backwards")
 
 
-def test_the_end_that_is_listed_first_is_the_one_that_counts(world: Any) -> None:
-    # One decision that collides, arrives, exceeds g-force and jerk and is the last there is time for.
+def test_of_simultaneous_ends_the_first_in_the_list_counts(world: Any) -> None:
+    # One decision that collides, arrives, exceeds g-force and jerk and is the last one before the time limit.
     bicycle = ((8.7, -1.0), (8.7, 1.0))
     pins = {"start": (0.0, 0.0, -math.pi / 2), "destination": (10.0, 0.0), "obstacle": bicycle}
     common: dict[str, Any] = {"time_limit": 0.1, "harmful_jerk": 1.0, "harmful_g_force": 0.01}
@@ -463,7 +463,7 @@ def test_the_end_that_is_listed_first_is_the_one_that_counts(world: Any) -> None
     name, total = end("one_waypoint", **quiet)
     assert name == "arrived"
     assert total[1] == 1.0
-    # Only an arrival pays for one.
+    # Only an arrival earns the destination reward.
     assert end("one_waypoint")[1][1] == 0.0
 
 
@@ -476,7 +476,7 @@ def distance_return(env: Any, seed: int, policy: Any) -> float:
 
 
 @pytest.mark.parametrize("scenario", OPEN)
-def test_spinning_reversing_and_parking_do_not_pay(world: Any, chase: Any, scenario: str) -> None:
+def test_spinning_reversing_and_parking_earn_nothing(world: Any, chase: Any, scenario: str) -> None:
     env = world(scenario)
     spins = (control(1.0, 0.1), control(-1.0, 0.1), control(1.0, -0.1), control(0.3, 0.2), control(-1.0, 0.03))
     for seed in range(15):
@@ -496,7 +496,7 @@ def test_turning_round_and_round_gains_nothing(world: Any) -> None:
     set_vehicle(env, speed=1.0, previous_speed=1.0, vy=1.0)
     gained = []
     for _ in range(300):
-        # Neither circling nor falling behind ends it.
+        # Neither circling nor falling behind ends the episode.
         set_vehicle(env, furthest=-1e6, start_heading=env.telemetry()[0][0]["heading"])
         seen = env.batch.observations[0, 0]
         _, rewards, terminated, _, _ = env.step(control(1.0, 1.0 - named(env, seen)["speed"])[None])
@@ -508,7 +508,7 @@ def test_turning_round_and_round_gains_nothing(world: Any) -> None:
 
 
 @pytest.mark.parametrize("policy", ["reverse", "park", "spin"])
-def test_at_the_intersection_reversing_parking_and_spinning_do_not_pay_either_vehicle(world: Any, policy: str) -> None:
+def test_at_the_intersection_reversing_parking_and_spinning_earn_nothing(world: Any, policy: str) -> None:
     action = {"reverse": control(0.0, -0.3), "park": control(0.0, 0.0, 1.0), "spin": control(1.0, 0.1)}[policy]
     env = world("intersection")
     for seed in range(15):
@@ -521,9 +521,7 @@ def test_at_the_intersection_reversing_parking_and_spinning_do_not_pay_either_ve
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**31), wobble=st.floats(0, 1))
-def test_distance_pays_exactly_for_the_route_gained_whatever_way_it_was_driven(
-    make_single: Any, seed: int, wobble: float
-) -> None:
+def test_the_distance_return_is_the_gained_route_whatever_the_path(make_single: Any, seed: int, wobble: float) -> None:
     env = make_single(action_type="continuous", harmful_g_force=None)
     env.reset(seed=seed)
     before = env.telemetry()[0]["route_distance"]
@@ -581,7 +579,7 @@ def test_lane_distances_and_flags_are_those_of_the_corners(make_vector: Any) -> 
 
 
 @pytest.mark.parametrize("scenario", OPEN)
-def test_where_there_are_no_lanes_the_lane_distances_are_half_a_lane(make_single: Any, scenario: str) -> None:
+def test_without_lanes_the_lane_distances_are_half_a_lane(make_single: Any, scenario: str) -> None:
     env = make_single(scenario)
     env.reset(seed=0)
     for _ in range(5):
@@ -592,7 +590,7 @@ def test_where_there_are_no_lanes_the_lane_distances_are_half_a_lane(make_single
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.5, 2.0])
-def test_lane_violation_is_the_metres_within_the_margin_of_both_lines(make_vector: Any, margin: float) -> None:
+def test_lane_violation_is_the_distance_within_the_margin_of_both_lines(make_vector: Any, margin: float) -> None:
     env = make_vector("intersection", 16, action_type="continuous", lane_margin=margin, cost_sign="paper")
     env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -615,7 +613,7 @@ def test_lane_violation_is_the_metres_within_the_margin_of_both_lines(make_vecto
 
 
 def enter_the_crossing(env: Any, starts: Any) -> None:
-    """The left turn heads for its second waypoint at 2 m/s."""
+    """The left turn drives to its second waypoint at 2 m/s."""
     env.reset(options={"starts": starts})
     set_vehicle(env, 0, next_waypoint=1)
     env.step(np.stack([control(), control()])[None])
@@ -623,7 +621,7 @@ def enter_the_crossing(env: Any, starts: Any) -> None:
     set_vehicle(env, 0, speed=2.0, vx=-2.0 * math.sin(heading), vy=2.0 * math.cos(heading))
 
 
-def test_the_left_turn_loses_by_progress_while_the_other_approaches(world: Any) -> None:
+def test_progress_of_the_left_turn_is_negative_while_the_other_approaches(world: Any) -> None:
     starts = ((25.5, 24.0, math.radians(45)), (C - 1.524, 45.0, math.pi))
     gains = {}
     for rule in (True, False):
@@ -636,7 +634,7 @@ def test_the_left_turn_loses_by_progress_while_the_other_approaches(world: Any) 
     assert gains[False][0] > 0.05
     assert gains[True][0] == -gains[False][0]
     assert gains[True][1] == gains[False][1]
-    # Once the other has left the road, or has entered the crossing, progress is progress.
+    # Once the other has left the road or entered the crossing, progress is positive.
     env = world("intersection")
     enter_the_crossing(env, starts)
     set_vehicle(env, 1, end=ENDS.index("backwards"))
@@ -689,7 +687,7 @@ HELD = [
 
 
 @pytest.mark.parametrize(("action_type", "steers"), [("discrete", STEERS_22), ("discrete-16", STEERS_16)])
-def test_every_discrete_action_sets_the_controls_that_the_specification_says(
+def test_every_discrete_action_sets_the_controls_of_the_specification(
     world: Any, action_type: str, steers: tuple[Any, ...]
 ) -> None:
     count = 1 + 3 * len(steers)
@@ -763,7 +761,7 @@ def test_continuous_actions_are_scaled_and_clipped(world: Any) -> None:
 
 
 def expected_observation(env: Any, world: int, v: int) -> list[float]:
-    """What section 7 says a vehicle observes, from telemetry and the scenario."""
+    """The observation by section 7, from telemetry and the scenario."""
     car = env.telemetry()[world][v]
     pose = (car["x"], car["y"], car["heading"])
     state = env.batch.state[world, v]
@@ -790,7 +788,7 @@ def expected_observation(env: Any, world: int, v: int) -> list[float]:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_an_observation_is_what_the_specification_lists(make_vector: Any, chase: Any, scenario: str) -> None:
+def test_an_observation_is_that_of_the_specification(make_vector: Any, chase: Any, scenario: str) -> None:
     env = make_vector(scenario, 6, action_type="continuous")
     observations, _ = env.reset(seed=0)
     rng = np.random.default_rng(0)
@@ -811,7 +809,7 @@ def test_an_observation_is_what_the_specification_lists(make_vector: Any, chase:
     assert compared > 300
 
 
-def test_a_vehicle_that_has_left_the_road_is_seen_far_away_and_at_rest(world: Any) -> None:
+def test_a_vehicle_that_has_left_the_road_is_observed_far_away_and_at_rest(world: Any) -> None:
     env = world("intersection")
     env.reset(seed=0)
     while env.batch.end_names(0) != ("", "backwards"):

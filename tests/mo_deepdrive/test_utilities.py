@@ -1,5 +1,4 @@
-"""Utilities against the literal formulas of the paper (appendix D) in plain Python, and the standard ones against their
-definitions."""
+"""Utilities against the paper's formulas (appendix D) in plain Python, and standard ones against their definitions."""
 
 from __future__ import annotations
 
@@ -67,7 +66,7 @@ PAPER: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "intersection_nonlinear": (INTERSECTION, intersection_nonlinear),
 }
 
-# Worked out by hand: utility, magnitudes in the order of its objectives above, value.
+# Computed by hand: utility, magnitudes in the order of its objectives above, value.
 BY_HAND = [
     ("one_waypoint_linear", (10.0, 1.0, 5.0, 500.0), 5.8335),
     ("one_waypoint_linear", (-2.0, 0.0, 0.0, 0.0), -1.0),
@@ -95,7 +94,7 @@ RANGES = {
 
 
 def oriented(magnitudes: dict[str, float], objectives: tuple[str, ...], cost_sign: str) -> np.ndarray:
-    """The return (d,) that an environment emits for these magnitudes."""
+    """The return (d,) that an environment gives for these magnitudes."""
     flip = cost_sign == "maximise"
     return np.array([-magnitudes[name] if flip and name in COSTS else magnitudes[name] for name in objectives])
 
@@ -115,7 +114,7 @@ def literal(name: str, magnitudes: dict[str, float]) -> float:
 
 @pytest.mark.parametrize(("name", "magnitudes", "value"), BY_HAND)
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
-def test_a_paper_utility_gives_the_value_worked_out_by_hand(
+def test_a_paper_utility_has_the_value_computed_by_hand(
     name: str, magnitudes: tuple[float, ...], value: float, cost_sign: str
 ) -> None:
     objectives = PAPER[name][0]
@@ -143,7 +142,7 @@ def test_a_paper_utility_equals_its_literal_formula_in_any_order_and_sign(name: 
 
 
 def every_utility() -> list[Utility]:
-    """One of every kind, of three objectives where it can be chosen."""
+    """One of each utility, with three objectives if they can be chosen."""
     names = ("a", "b", "c")
     return [
         *(make_utility(name, PAPER[name][0]) for name in PAPER),
@@ -158,7 +157,7 @@ ALL = pytest.mark.parametrize("utility", every_utility(), ids=lambda utility: ut
 
 @ALL
 @pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 3), (2, 1, 4), (0,), (2, 0)])
-def test_batches_of_any_leading_shape_are_valued_row_by_row(utility: Utility, shape: tuple[int, ...]) -> None:
+def test_batches_of_any_leading_shape_are_evaluated_row_by_row(utility: Utility, shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(0)
     returns = rng.normal(0.0, 3.0, (*shape, len(utility.objectives)))
     returns[..., 0] = np.where(rng.random(shape) < 0.2, 0.0, returns[..., 0])
@@ -172,7 +171,7 @@ def test_batches_of_any_leading_shape_are_valued_row_by_row(utility: Utility, sh
 
 
 @ALL
-def test_valuing_does_not_change_the_returns(utility: Utility) -> None:
+def test_evaluation_does_not_change_the_returns(utility: Utility) -> None:
     returns = np.random.default_rng(1).normal(size=(5, len(utility.objectives)))
     tensor = torch.tensor(returns)
     before = returns.copy()
@@ -183,7 +182,7 @@ def test_valuing_does_not_change_the_returns(utility: Utility) -> None:
 
 
 @ALL
-def test_whole_number_returns_are_valued_like_the_same_real_numbers(utility: Utility) -> None:
+def test_integer_returns_have_the_utility_of_the_same_floats(utility: Utility) -> None:
     whole = np.arange(len(utility.objectives), dtype=np.int64) * 3 - 4
     expected = float(utility(whole.astype(np.float64)))
     assert float(utility(whole)) == pytest.approx(expected, rel=1e-6)
@@ -204,7 +203,7 @@ def central_differences(utility: Utility, point: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", PAPER)
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
 @given(data=st.data())
-def test_gradients_of_a_paper_utility_equal_finite_differences_away_from_its_breaks(
+def test_gradients_of_a_paper_utility_equal_finite_differences_where_it_is_smooth(
     name: str, cost_sign: str, data: st.DataObject
 ) -> None:
     magnitudes, order, _ = data.draw(situations(name))
@@ -218,7 +217,7 @@ def test_gradients_of_a_paper_utility_equal_finite_differences_away_from_its_bre
 
 @pytest.mark.parametrize("name", ["linear", "augmented_chebyshev", "generalised_gini"])
 @given(point=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3))
-def test_gradients_of_a_standard_utility_equal_finite_differences_away_from_its_breaks(
+def test_gradients_of_a_standard_utility_equal_finite_differences_where_it_is_smooth(
     name: str, point: list[float]
 ) -> None:
     (utility,) = (u for u in every_utility() if u.name == name)
@@ -232,7 +231,7 @@ def test_gradients_of_a_standard_utility_equal_finite_differences_away_from_its_
 
 
 @pytest.mark.parametrize("name", PAPER)
-def test_gradients_are_finite_where_a_utility_breaks(name: str) -> None:
+def test_gradients_are_finite_where_a_utility_is_not_smooth(name: str) -> None:
     objectives = PAPER[name][0]
     for d in (0.0, 2.0):
         point = torch.zeros(len(objectives), dtype=torch.float64)
@@ -245,7 +244,7 @@ def test_gradients_are_finite_where_a_utility_breaks(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in PAPER if name.endswith("_linear")])
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
 @given(data=st.data())
-def test_the_weights_of_a_linear_paper_utility_are_what_it_multiplies_returns_with(
+def test_the_weights_of_a_linear_paper_utility_are_its_factors_of_returns(
     name: str, cost_sign: str, data: st.DataObject
 ) -> None:
     magnitudes, order, _ = data.draw(situations(name))
@@ -256,14 +255,14 @@ def test_the_weights_of_a_linear_paper_utility_are_what_it_multiplies_returns_wi
     assert float(np.dot(utility.weights, returns)) == pytest.approx(literal(name, magnitudes), abs=1e-9)
 
 
-def test_under_maximised_costs_no_weight_of_a_linear_paper_utility_is_negative() -> None:
+def test_weights_of_linear_paper_utilities_are_not_negative_for_maximised_rewards() -> None:
     for name in (name for name in PAPER if name.endswith("_linear")):
         weights = make_utility(name, PAPER[name][0]).weights
         assert weights is not None
         assert min(weights) > 0.0
 
 
-def test_linear_weighs_and_adds() -> None:
+def test_linear_is_the_weighted_sum() -> None:
     utility = make_utility("linear", ("a", "b"), weights=[2.0, -0.5])
     assert utility.weights == (2.0, -0.5)
     assert utility.name == "linear"
@@ -290,7 +289,7 @@ def test_augmented_chebyshev_is_the_largest_weighted_gap_plus_a_little_of_all() 
     gain=st.floats(0.01, 10.0),
     rho=st.floats(0.001, 1.0),
 )
-def test_augmented_chebyshev_equals_its_definition_and_rises_with_every_objective(
+def test_augmented_chebyshev_equals_its_definition_and_increases_in_every_objective(
     returns: list[float], i: int, gain: float, rho: float
 ) -> None:
     weights, ideal = [0.2, 0.3, 0.5], [100.0, 50.0, 0.0]
@@ -315,7 +314,7 @@ VECTORS = st.lists(st.floats(-100.0, 100.0), min_size=4, max_size=4)
 
 
 @given(returns=VECTORS)
-def test_generalised_gini_weighs_the_worst_objective_most(returns: list[float]) -> None:
+def test_generalised_gini_weights_the_worst_objective_most(returns: list[float]) -> None:
     expected = sum(w * x for w, x in zip(GINI, sorted(returns), strict=True))
     assert gini(returns) == pytest.approx(expected, abs=1e-9)
     utility = make_utility("generalised_gini", "abcd", weights=GINI)
@@ -323,12 +322,12 @@ def test_generalised_gini_weighs_the_worst_objective_most(returns: list[float]) 
 
 
 @given(returns=VECTORS, order=st.permutations(range(4)))
-def test_generalised_gini_does_not_care_which_objective_is_which(returns: list[float], order: list[int]) -> None:
+def test_generalised_gini_is_symmetric_in_the_objectives(returns: list[float], order: list[int]) -> None:
     assert gini([returns[i] for i in order]) == pytest.approx(gini(returns), abs=1e-9)
 
 
 @given(returns=VECTORS, pair=st.sampled_from(list(itertools.combinations(range(4), 2))), share=st.floats(0.05, 0.95))
-def test_generalised_gini_rises_when_the_richer_objective_gives_to_the_poorer(
+def test_generalised_gini_increases_with_a_transfer_to_the_worse_objective(
     returns: list[float], pair: tuple[int, int], share: float
 ) -> None:
     poor, rich = sorted(pair, key=lambda i: returns[i])
@@ -372,7 +371,7 @@ number = 3
 
 @pytest.fixture
 def own_module(tmp_path, monkeypatch) -> str:
-    """A user's package with utilities, importable for one test; its dotted name."""
+    """A package with custom utilities, importable in one test; its name."""
     package = tmp_path / "users_package_of_utilities"
     package.mkdir()
     (package / "__init__.py").write_text("")
@@ -382,7 +381,7 @@ def own_module(tmp_path, monkeypatch) -> str:
     return "users_package_of_utilities.mine"
 
 
-def test_a_users_own_function_is_named_by_its_dotted_path(own_module: str) -> None:
+def test_a_custom_function_is_given_by_its_path(own_module: str) -> None:
     utility = make_utility(f"{own_module}:product", ("a", "b"))
     assert utility.name == f"{own_module}:product"
     assert utility.objectives == ("a", "b")
@@ -394,17 +393,17 @@ def test_a_users_own_function_is_named_by_its_dotted_path(own_module: str) -> No
     assert gradient.tolist() == [3.0, 2.0]
 
 
-def test_a_users_own_function_gets_its_arguments(own_module: str) -> None:
+def test_a_custom_function_receives_its_arguments(own_module: str) -> None:
     utility = make_utility(f"{own_module}:power", ("a",), exponent=2.0, shift=1.0)
     assert float(utility(np.array([2.0]))) == 9.0
     assert float(make_utility(f"{own_module}:power", ("a",))(np.array([2.0]))) == 2.0
 
 
-def test_a_users_own_utility_may_be_any_callable(own_module: str) -> None:
+def test_a_custom_utility_may_be_any_callable(own_module: str) -> None:
     assert float(make_utility(f"{own_module}:smallest", ("a", "b"))(np.array([2.0, -3.0]))) == -3.0
 
 
-def test_a_users_own_utility_is_held_to_the_number_of_objectives(own_module: str) -> None:
+def test_the_number_of_objectives_of_a_custom_utility_is_checked(own_module: str) -> None:
     with pytest.raises(ValueError, match=r"2 objectives.*3"):
         make_utility(f"{own_module}:product", ("a", "b"))(np.zeros(3))
 
@@ -422,7 +421,7 @@ def test_a_users_own_utility_is_held_to_the_number_of_objectives(own_module: str
         (".mine:product", "mine"),
     ],
 )
-def test_a_dotted_path_that_leads_to_no_callable_is_refused(own_module: str, path: str, message: str) -> None:
+def test_a_path_without_a_callable_is_refused(own_module: str, path: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_utility(path, ("a", "b"))
 
@@ -452,7 +451,7 @@ def test_an_unknown_name_is_refused_with_all_known_ones() -> None:
 def test_missing_and_extra_and_repeated_objectives_are_refused(name: str) -> None:
     objectives = PAPER[name][0]
     for wrong in (objectives[1:], (*objectives, "comfort"), (*objectives, objectives[0]), ()):
-        with pytest.raises(ValueError, match=r"is defined on .*the environment emits"):
+        with pytest.raises(ValueError, match=r"is defined for .*the environment has"):
             make_utility(name, wrong)
 
 
@@ -511,14 +510,14 @@ def test_a_standard_utility_without_weights_or_with_an_unknown_argument_is_refus
 
 
 @pytest.mark.parametrize("rho", [-0.1, math.nan, math.inf, "0.05", None])
-def test_an_unfit_rho_is_refused(rho: object) -> None:
+def test_an_invalid_rho_is_refused(rho: object) -> None:
     with pytest.raises(ValueError, match="rho"):
         make_utility("augmented_chebyshev", ("a", "b"), weights=[0.5, 0.5], ideal=[0.0, 0.0], rho=rho)
 
 
 @pytest.mark.parametrize("weights", [[0.4, 0.6], [0.5, 0.3, 0.4], [0.5, -0.1]])
 def test_increasing_or_negative_gini_weights_are_refused(weights: list[float]) -> None:
-    with pytest.raises(ValueError, match="must not increase"):
+    with pytest.raises(ValueError, match="must be non-increasing"):
         make_utility("generalised_gini", "abc"[: len(weights)], weights=weights)
 
 
@@ -530,14 +529,14 @@ def test_gini_scales_that_are_not_positive_are_refused(scale: float) -> None:
 
 @ALL
 @pytest.mark.parametrize("off", [-1, 1])
-def test_returns_of_another_width_are_refused(utility: Utility, off: int) -> None:
+def test_returns_of_another_length_are_refused(utility: Utility, off: int) -> None:
     d = len(utility.objectives)
     for returns in (np.zeros(d + off), np.zeros((2, d + off)), torch.zeros(3, d + off), np.zeros((d, d + off))):
-        with pytest.raises(ValueError, match=f"reads {d} objectives.*have {d + off}"):
+        with pytest.raises(ValueError, match=f"takes {d} objectives.*have {d + off}"):
             utility(returns)
 
 
 @pytest.mark.parametrize("number", [np.array(1.0), torch.tensor(1.0)], ids=["numpy", "torch"])
-def test_a_bare_number_is_refused_as_a_return(number: np.ndarray | torch.Tensor) -> None:
+def test_a_scalar_is_refused_as_a_return(number: np.ndarray | torch.Tensor) -> None:
     with pytest.raises(ValueError, match="objectives"):
         make_utility("one_waypoint_linear", ONE_WAYPOINT)(number)

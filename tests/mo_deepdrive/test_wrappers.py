@@ -1,4 +1,4 @@
-"""Vector rewards as scalars: utilities of rewards and of returns, on our environments and on MO-Gymnasium's."""
+"""Vector rewards as scalars: utilities of rewards and returns, in our environments and in MO-Gymnasium's."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCENARIOS = {
 
 
 def play(env: Any, seed: int, decisions: int = 400) -> list[Any]:
-    """What the steps of one episode of random actions return, the reset first."""
+    """The results of the reset and the steps of one episode of random actions."""
     played: list[Any] = [env.reset(seed=seed)]
     rng = np.random.default_rng(seed)
     for _ in range(decisions):
@@ -36,7 +36,7 @@ def play(env: Any, seed: int, decisions: int = 400) -> list[Any]:
 
 @pytest.mark.parametrize("env_id", SCENARIOS)
 @pytest.mark.parametrize("of", ["reward", "return"])
-def test_all_but_the_reward_is_that_of_the_wrapped_environment(env_id: str, of: Any) -> None:
+def test_everything_but_the_reward_is_that_of_the_wrapped_environment(env_id: str, of: Any) -> None:
     plain = play(mo_gymnasium.make(env_id), seed=3)
     wrapped = play(UtilityReward(mo_gymnasium.make(env_id), SCENARIOS[env_id], of), seed=3)
     assert len(plain) == len(wrapped)
@@ -61,16 +61,16 @@ def test_the_reward_is_the_utility_of_the_vector_reward(cost_sign: str) -> None:
         assert reward == pytest.approx(float(utility(info["vector_reward"])))
 
 
-def test_the_utilities_of_the_return_so_far_sum_to_that_of_the_return() -> None:
+def test_rewards_of_the_accrued_reward_sum_to_the_utility_of_the_return() -> None:
     env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_nonlinear", of="return")
-    for seed in (1, 2):  # the second episode starts from nothing again
+    for seed in (1, 2):  # the second episode starts from zero again
         played = play(env, seed)[1:]
         total = np.sum([step[4]["vector_reward"] for step in played], axis=0, dtype=np.float64)
         expected = float(env.utility(total) - env.utility(np.zeros(4)))
         assert sum(step[1] for step in played) == pytest.approx(expected)
 
 
-def test_a_linear_utility_is_the_same_of_rewards_and_of_returns() -> None:
+def test_a_linear_utility_gives_the_same_for_rewards_and_returns() -> None:
     rewards = [
         [step[1] for step in play(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear", of), 4)[1:]]
         for of in ("reward", "return")
@@ -78,7 +78,7 @@ def test_a_linear_utility_is_the_same_of_rewards_and_of_returns() -> None:
     np.testing.assert_allclose(rewards[0], rewards[1], atol=1e-9)
 
 
-def test_vehicles_that_take_turns_have_a_return_each() -> None:
+def test_vehicles_that_take_turns_have_separate_returns() -> None:
     env = UtilityReward(mo_gymnasium.make(INTERSECTION), "intersection_nonlinear", of="return")
     played = play(env, seed=0)[1:]
     for vehicle in (0, 1):
@@ -95,13 +95,13 @@ def test_other_environments_with_vector_rewards_can_be_wrapped() -> None:
     assert reward == pytest.approx(float(info["vector_reward"] @ np.array([1.0, 0.5])))
 
 
-def test_a_utility_that_is_made_already_is_taken_as_it_is() -> None:
+def test_a_utility_object_is_used_as_it_is() -> None:
     utility = make_utility("linear", ["treasure", "time"], weights=[1.0, 0.0])
     assert UtilityReward(mo_gymnasium.make("deep-sea-treasure-v0"), utility).utility is utility
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_gymnasiums_own_check_passes() -> None:
+def test_gymnasiums_checker_passes() -> None:
     check_env(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT).unwrapped, "one_waypoint_linear"), skip_render_check=True)
 
 
@@ -117,13 +117,13 @@ def test_the_wrapped_environment_can_be_made_again_from_its_spec() -> None:
     ("arguments", "message"),
     [
         ({"utility": "one_waypoint_linaer"}, "did you mean 'one_waypoint_linear'"),
-        ({"utility": "static_obstacle_linear"}, "is defined on"),
+        ({"utility": "static_obstacle_linear"}, "is defined for"),
         ({"utility": "one_waypoint_linear", "of": "episode"}, "of = 'episode' must be one of"),
-        ({"utility": make_utility("linear", ["a", "b"], weights=[1.0, 1.0])}, "reads"),
+        ({"utility": make_utility("linear", ["a", "b"], weights=[1.0, 1.0])}, "takes"),
         ({"utility": make_utility("linear", list("abcd"), weights=[1.0] * 4), "weights": [1.0] * 4}, "by name"),
     ],
 )
-def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
+def test_unsuitable_utilities_are_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), **arguments)
 

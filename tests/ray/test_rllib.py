@@ -1,4 +1,4 @@
-"""The RLlib environment, in an environment of its own: `make test-ray`."""
+"""The RLlib environment; needs a separate virtual environment: `make test-ray`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ from mo_gymnasium.wrappers import LinearReward
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.envs.parallel import DrivingParallelEnv
 from mo_deepdrive.utilities import make_utility
-from tests.helpers.interfaces import ACTION_TYPES, Drive, Episode, Report, assert_same, begin, play_parallel, record
+from tests.helpers.interfaces import (
+    ACTION_TYPES,
+    EpisodeReports,
+    RecordedEpisodes,
+    Report,
+    assert_same,
+    first_reports,
+    record,
+    replay_parallel,
+)
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
 
@@ -41,7 +50,7 @@ CONFIGS: list[dict[str, Any]] = [
 
 
 def play(env: Any, seed: int) -> Iterator[tuple[dict[str, Any], Any]]:
-    """One episode of random actions: the joint actions and what each step returned."""
+    """One episode of random actions: the joint actions and the results of its steps."""
     env.reset(seed=seed)
     generator = np.random.default_rng(seed)
     while env.agents:
@@ -56,11 +65,11 @@ def play(env: Any, seed: int) -> Iterator[tuple[dict[str, Any], Any]]:
 
 
 @pytest.mark.parametrize("config", CONFIGS)
-def test_rllibs_own_check_passes(config: dict[str, Any]) -> None:
+def test_rllibs_checker_passes(config: dict[str, Any]) -> None:
     check_multiagent_environments(DrivingMultiAgentEnv(config))
 
 
-def test_without_a_config_it_is_the_intersection_under_the_papers_linear_utility() -> None:
+def test_by_default_it_is_the_intersection_with_the_papers_linear_utility() -> None:
     env = DrivingMultiAgentEnv()
     assert env.possible_agents == VEHICLES
     assert env.parallel.config.scenario == "intersection"
@@ -117,7 +126,7 @@ def test_every_vehicle_can_have_its_own_utility() -> None:
 
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("time_limit", [7.0, 60.0])
-def test_flags_say_which_vehicle_ends_and_when_all_is_over(end_together: bool, time_limit: float) -> None:
+def test_flags_say_which_vehicle_ends_and_when_the_episode_is_over(end_together: bool, time_limit: float) -> None:
     env = DrivingMultiAgentEnv({"end_together": end_together, "time_limit": time_limit})
     ends: Counter[str] = Counter()
     early = 0
@@ -144,15 +153,15 @@ def test_flags_say_which_vehicle_ends_and_when_all_is_over(end_together: bool, t
     assert ends["time_limit"] > 0 if time_limit < 10 else len(ends) > 2
 
 
-def play_rllib(drive: Drive) -> list[Episode]:
-    """The RLlib face, whose vehicles leave when they end."""
-    env = DrivingMultiAgentEnv(drive.arguments)
+def replay_rllib(recording: RecordedEpisodes) -> list[EpisodeReports]:
+    """The RLlib interface, which removes vehicles when they end."""
+    env = DrivingMultiAgentEnv(recording.arguments)
     episodes = []
-    for reset, actions in drive.resets():
-        reports = begin(env, env.reset(**reset)[0])
+    for reset, actions in recording.resets():
+        reports = first_reports(env, env.reset(**reset)[0])
         for joint in actions:
-            told = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
-            observations, _, terminateds, truncateds, infos = told
+            results = env.step({agent: joint[env.possible_agents.index(agent)] for agent in env.agents})
+            observations, _, terminateds, truncateds, infos = results
             for v, agent in enumerate(env.possible_agents):
                 if agent in observations:
                     flags = terminateds[agent], truncateds["__all__"] and not terminateds[agent]
@@ -166,11 +175,11 @@ def play_rllib(drive: Drive) -> list[Episode]:
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_trajectories_are_those_of_the_parallel_environment_bit_for_bit(action_type: str, end_together: bool) -> None:
-    drive = record(action_type, end_together)
-    assert_same(play_rllib(drive), play_parallel(drive))
+    recording = record(action_type, end_together)
+    assert_same(replay_rllib(recording), replay_parallel(recording))
 
 
-def test_reset_hands_on_seed_and_options() -> None:
+def test_reset_passes_on_seed_and_options() -> None:
     env = DrivingMultiAgentEnv()
     starts = ((-10.0, 0.0, 0.1), (10.0, 5.0, -0.2))
     env.reset(seed=1, options={"starts": starts})
@@ -200,7 +209,7 @@ def test_frames_are_rendered() -> None:
     ("config", "message"),
     [
         ({"utlity": "intersection_linear"}, "'utlity'.* did you mean 'utility'"),
-        ({"keep_finished": True}, "'keep_finished'.*unknown"),
+        ({"keep_finished": True}, "unknown key 'keep_finished'"),
         ({"scenario": "roundabout"}, "'scenario' = 'roundabout'"),
         ({"time_limit": "long"}, "'time_limit' = 'long'"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
@@ -211,13 +220,13 @@ def test_frames_are_rendered() -> None:
         ({"utility": "linear"}, "needs the argument 'weights'"),
         ({"utility": {"name": "linear", "arguments": {"weights": [1.0, 2.0]}}}, "must be 6 finite numbers"),
         ({"utility": {"name": "linear", "weights": [1.0]}}, "'weights' is unknown; known: arguments, name"),
-        ({"utility": {"vehicle_0": "intersection_linear"}}, "utility lacks 'vehicle_1'"),
+        ({"utility": {"vehicle_0": "intersection_linear"}}, "utility is missing for 'vehicle_1'"),
         ({"utility": {"vehicle_0": "intersection_linear", "vehicle_1": 3}}, "utility of vehicle_1 = 3 must be"),
         ({"utility": {"vehicle_0": "intersection_linear", "vehicle_2": "linear"}}, "'vehicle_2', which is unknown"),
         ({"utility": "numpy:sqrt"}, "gives shape .* expected a number"),
     ],
 )
-def test_a_config_that_makes_no_sense_is_refused(config: dict[str, Any], message: str) -> None:
+def test_an_invalid_config_is_refused(config: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DrivingMultiAgentEnv(config)
 
@@ -241,7 +250,7 @@ def test_wrong_actions_are_refused_and_change_nothing(actions: dict[str, Any], m
     assert env.agents == VEHICLES
 
 
-def test_reset_options_that_make_no_sense_are_refused_and_change_nothing() -> None:
+def test_invalid_reset_options_are_refused_and_change_nothing() -> None:
     env = DrivingMultiAgentEnv()
     env.reset(seed=0)
     before = env.parallel.telemetry()
@@ -317,9 +326,9 @@ def test_rllib_bootstraps_at_the_time_limit_and_nowhere_else(time_limit: float) 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[None]:
-    """A small Ray of its own, which needs no network and leaves nothing behind."""
+    """A small separate Ray cluster, which needs no network and leaves no files."""
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory(prefix="ray-") as directory:
-        # No reports of usage, no token in the home directory, and no yielding to whatever else the machine does.
+        # No usage reports, no token in the home directory, and no waiting for other loads of the machine.
         settings = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled", "RAY_worker_niceness": "0"}
         for name, value in settings.items():
             patch.setenv(name, value)
@@ -337,7 +346,7 @@ def cluster() -> Iterator[None]:
 
 
 def small(config: PPOConfig, runners: int = 0) -> PPOConfig:
-    """PPO with as little work as it takes."""
+    """PPO in the smallest possible configuration."""
     return (
         config.env_runners(num_env_runners=runners, num_envs_per_env_runner=2)
         .training(train_batch_size_per_learner=256, minibatch_size=64, num_epochs=1)
@@ -346,7 +355,7 @@ def small(config: PPOConfig, runners: int = 0) -> PPOConfig:
 
 
 def train(config: PPOConfig, policies: list[str]) -> dict[str, Any]:
-    """One iteration, which must have sampled whole episodes and learnt from them; what it says about sampling."""
+    """One iteration, which must have sampled whole episodes and learnt from them; its metrics of sampling."""
     algorithm = config.build_algo()
     try:
         result = algorithm.train()
@@ -364,7 +373,7 @@ def train(config: PPOConfig, policies: list[str]) -> dict[str, Any]:
 
 
 def one_policy_each(config: dict[str, Any], vehicles: list[str]) -> PPOConfig:
-    """The settings of the documentation: every vehicle learns a policy of its own."""
+    """The settings in the documentation: every vehicle learns its own policy."""
     return (
         PPOConfig()
         .environment(DrivingMultiAgentEnv, env_config=config)
@@ -378,7 +387,7 @@ def test_ppo_trains_one_vehicle() -> None:
 
 
 @pytest.mark.usefixtures("cluster")
-def test_ppo_trains_two_vehicles_with_utilities_of_their_own_of_which_one_leaves_early() -> None:
+def test_ppo_trains_two_vehicles_with_separate_utilities_if_one_leaves_early() -> None:
     utilities = {"vehicle_0": "intersection_nonlinear", "vehicle_1": "intersection_linear"}
     config = {"utility": utilities, "harmful_g_force": 0.2, "time_limit": 9.0}
     sampled = train(small(one_policy_each(config, VEHICLES)), VEHICLES)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from algorithms.planning import front_search
-from mo_deepdrive.fronts import GAMMA, discounted_sum
-from mo_deepdrive.fronts import decode as decode_actions
-from mo_deepdrive.fronts import read as read_front
-from mo_deepdrive.fronts import replay as replay_sequences
-from mo_deepdrive.fronts import write as format_front
+from mo_deepdrive.action_sequences import decode as decode_actions
+from mo_deepdrive.action_sequences import discounted_sum
+from mo_deepdrive.action_sequences import replay as replay_sequences
+from mo_deepdrive.reference_fronts import GAMMA, front_config
+from mo_deepdrive.reference_fronts import read as read_front
+from mo_deepdrive.reference_fronts import write as format_front
 
 OPEN = ("one_waypoint", "static_obstacle")
 SMALL = ["--decisions", "300000", "--anew"]
@@ -53,7 +54,7 @@ def test_a_search_writes_policies_with_the_returns_of_their_replay(
     policies = read_front(text)
     assert format_front(scenario, action_type, policies) == text
     sequences = [decode_actions(policy.actions, action_type) for policy in policies]
-    replayed = discounted_sum(replay_sequences(scenario, action_type, sequences), GAMMA)
+    replayed = discounted_sum(replay_sequences(front_config(scenario, action_type), sequences), GAMMA)
     np.testing.assert_allclose(replayed, [policy.discounted for policy in policies], rtol=1e-5, atol=2e-5)
     assert (np.diff(replayed[:, 0]) <= 1e-5).all()
     assert {policy.source for policy in policies} == {

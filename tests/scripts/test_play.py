@@ -1,4 +1,4 @@
-"""Driving by hand: keys as actions, people in a world, and the script with a window that nobody sees."""
+"""The script for driving by hand, in an invisible window."""
 
 from __future__ import annotations
 
@@ -9,222 +9,19 @@ from types import ModuleType
 from typing import Any
 
 import imageio.v3 as iio
-import numpy as np
 import pygame
 import pytest
-import torch
-from numpy.typing import NDArray
 
-from algorithms.actor_critic import ActorCritic
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.driving import HOLD, PICTURES, HumanPlayEnv, Keys, Outcome, choose_action
-from algorithms.experiments.config import EnvironmentSettings, make_experiment
+from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
-from algorithms.reporting.videos import make_world
-from mo_deepdrive.actions import DISCRETE, MICRO_STEER, action_names
-from mo_deepdrive.simulation.state import VEHICLE
+from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
-NOTHING, UP, DOWN = Keys(False, False, False, False), Keys(True, False, False, False), Keys(False, True, False, False)
-LEFT, RIGHT = Keys(False, False, True, False), Keys(False, False, False, True)
-UP_LEFT = Keys(True, False, True, False)
-
-
-# ------------------------------------------------------------------------------------------------------ keys as actions
-
-
-def chosen(keys: Keys, action_type: str = "discrete", **fields: float) -> str:
-    """The name of the action for a vehicle whose state is zero but for ``fields``."""
-    vehicle = np.zeros(1, dtype=VEHICLE)[0]
-    for name, value in fields.items():
-        vehicle[name] = value
-    return action_names(action_type)[choose_action(keys, vehicle, action_type)]
-
-
-@pytest.mark.parametrize("action_type", list(DISCRETE))
-def test_keys_choose_actions_by_what_they_do(action_type: str) -> None:
-    assert chosen(NOTHING, action_type, speed=5.0, steer=0.1) == "idle"
-    assert chosen(UP, action_type) == "decay steer, increase speed"
-    assert chosen(DOWN, action_type, speed=3.0) == "decay steer, decrease speed"
-    assert chosen(UP_LEFT, action_type) == "large steer left, increase speed"
-    assert chosen(Keys(False, True, False, True), action_type) == "large steer right, decrease speed"
-
-
-def test_the_wheel_turns_as_far_as_it_can_at_every_speed() -> None:
-    assert chosen(LEFT, speed=1.0) == "large steer left, maintain speed"
-    assert chosen(LEFT, speed=8.0, steer=0.1) == "small steer left, maintain speed"
-    assert chosen(RIGHT, speed=8.0, steer=-0.1) == "small steer right, maintain speed"
-
-
-def test_the_wheel_goes_straight_when_nobody_turns_it() -> None:
-    assert chosen(UP, speed=3.0, steer=0.1).startswith("micro steer")
-    assert chosen(UP, speed=3.0, steer=MICRO_STEER) == "decay steer, increase speed"
-    assert chosen(UP, "discrete-16", speed=3.0, steer=0.01) == "decay steer, increase speed"
-
-
-def test_a_foot_off_the_pedal_lets_the_car_roll() -> None:
-    assert chosen(LEFT, speed=2.0, throttle=1.0) == "large steer left, decrease speed"
-    assert chosen(LEFT, speed=2.0, throttle=0.0) == "large steer left, maintain speed"
-
-
-def test_both_keys_of_a_pair_brake_and_go_straight() -> None:
-    assert chosen(Keys(True, True, False, False)) == "decay steer, decrease speed"
-    assert chosen(Keys(True, False, True, True)) == "decay steer, increase speed"
-
-
-# --------------------------------------------------------------------------------------------------- the environment
-
-
-def make_human_env(
-    env_id: str = ONE, *, seats: tuple[int, ...] = (0,), film: Any = None, **arguments: Any
-) -> HumanPlayEnv:
-    world = make_world(EnvironmentSettings(id=env_id, arguments=arguments))
-    human_env = HumanPlayEnv(world.unwrapped, seats, film=film)
-    human_env.reset(seed=1)
-    return human_env
-
-
-def pressed(*keys: Keys, again: bool = False) -> NDArray[np.int8]:
-    """The action that says what everybody holds down."""
-    return np.array([*(key for each in keys for key in each), again], dtype=np.int8)
-
-
-def hold(human_env: HumanPlayEnv, *keys: Keys, decisions: int = 1) -> list[dict[str, Any]]:
-    """Hold keys for some decisions; the infos of all steps."""
-    return [human_env.step(pressed(*keys))[4] for _ in range(decisions * PICTURES)]
-
-
-def vehicles(human_env: HumanPlayEnv) -> Any:
-    return human_env.world.batch.state[0]
-
-
-@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
-def test_the_keys_drive_a_car(action_type: str) -> None:
-    human_env = make_human_env(action_type=action_type)
-    (car,) = vehicles(human_env)
-    start = car.copy()
-    hold(human_env, UP, decisions=20)
-    assert 1.5 < car.speed < 2.5
-    assert car.x > start.x + 1.0
-    assert car.heading == pytest.approx(start.heading, abs=1e-6)
-    hold(human_env, LEFT, decisions=5)
-    assert car.heading > start.heading + 0.1
-    heading = car.heading
-    hold(human_env, RIGHT, decisions=10)
-    assert car.heading < heading - 0.1
-    speed = car.speed
-    hold(human_env, NOTHING, decisions=5)
-    assert 0.9 * speed < car.speed < speed
-    hold(human_env, DOWN, decisions=10)
-    assert car.speed < 0.2
-
-
-def test_continuous_actions_drive_as_the_discrete_ones_do() -> None:
-    discrete, continuous = make_human_env(), make_human_env(action_type="continuous")
-    for keys in (UP, UP_LEFT, LEFT, NOTHING, RIGHT, DOWN):
-        for human_env in (discrete, continuous):
-            hold(human_env, keys, decisions=6)
-        for field in ("x", "y", "heading", "speed"):
-            assert vehicles(continuous)[0][field] == pytest.approx(vehicles(discrete)[0][field], abs=1e-4), field
-
-
-def test_a_key_pressed_for_one_picture_counts_for_a_whole_decision() -> None:
-    short, long = make_human_env(), make_human_env()
-    for picture in range(PICTURES):
-        short.step(pressed(UP if picture == 1 else NOTHING))
-    hold(long, UP)
-    assert vehicles(short)[0].throttle == vehicles(long)[0].throttle > 0.0
-    hold(short, NOTHING)
-    assert vehicles(short)[0].throttle == 0.0
-
-
-def test_two_people_drive_a_car_each() -> None:
-    human_env = make_human_env(TWO, seats=(0, 1))
-    hold(human_env, UP, NOTHING, decisions=10)
-    first, second = vehicles(human_env)
-    assert (first.speed > 0.5, second.speed) == (True, 0.0)
-    hold(human_env, NOTHING, UP, decisions=10)
-    assert second.speed > 0.5
-    assert first.throttle == 0.0
-
-
-def test_every_vehicle_needs_somebody() -> None:
-    with pytest.raises(ValueError, match=r"seats = \[1\] .* 2 vehicles .* agent"):
-        make_human_env(TWO, seats=(1,))
-
-
-def test_an_outcome_says_how_everybody_ended_and_what_they_earned() -> None:
-    human_env = make_human_env(TWO, seats=(0, 1), time_limit=2, end_together=False)
-    total = np.zeros((2, human_env.world.reward_dim))
-    for _ in range(20 * PICTURES):
-        _, rewards, terminated, truncated, info = human_env.step(pressed(UP, NOTHING))
-        total += rewards
-        assert not terminated
-        assert not truncated
-    outcome: Outcome = info["outcome"]
-    assert (outcome.episode, outcome.seed) == (1, 1)
-    assert outcome.ends == ("time_limit", "time_limit")
-    assert outcome.seconds == (2.0, 2.0)
-    np.testing.assert_allclose(outcome.returns, total)
-    distances = outcome.returns[:, human_env.world.objectives.index("distance")]
-    assert distances[0] > 1.0
-    assert distances[1] == 0.0
-
-
-def test_the_end_stands_for_a_moment_and_the_next_episode_is_another_one() -> None:
-    human_env = make_human_env(time_limit=0.5)
-    first = vehicles(human_env)[0].waypoints.copy()
-    hold(human_env, UP, decisions=5)
-    where = vehicles(human_env)[0].x
-    for still in range(1, round(HOLD * 10) * PICTURES + 1):
-        terminated = human_env.step(pressed(UP))[2]
-        assert terminated == (still == round(HOLD * 10) * PICTURES)
-    assert vehicles(human_env)[0].x == where
-    human_env.reset()
-    assert (vehicles(human_env)[0].waypoints != first).any()
-    infos = hold(human_env, NOTHING, decisions=5)
-    assert (infos[-1]["outcome"].episode, infos[-1]["outcome"].seed) == (2, 2)
-
-
-def test_starting_again_brings_the_same_scenario_back() -> None:
-    human_env = make_human_env()
-    beginning = vehicles(human_env).copy()
-    hold(human_env, UP_LEFT, decisions=5)
-    *_, terminated, truncated, info = human_env.step(pressed(NOTHING, again=True))
-    assert (terminated, truncated, info) == (False, True, {})
-    human_env.reset()
-    assert vehicles(human_env).tobytes() == beginning.tobytes()
-
-
-def test_without_a_seed_the_scenarios_differ_and_can_still_be_driven_again() -> None:
-    first, second = make_human_env(), make_human_env()
-    starts = []
-    for human_env in (first, second):
-        fresh = HumanPlayEnv(human_env.world, (0,))
-        fresh.reset()
-        starts.append(vehicles(fresh).copy())
-        fresh.reset()
-        assert vehicles(fresh).tobytes() == starts[-1].tobytes()
-    assert starts[0].tobytes() != starts[1].tobytes()
-
-
-def test_a_film_gets_a_picture_per_decision_from_the_start_to_the_end() -> None:
-    film: list[NDArray[np.uint8]] = []
-    human_env = make_human_env(time_limit=0.3, film=film.append)
-    start = human_env.render()
-    hold(human_env, UP, decisions=3 + round(HOLD * 10))
-    assert len(film) == 3 + round(HOLD * 10)
-    assert np.array_equal(film[0], start)
-    assert (film[3] != film[2]).any()
-    assert np.array_equal(film[-1], film[3])
-
-
-# ------------------------------------------------------------------------------------------------------- a trained run
 
 
 def make_run(path: Path, env_id: str = TWO, utility: str = "intersection_linear", **arguments: Any) -> Path:
-    """A run that has learnt for a few updates."""
+    """A run that was trained for a few updates."""
     experiment = make_experiment(
         {
             "environment": {"id": env_id, "arguments": arguments},
@@ -246,41 +43,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_run(tmp_path_factory.mktemp("runs") / "run", time_limit=3)
 
 
-def opened(path: Path) -> ActorCritic:
-    run = Run.open(path)
-    agent = build(run.experiment, num_envs=1)
-    agent.load(run.checkpoint, policy_only=True)
-    return agent
-
-
-@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
-@pytest.mark.parametrize("mine", [0, 1])
-def test_the_agent_drives_the_other_vehicle_as_it_would_drive_it_anywhere(
-    run: Path, tmp_path: Path, mine: int, action_type: str
-) -> None:
-    path = run if action_type == "discrete" else make_run(tmp_path / "run", action_type=action_type, time_limit=3)
-    agent = opened(path)
-    world: Any = make_human_env(TWO, seats=(0, 1), time_limit=3, action_type=action_type).world
-    human_env = HumanPlayEnv(world, (mine,), agent=agent, generator=torch.Generator().manual_seed(5))
-    human_env.reset(seed=1)
-    hold(human_env, NOTHING, decisions=20)
-    driven = vehicles(human_env).copy()
-
-    generator = torch.Generator().manual_seed(5)
-    observations, _ = world.reset(seed=1)
-    accrued_reward = AccruedReward.begin(1, 2, world.reward_dim)
-    rest = 0 if action_type == "discrete" else (0.0, 0.0, -1.0)
-    for _ in range(20):
-        actions = agent.env.environment_actions(agent.act(observations, accrued_reward, generator))
-        actions[0, mine] = rest
-        observations, rewards, *_ = world.step(actions)
-        accrued_reward.add(rewards, agent.gamma)
-    assert driven.tobytes() == vehicles(human_env).tobytes()
-    assert driven[1 - mine].travelled > 0.0
-
-
-# ----------------------------------------------------------------------------------------------------------- the script
-
 Typist = Callable[[dict[int, list[tuple[int, int]]]], None]
 PRESS, RELEASE = pygame.KEYDOWN, pygame.KEYUP
 
@@ -297,7 +59,7 @@ def play(repository: Path) -> ModuleType:
 
 @pytest.fixture
 def typing(monkeypatch: pytest.MonkeyPatch) -> Iterator[Typist]:
-    """Press and release keys when so many pictures have been shown, in a window that nobody sees."""
+    """Press and release keys, by the number of frames shown before, in an invisible window."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
     def type_keys(schedule: dict[int, list[tuple[int, int]]]) -> None:
@@ -316,15 +78,15 @@ def typing(monkeypatch: pytest.MonkeyPatch) -> Iterator[Typist]:
     pygame.display.quit()
 
 
-def test_a_drive_in_the_window_ends_the_way_it_was_driven(
+def test_an_episode_in_the_window_ends_as_it_was_driven(
     play: ModuleType, typing: Typist, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    typing({0: [(PRESS, pygame.K_UP)], 60 * PICTURES: [(PRESS, pygame.K_ESCAPE)]})
+    typing({0: [(PRESS, pygame.K_UP)], 60 * FRAMES_PER_DECISION: [(PRESS, pygame.K_ESCAPE)]})
     assert play.main(["--env", ONE, "--seed", "3", "--fps", "1000"]) == 0
     controls, title, names, units, _, row = [
         line.rstrip() for line in capsys.readouterr().out.splitlines() if line.strip()
     ]
-    assert controls == "vehicle 0: arrow keys; R starts again, Escape quits"
+    assert controls == "vehicle 0: arrow keys; R restarts the episode, Escape quits"
     assert title == "episode 1, seed 3"
     assert names.split() == ["end", "time", "distance", "destination", "g_force", "jerk"]
     assert units.split() == ["s", "m", "g", "m/s^3"]
@@ -341,23 +103,28 @@ def test_two_people_drive_at_one_keyboard(
     monkeypatch.setattr(
         play, "HumanPlayEnv", lambda *args, **kw: environments.append(HumanPlayEnv(*args, **kw)) or environments[0]
     )
-    typing({0: [(PRESS, pygame.K_UP), (PRESS, pygame.K_w), (PRESS, pygame.K_a)], 12 * PICTURES: [(pygame.QUIT, 0)]})
+    typing(
+        {
+            0: [(PRESS, pygame.K_UP), (PRESS, pygame.K_w), (PRESS, pygame.K_a)],
+            12 * FRAMES_PER_DECISION: [(pygame.QUIT, 0)],
+        }
+    )
     assert play.main(["--env", TWO, "--seed", "2", "--fps", "1000"]) == 0
-    first, second = vehicles(environments[0])
+    first, second = environments[0].vector_env.batch.state[0]
     assert first.speed > 0.8
     assert second.speed > 0.8
     assert first.heading == pytest.approx(first.start_heading, abs=1e-6)
     assert second.heading > second.start_heading + 0.1
-    said = capsys.readouterr().out
-    assert said.startswith("vehicle 0: arrow keys; vehicle 1: W A S D; R starts again")
-    assert "episode" not in said
+    output = capsys.readouterr().out
+    assert output.startswith("vehicle 0: arrow keys; vehicle 1: W A S D; R restarts the episode")
+    assert "episode 1" not in output
 
 
-def test_a_drive_against_a_run_is_recorded(
+def test_an_episode_against_a_run_is_recorded(
     play: ModuleType, typing: Typist, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     decisions = 30 + 5
-    typing({decisions * PICTURES: [(PRESS, pygame.K_ESCAPE)]})
+    typing({decisions * FRAMES_PER_DECISION: [(PRESS, pygame.K_ESCAPE)]})
     options = ["--against", str(run), "--vehicle", "1", "--stochastic", "--record", str(tmp_path / "drive.mp4")]
     assert play.main(["--env", TWO, "--fps", "1000", *options]) == 0
     rows = [line.split()[:3] for line in capsys.readouterr().out.splitlines() if "vehicle_" in line]
@@ -365,7 +132,7 @@ def test_a_drive_against_a_run_is_recorded(
     assert len(iio.imread(tmp_path / "drive.mp4")) == decisions
 
 
-def test_what_cannot_be_played_is_refused(
+def test_invalid_options_are_refused(
     play: ModuleType,
     run: Path,
     tmp_path: Path,
@@ -380,10 +147,10 @@ def test_what_cannot_be_played_is_refused(
 
     def refused(*options: str) -> str:
         assert play.main([*options]) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("error: ")
-        return said.err
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith("error: ")
+        return captured.err
 
     assert "did you mean 'mo-deepdrive-intersection-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
     assert "only this package's environments" in refused("--env", "minecart-v0")
@@ -399,15 +166,15 @@ def test_what_cannot_be_played_is_refused(
 
 
 def no_window(play: ModuleType, capsys: pytest.CaptureFixture[str]) -> str:
-    """The error of a drive that needs a window where there can be none."""
+    """The error where no window can be opened."""
     assert play.main(["--env", ONE]) == 2
     error = capsys.readouterr().err
-    assert error.startswith("error: no window can be opened")
+    assert error.startswith("error: cannot open a window")
     assert "DISPLAY" in error
     return error
 
 
-def test_without_a_display_it_says_what_is_missing(
+def test_without_a_display_the_error_says_what_is_missing(
     play: ModuleType, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pygame.display.quit()
@@ -415,7 +182,7 @@ def test_without_a_display_it_says_what_is_missing(
     assert "nonesuch" in no_window(play, capsys)
 
 
-def test_a_window_that_nobody_could_see_is_refused_unless_it_is_asked_for(
+def test_an_invisible_window_is_refused_unless_it_is_requested(
     play: ModuleType, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)

@@ -13,17 +13,19 @@ import pytest
 from algorithms.planning import front_search
 from algorithms.planning.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
 from algorithms.planning.trained_runs import record_run
-from mo_deepdrive.fronts import GAMMA, discounted_sum, reference_point
-from mo_deepdrive.fronts import decode as decode_actions
-from mo_deepdrive.fronts import read as read_front
-from mo_deepdrive.fronts import replay as replay_sequences
+from mo_deepdrive.action_sequences import decode as decode_actions
+from mo_deepdrive.action_sequences import discounted_sum
+from mo_deepdrive.action_sequences import replay as replay_sequences
+from mo_deepdrive.reference_fronts import GAMMA, front_config
+from mo_deepdrive.reference_fronts import read as read_front
+from mo_deepdrive.reference_points import reference_point
 
 
 def replayed_returns(file: Path) -> np.ndarray:
     """The discounted returns of a file's policies in OneWaypoint, by replay."""
     policies = read_front(file.read_text(encoding="utf-8"))
     sequences = [decode_actions(policy.actions, "discrete") for policy in policies]
-    return discounted_sum(replay_sequences("one_waypoint", "discrete", sequences), GAMMA)
+    return discounted_sum(replay_sequences(front_config("one_waypoint", "discrete"), sequences), GAMMA)
 
 
 def test_fronts_are_shipped_where_the_package_reads_them() -> None:

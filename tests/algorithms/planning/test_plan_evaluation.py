@@ -8,8 +8,9 @@ import pytest
 from algorithms.planning.driving_rules import random_rules
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import GAMMAS
-from mo_deepdrive.fronts import discounted_sum
-from mo_deepdrive.fronts import replay as replay_sequences
+from mo_deepdrive.action_sequences import discounted_sum
+from mo_deepdrive.action_sequences import replay as replay_sequences
+from mo_deepdrive.reference_fronts import front_config
 
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
@@ -19,7 +20,7 @@ def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
     rules = random_rules(8, np.random.default_rng(1), evaluator.batch)
     evaluated = evaluator.evaluate(evaluator.format.idle_plans(8), 3, rules)
     sequences = [evaluator.format.to_sequence(plan) for plan in evaluated.plans]
-    rewards = replay_sequences(scenario, action_type, sequences)
+    rewards = replay_sequences(front_config(scenario, action_type), sequences)
     for returns, gamma in zip(evaluated.returns, GAMMAS, strict=True):
         np.testing.assert_allclose(returns, discounted_sum(rewards, gamma), rtol=1e-5, atol=2e-5)
     assert evaluated.sources.tolist() == [3] * 8

@@ -10,8 +10,8 @@ import pytest
 
 from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFormat
 from algorithms.planning.trained_runs import record_run
-from mo_deepdrive.fronts import decode as decode_actions
-from mo_deepdrive.fronts import encode as encode_actions
+from mo_deepdrive.action_sequences import decode as decode_actions
+from mo_deepdrive.action_sequences import encode as encode_actions
 
 
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16"])

@@ -8,7 +8,7 @@ import numpy as np
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import GAMMAS
 from algorithms.planning.subset_selection import dominated_volume, greedy_hypervolume_subset, select_front
-from mo_deepdrive.fronts import reference_point
+from mo_deepdrive.reference_points import reference_point
 
 
 def test_the_greedy_subset_is_that_of_a_plain_loop() -> None:

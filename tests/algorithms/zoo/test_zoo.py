@@ -602,8 +602,8 @@ def test_one_drives_against_a_policy_by_name(
     before = contents(home)
     play = scripts["play"]
     options = play.parse_arguments(["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"])
-    world, agent = play.open_world(options)
-    assert world.config.time_limit == 3
+    env, agent = play.open_environment(options)
+    assert env.config.time_limit == 3
     assert_same_drives(whole_agent(run), agent, run.experiment)
     assert contents(home) == before
 

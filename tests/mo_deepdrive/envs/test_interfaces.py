@@ -1,4 +1,4 @@
-"""Every face shows the same world: the same seed and joint actions give the same trajectories, bit for bit."""
+"""All interfaces agree: the same seed and joint actions give the same trajectories, bit for bit."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from mo_deepdrive.objectives import INDEX
-from tests.helpers.interfaces import ACTION_TYPES, FACES, PLANS, assert_same, play_vector, record
+from tests.helpers.interfaces import ACTION_TYPES, INTERFACES, PLANS, assert_same, record, replay_vector
 
 
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_the_recorded_drives_reach_every_kind_of_end(action_type: str, end_together: bool) -> None:
-    episodes = play_vector(record(action_type, end_together))
+def test_the_recorded_episodes_end_as_planned(action_type: str, end_together: bool) -> None:
+    episodes = replay_vector(record(action_type, end_together))
     wanted = [plan.ends_together if end_together else plan.ends for plan in PLANS.values()]
     assert [tuple(reports[-1].end for reports in episode) for episode in episodes] == wanted
     lengths = {name: [len(reports) for reports in episode] for name, episode in zip(PLANS, episodes, strict=True)}
@@ -20,26 +20,28 @@ def test_the_recorded_drives_reach_every_kind_of_end(action_type: str, end_toget
     if end_together:
         assert early == []
     else:
-        # One drives on after the other has arrived or failed, whichever of them that is.
-        assert early == ["both arrive", "the straight one fails", "the left turn fails", "one arrives, one stands"]
+        # One vehicle continues after the other has arrived or failed, whichever it is.
+        assert early == ["both arrive", "the straight one fails", "the left turn fails", "one arrives, one stays"]
         assert lengths["both arrive"][0] > lengths["both arrive"][1]
         assert lengths["the left turn fails"][0] < lengths["the left turn fails"][1]
 
 
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-@pytest.mark.parametrize("face", [face for face in FACES if face != "vector"])
-def test_a_face_gives_the_trajectories_of_the_vector_face(face: str, action_type: str, end_together: bool) -> None:
-    drive = record(action_type, end_together)
-    assert_same(FACES[face](drive), play_vector(drive))
+@pytest.mark.parametrize("interface", [name for name in INTERFACES if name != "vector"])
+def test_every_interface_gives_the_trajectories_of_the_vector_interface(
+    interface: str, action_type: str, end_together: bool
+) -> None:
+    recording = record(action_type, end_together)
+    assert_same(INTERFACES[interface](recording), replay_vector(recording))
 
 
-def test_the_trajectories_hold_something_to_compare() -> None:
-    episodes = play_vector(record("continuous", False))
+def test_the_trajectories_vary() -> None:
+    episodes = replay_vector(record("continuous", False))
     for episode in episodes[:-1]:
         for reports in episode:
             assert len({report.observation.tobytes() for report in reports}) > 5 or reports[-1].end == "time_limit"
     rewards = np.array([report.reward for episode in episodes for reports in episode for report in reports])
     assert rewards.shape[1] == len(INDEX)
     assert {name for name, k in INDEX.items() if rewards[:, k].any()} >= {"distance", "destination", "g_force", "jerk"}
-    assert len({episode[0][0].observation.tobytes() for episode in episodes}) == len(episodes), "each starts elsewhere"
+    assert len({episode[0][0].observation.tobytes() for episode in episodes}) == len(episodes), "each has another start"

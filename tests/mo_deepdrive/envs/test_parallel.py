@@ -1,6 +1,6 @@
-"""The PettingZoo environments: conformance with PettingZoo and MOMAland, agents that leave or stay, bad input.
+"""The PettingZoo environments: conformance with PettingZoo and MOMAland, agents that leave or stay, invalid input.
 
-``test_faces.py`` holds their trajectories to those of the other faces.
+``test_interfaces.py`` compares their trajectories with those of the other interfaces.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ def name_of(arguments: dict[str, Any]) -> str:
 
 
 def drive_plan(plan: str, wrap: Callable[[Any], Any] = lambda env: env, **arguments: Any) -> tuple[Any, list[Any]]:
-    """Play a recorded plan (continuous actions) through an environment: it, and what each of its steps returned."""
-    drive = record("continuous", arguments.get("end_together", False))
+    """Replay a recorded episode (continuous actions): the environment, and the results of its steps."""
+    recording = record("continuous", arguments.get("end_together", False))
     number = list(PLANS).index(plan)
-    env = wrap(mo_deepdrive.parallel_env(**{**drive.arguments, **arguments}))
+    env = wrap(mo_deepdrive.parallel_env(**{**recording.arguments, **arguments}))
     env.reset(seed=7)
-    for pins in drive.pins[1 : number + 1]:  # an episode draws where those before it have stopped
+    for pins in recording.options[1 : number + 1]:  # an episode continues the random stream of those before it
         env.reset(options=pins)
-    told = []
-    for joint in drive.actions[number]:
-        told.append(env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents}))
-    return env, told
+    steps = []
+    for joint in recording.actions[number]:
+        steps.append(env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents}))
+    return env, steps
 
 
-def steps_alike(env: Any, other: Any) -> None:
-    """Both go on alike: nothing that one of them was asked in between has changed it."""
+def assert_same_steps(env: Any, other: Any) -> None:
+    """Both continue in the same way, so nothing changed one of them."""
     for agent in env.agents:
         env.action_space(agent).seed(1)
     actions = {agent: env.action_space(agent).sample() for agent in env.agents}
@@ -78,9 +78,7 @@ def steps_alike(env: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("keep_finished", [False, True])
 @pytest.mark.parametrize("arguments", EVERY, ids=name_of)
-def test_pettingzoos_own_checks_of_a_parallel_environment_find_nothing(
-    arguments: dict[str, Any], keep_finished: bool
-) -> None:
+def test_pettingzoos_tests_of_parallel_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message="unknown reset option 'options' is ignored")
@@ -90,9 +88,7 @@ def test_pettingzoos_own_checks_of_a_parallel_environment_find_nothing(
 
 @pytest.mark.parametrize("keep_finished", [False, True])
 @pytest.mark.parametrize("arguments", EVERY, ids=name_of)
-def test_momalands_own_checks_of_the_aec_environment_find_nothing(
-    arguments: dict[str, Any], keep_finished: bool
-) -> None:
+def test_momalands_tests_of_aec_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message="unknown reset option 'options' is ignored")
@@ -101,7 +97,7 @@ def test_momalands_own_checks_of_the_aec_environment_find_nothing(
 
 
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
-def test_every_scenario_has_these_environments_with_one_agent(scenario: str) -> None:
+def test_the_other_scenarios_have_one_agent(scenario: str) -> None:
     env = mo_deepdrive.parallel_env(scenario=scenario)
     assert env.possible_agents == ["vehicle_0"]
     assert str(env) == env.metadata["name"] == f"mo_deepdrive_{scenario}_v0"
@@ -138,18 +134,18 @@ def test_agents_spaces_and_metadata_are_those_of_the_documentation() -> None:
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_what_comes_back_lies_in_its_space_and_is_the_callers_to_change(action_type: str) -> None:
-    env, spoiled = (mo_deepdrive.parallel_env(action_type=action_type) for _ in range(2))
+def test_results_are_in_their_spaces_and_may_be_changed_by_the_caller(action_type: str) -> None:
+    env, modified = (mo_deepdrive.parallel_env(action_type=action_type) for _ in range(2))
     kept = list(env.reset(seed=0)[0].values())
-    for observation in spoiled.reset(seed=0)[0].values():
+    for observation in modified.reset(seed=0)[0].values():
         observation[:] = np.nan
-    spoiled.agents.clear()
-    spoiled.reset(seed=0)
+    modified.agents.clear()
+    modified.reset(seed=0)
     while env.agents:
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
-        told, other = env.step(actions), spoiled.step(actions)
+        steps, other = env.step(actions), modified.step(actions)
         for agent in actions:
-            observation, reward, terminated, truncated, info = (each[agent] for each in told)
+            observation, reward, terminated, truncated, info = (each[agent] for each in steps)
             assert observation in env.observation_space(agent)
             assert reward in env.reward_space(agent)
             assert type(terminated) is type(truncated) is bool
@@ -157,20 +153,20 @@ def test_what_comes_back_lies_in_its_space_and_is_the_callers_to_change(action_t
             for array in (other[0][agent], other[1][agent]):
                 array[:] = np.nan
             kept += [observation, reward]
-            np.testing.assert_array_equal(env.state(), spoiled.state())
+            np.testing.assert_array_equal(env.state(), modified.state())
     assert not any(np.shares_memory(one, two) for one, two in itertools.combinations(kept[-40:], 2))
     assert all(np.isfinite(array).all() for array in kept)
 
 
-def test_the_state_is_what_all_vehicles_observed_last() -> None:
+def test_the_state_is_the_last_observations_of_all_vehicles() -> None:
     for keep_finished in (False, True):
-        env, told = drive_plan("both arrive", keep_finished=keep_finished)
+        env, steps = drive_plan("both arrive", keep_finished=keep_finished)
         env.reset(seed=0)
         last = env.reset(seed=7)[0]
         assert env.state().dtype == np.float32
         np.testing.assert_array_equal(env.state(), np.concatenate([last[agent] for agent in AGENTS]))
         joint_actions = record("continuous", False).actions[0]
-        for joint, (observations, *_) in zip(joint_actions, told, strict=True):
+        for joint, (observations, *_) in zip(joint_actions, steps, strict=True):
             env.step({agent: joint[AGENTS.index(agent)] for agent in env.agents})
             last = {**last, **observations}
             np.testing.assert_array_equal(env.state(), np.concatenate([last[agent] for agent in AGENTS]))
@@ -178,7 +174,7 @@ def test_the_state_is_what_all_vehicles_observed_last() -> None:
         assert env.state_space.shape == (58,)
 
 
-def test_rewards_follow_the_objectives_asked_for() -> None:
+def test_rewards_have_the_selected_objectives() -> None:
     full, some = (mo_deepdrive.parallel_env(objectives=names) for names in (None, ("jerk", "distance")))
     assert some.reward_dim == 2
     full.reset(seed=0)
@@ -191,22 +187,22 @@ def test_rewards_follow_the_objectives_asked_for() -> None:
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("make", [mo_deepdrive.parallel_env, mo_deepdrive.env])
-def test_a_copy_goes_on_exactly_where_the_original_stands(make: Any, copied: Any) -> None:
+def test_a_copy_continues_exactly_from_the_state_of_the_original(make: Any, copied: Any) -> None:
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
     env.render()
-    told = []
+    steps = []
     for one in (copied(env), env):
         if make is mo_deepdrive.env:
             for _ in range(9):
                 one.step(3)
-            told.append(one.last()[:2])
+            steps.append(one.last()[:2])
         else:
-            told.append([one.step(dict.fromkeys(AGENTS, 3))[k]["vehicle_1"] for k in (0, 1)])
+            steps.append([one.step(dict.fromkeys(AGENTS, 3))[k]["vehicle_1"] for k in (0, 1)])
         one.reset()
-        told[-1] += type(told[-1])([one.state()])
+        steps[-1] += type(steps[-1])([one.state()])
         assert one.render().shape == env.render().shape
-    for mine, copys in zip(*told, strict=True):
+    for mine, copys in zip(*steps, strict=True):
         np.testing.assert_array_equal(mine, copys)
     env.close()
 
@@ -215,33 +211,33 @@ def test_a_copy_goes_on_exactly_where_the_original_stands(make: Any, copied: Any
 
 
 @pytest.mark.parametrize(("plan", "first"), [("both arrive", 1), ("the left turn fails", 0)])
-def test_a_vehicle_that_has_ended_leaves_and_the_other_drives_on(plan: str, first: int) -> None:
-    env, told = drive_plan(plan)
+def test_a_vehicle_that_has_ended_leaves_and_the_other_continues(plan: str, first: int) -> None:
+    env, steps = drive_plan(plan)
     leaves, stays = AGENTS[first], AGENTS[1 - first]
-    at = next(k for k, (*_, infos) in enumerate(told) if infos.get(leaves))
-    assert at < len(told) - 1
-    for k, (observations, rewards, terminated, truncated, infos) in enumerate(told):
+    at = next(k for k, (*_, infos) in enumerate(steps) if infos.get(leaves))
+    assert at < len(steps) - 1
+    for k, (observations, rewards, terminated, truncated, infos) in enumerate(steps):
         present = {leaves, stays} if k <= at else {stays}
         assert observations.keys() == rewards.keys() == terminated.keys() == truncated.keys() == infos.keys() == present
         assert not any(truncated.values())
-        assert terminated[stays] == (k == len(told) - 1)
+        assert terminated[stays] == (k == len(steps) - 1)
         if k <= at:
             assert terminated[leaves] == (k == at)
-    for agent, infos in ((leaves, told[at][4]), (stays, told[-1][4])):
+    for agent, infos in ((leaves, steps[at][4]), (stays, steps[-1][4])):
         end = PLANS[plan].ends[AGENTS.index(agent)]
         assert infos[agent] == {"end": end, "success": end == "arrived"}
     assert env.agents == []
 
 
-def test_keep_finished_keeps_the_flags_down_until_the_end_where_each_gets_its_own() -> None:
-    env, told = drive_plan("one arrives, one stands", keep_finished=True)
-    assert len(told) == 600
-    ends = [[infos[agent] for *_, infos in told if infos[agent]] for agent in AGENTS]
+def test_with_keep_finished_the_flags_are_false_until_the_last_step() -> None:
+    env, steps = drive_plan("one arrives, one stays", keep_finished=True)
+    assert len(steps) == 600
+    ends = [[infos[agent] for *_, infos in steps if infos[agent]] for agent in AGENTS]
     assert ends == [[{"end": "arrived", "success": True}], [{"end": "time_limit", "success": False}]]
-    for _, _, terminated, truncated, _ in told[:-1]:
+    for _, _, terminated, truncated, _ in steps[:-1]:
         assert terminated == truncated == dict.fromkeys(AGENTS, False)
-    assert told[-1][2] == {"vehicle_0": True, "vehicle_1": False}
-    assert told[-1][3] == {"vehicle_0": False, "vehicle_1": True}
+    assert steps[-1][2] == {"vehicle_0": True, "vehicle_1": False}
+    assert steps[-1][3] == {"vehicle_0": False, "vehicle_1": True}
     assert env.agents == []
 
 
@@ -249,11 +245,11 @@ def test_keep_finished_keeps_the_flags_down_until_the_end_where_each_gets_its_ow
 
 
 @pytest.mark.parametrize("keep_finished", [False, True])
-def test_momalands_linear_reward_weighs_the_vectors(keep_finished: bool) -> None:
+def test_momalands_linear_reward_is_the_weighted_sum(keep_finished: bool) -> None:
     weights = {agent: np.arange(1.0, 7.0) * (v + 1) for v, agent in enumerate(AGENTS)}
-    _, told = drive_plan("both arrive", lambda env: LinearizeReward(env, weights), keep_finished=keep_finished)
+    _, steps = drive_plan("both arrive", lambda env: LinearizeReward(env, weights), keep_finished=keep_finished)
     _, vectors = drive_plan("both arrive", keep_finished=keep_finished)
-    for (_, rewards, *_), (_, expected, *_) in zip(told, vectors, strict=True):
+    for (_, rewards, *_), (_, expected, *_) in zip(steps, vectors, strict=True):
         assert rewards.keys() == expected.keys()
         for agent, reward in rewards.items():
             assert reward == pytest.approx(float(weights[agent] @ expected[agent]))
@@ -263,9 +259,9 @@ def test_momalands_normalised_reward_rescales_one_objective_of_one_agent() -> No
     def wrap(env: Any) -> Any:
         return NormalizeReward(env, "vehicle_0", INDEX["distance"])
 
-    _, told = drive_plan("both arrive", wrap, keep_finished=True)
+    _, steps = drive_plan("both arrive", wrap, keep_finished=True)
     _, vectors = drive_plan("both arrive", keep_finished=True)
-    ours, plain = (np.array([rewards["vehicle_0"] for _, rewards, *_ in each]) for each in (told, vectors))
+    ours, plain = (np.array([rewards["vehicle_0"] for _, rewards, *_ in each]) for each in (steps, vectors))
     others = np.arange(len(OBJECTIVES)) != INDEX["distance"]
     np.testing.assert_array_equal(ours[:, others], plain[:, others])
     moved = plain[:, INDEX["distance"]] != 0.0
@@ -275,26 +271,26 @@ def test_momalands_normalised_reward_rescales_one_objective_of_one_agent() -> No
 
 
 @pytest.mark.parametrize("end_together", [False, True])
-def test_momalands_episode_statistics_add_up_where_finished_vehicles_are_kept(end_together: bool) -> None:
-    _, told = drive_plan("both arrive", RecordEpisodeStatistics, keep_finished=True, end_together=end_together)
+def test_momalands_episode_statistics_are_right_with_keep_finished(end_together: bool) -> None:
+    _, steps = drive_plan("both arrive", RecordEpisodeStatistics, keep_finished=True, end_together=end_together)
     _, vectors = drive_plan("both arrive", end_together=end_together)
-    assert not any("episode" in infos for *_, infos in told[:-1])
-    statistics = told[-1][4]["episode"]
+    assert not any("episode" in infos for *_, infos in steps[:-1])
+    statistics = steps[-1][4]["episode"]
     for agent in AGENTS:
-        assert statistics["l"][agent] == len(told)
+        assert statistics["l"][agent] == len(steps)
         total = np.sum([rewards[agent] for _, rewards, *_ in vectors if agent in rewards], axis=0, dtype=np.float64)
         np.testing.assert_allclose(statistics["r"][agent], total, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_momalands_central_agent_drives_both_vehicles_where_finished_vehicles_are_kept(action_type: str) -> None:
-    drive = record(action_type, False)
+def test_momalands_central_agent_drives_both_vehicles_with_keep_finished(action_type: str) -> None:
+    recording = record(action_type, False)
     plain = mo_deepdrive.parallel_env(keep_finished=True, action_type=action_type)
     env = CentraliseAgent(mo_deepdrive.parallel_env(keep_finished=True, action_type=action_type))
     plain.reset(seed=7)
     observation, _ = env.reset(seed=7)
     assert observation in env.observation_space
-    for joint in drive.actions[0]:
+    for joint in recording.actions[0]:
         assert np.reshape(joint, env.action_space.shape).astype(env.action_space.dtype) in env.action_space
         observation, reward, terminated, truncated, _ = env.step(joint.ravel())
         _, rewards, *_ = plain.step(dict(zip(AGENTS, joint, strict=True)))
@@ -315,23 +311,26 @@ def assert_refuses(env: Any, actions: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         env.step(actions)
     assert env.agents == before.agents
-    steps_alike(env, before)
+    assert_same_steps(env, before)
 
 
 BAD_DISCRETE = {
-    "an agent is missing": ({"vehicle_0": 3}, r"lack \['vehicle_1'\]; expected one for each of .*vehicle_0.*vehicle_1"),
-    "no agent is there": ({}, r"lack \['vehicle_0', 'vehicle_1'\]"),
-    "one agent too many": (
-        {"vehicle_0": 3, "vehicle_1": 3, "vehicle_2": 3},
-        r"name others: \['vehicle_2'\]; expected one for each",
+    "an agent is missing": (
+        {"vehicle_0": 3},
+        r"are missing for \['vehicle_1'\]; expected one for each of .*vehicle_0.*vehicle_1",
     ),
-    "agents by number": ({0: 3, 1: 3}, r"lack \['vehicle_0', 'vehicle_1'\] and name others: \[0, 1\]"),
+    "no agents": ({}, r"are missing for \['vehicle_0', 'vehicle_1'\]"),
+    "an additional agent": (
+        {"vehicle_0": 3, "vehicle_1": 3, "vehicle_2": 3},
+        r"are given for \['vehicle_2'\]; expected one for each",
+    ),
+    "agents by number": ({0: 3, 1: 3}, r"are missing for \['vehicle_0', 'vehicle_1'\] and are given for \[0, 1\]"),
     "not a dict": ([3, 3], r"\[3, 3\] must be a dict"),
     "an action that is too large": ({"vehicle_0": 3, "vehicle_1": 22}, r"22 of vehicle_1 .*integers in \[0, 22\)"),
     "a negative action": ({"vehicle_0": -1, "vehicle_1": 3}, "-1 of vehicle_0 is not allowed"),
-    "a real number": ({"vehicle_0": 3.0, "vehicle_1": 3}, "of vehicle_0 has dtype float64"),
-    "a truth value": ({"vehicle_0": 3, "vehicle_1": True}, "of vehicle_1 has dtype bool"),
-    "nothing": ({"vehicle_0": 3, "vehicle_1": None}, "None of vehicle_1 has dtype object"),
+    "a float": ({"vehicle_0": 3.0, "vehicle_1": 3}, "of vehicle_0 has dtype float64"),
+    "a bool": ({"vehicle_0": 3, "vehicle_1": True}, "of vehicle_1 has dtype bool"),
+    "None": ({"vehicle_0": 3, "vehicle_1": None}, "None of vehicle_1 has dtype object"),
     "a list": ({"vehicle_0": 3, "vehicle_1": [3]}, r"of vehicle_1 has shape \(1,\); expected \(\)"),
     "a ragged list": ({"vehicle_0": [[1], [1, 2]], "vehicle_1": 3}, "of vehicle_0 is not an array"),
     "huge": ({"vehicle_0": 3, "vehicle_1": np.uint64(2**64 - 1)}, "of vehicle_1 is not allowed"),
@@ -341,9 +340,9 @@ BAD_CONTINUOUS = {
     "NaN": (np.array([0.0, math.nan, 0.0]), "of vehicle_1 is not allowed; expected finite numbers"),
     "infinite": ([0.0, 0.0, math.inf], "of vehicle_1 is not allowed"),
     "too short": ([0.0, 0.0], r"of vehicle_1 has shape \(2,\); expected \(3,\)"),
-    "a number": (0.0, "of vehicle_1 has shape"),
-    "words": (["left", "fast", "no"], "of vehicle_1 has dtype"),
-    "truth values": ([True, False, True], "of vehicle_1 has dtype bool"),
+    "a scalar": (0.0, "of vehicle_1 has shape"),
+    "strings": (["left", "fast", "no"], "of vehicle_1 has dtype"),
+    "bools": ([True, False, True], "of vehicle_1 has dtype bool"),
 }
 
 
@@ -366,12 +365,12 @@ def test_bad_continuous_joint_actions_are_refused(what: str) -> None:
 
 
 def halfway(keep_finished: bool) -> Any:
-    """An environment whose vehicle 1 has arrived while vehicle 0 still drives."""
-    drive = record("continuous", False)
-    env = mo_deepdrive.parallel_env(keep_finished=keep_finished, **drive.arguments)
+    """An environment in which vehicle 1 has arrived and vehicle 0 still drives."""
+    recording = record("continuous", False)
+    env = mo_deepdrive.parallel_env(keep_finished=keep_finished, **recording.arguments)
     env.reset(seed=7)
     infos: dict[str, Any] = {"vehicle_1": {}}
-    for joint in drive.actions[0]:
+    for joint in recording.actions[0]:
         if infos["vehicle_1"]:
             break
         infos = env.step(dict(zip(AGENTS, joint, strict=True)))[4]
@@ -382,13 +381,13 @@ def halfway(keep_finished: bool) -> Any:
 def test_an_action_for_a_vehicle_that_has_left_is_refused() -> None:
     env = halfway(keep_finished=False)
     assert env.agents == ["vehicle_0"]
-    assert_refuses(env, dict.fromkeys(AGENTS, FINE), r"name others: \['vehicle_1'\]; expected one .* \['vehicle_0'\]")
+    assert_refuses(env, dict.fromkeys(AGENTS, FINE), r"are given for \['vehicle_1'\]; expected one .* \['vehicle_0'\]")
 
 
-def test_the_action_of_a_kept_finished_vehicle_must_be_given_is_checked_and_is_ignored() -> None:
+def test_the_action_of_a_kept_vehicle_is_required_and_checked_but_ignored() -> None:
     env = halfway(keep_finished=True)
     assert env.agents == AGENTS
-    assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE}, r"lack \['vehicle_1'\]")
+    assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE}, r"are missing for \['vehicle_1'\]")
     assert_refuses(halfway(keep_finished=True), {"vehicle_0": FINE, "vehicle_1": FINE * math.nan}, "of vehicle_1")
     other = copy.deepcopy(env)
     env.step({"vehicle_0": FINE, "vehicle_1": FINE})
@@ -397,7 +396,7 @@ def test_the_action_of_a_kept_finished_vehicle_must_be_given_is_checked_and_is_i
 
 
 @pytest.mark.parametrize("keep_finished", [False, True])
-def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(keep_finished: bool) -> None:
+def test_a_step_before_the_first_reset_or_after_the_end_is_refused(keep_finished: bool) -> None:
     env = mo_deepdrive.parallel_env(time_limit=0.2, keep_finished=keep_finished)
     with pytest.raises(ResetNeeded):
         env.step(dict.fromkeys(AGENTS, 3))
@@ -413,9 +412,9 @@ def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(keep_fini
     env.step(dict.fromkeys(AGENTS, 3))
 
 
-def test_the_aec_environment_refuses_a_wrong_step_when_it_is_made() -> None:
-    drive = record("continuous", False)
-    env = mo_deepdrive.env(**drive.arguments)
+def test_the_aec_environment_refuses_an_invalid_action_at_once() -> None:
+    recording = record("continuous", False)
+    env = mo_deepdrive.env(**recording.arguments)
     with pytest.raises(ResetNeeded):
         env.step(FINE)
     env.reset(seed=7)
@@ -432,15 +431,15 @@ def test_the_aec_environment_refuses_a_wrong_step_when_it_is_made() -> None:
             refused += 1
             env.step(None)
         else:
-            env.step(drive.actions[0][taken[agent]][AGENTS.index(agent)])
+            env.step(recording.actions[0][taken[agent]][AGENTS.index(agent)])
             taken[agent] += 1
     assert refused == 2
-    assert taken["vehicle_0"] == len(drive.actions[0])
+    assert taken["vehicle_0"] == len(recording.actions[0])
     with pytest.raises(ResetNeeded):
         env.step(FINE)
 
 
-def test_starts_pin_both_vehicles_and_bad_ones_are_refused() -> None:
+def test_starts_set_both_vehicles_and_invalid_ones_are_refused() -> None:
     starts = ((27.077, 10.0, 0.0), (24.039, 40.0, math.pi))
     env = mo_deepdrive.parallel_env()
     env.reset(seed=0, options={"starts": starts})
@@ -448,7 +447,7 @@ def test_starts_pin_both_vehicles_and_bad_ones_are_refused() -> None:
     before = copy.deepcopy(env)
     with pytest.raises(ValueError, match=r"'starts'.*finite"):
         env.reset(seed=3, options={"starts": ((27.0, math.nan, 0.0), (24.0, 40.0, 3.1))})
-    steps_alike(env, before)
+    assert_same_steps(env, before)
 
 
 def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_nearest() -> None:
@@ -466,10 +465,10 @@ def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_neares
         ({"end_togther": True}, "'end_togther'.*did you mean 'end_together'"),
         ({"keep_finished": 1}, "keep_finished = 1 must be True or False"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
-        ({"scenario": "one_waypoint", "end_together": True}, "no meaning in OneWaypoint"),
+        ({"scenario": "one_waypoint", "end_together": True}, "no effect in OneWaypoint"),
     ],
 )
-def test_arguments_that_make_no_sense_are_refused(arguments: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) -> None:
     for make in (mo_deepdrive.parallel_env, mo_deepdrive.env, mo_deepdrive.raw_env):
         with pytest.raises(ValueError, match=message):
             make(**arguments)
@@ -492,7 +491,7 @@ def test_only_the_aec_environment_needs_momaland(run_python: Any) -> None:
     assert printed.strip() == 'the AEC environment needs MOMAland: pip install "mo-deepdrive[momaland]"'
 
 
-def test_the_environments_can_be_drawn() -> None:
+def test_the_environments_render() -> None:
     for make in (mo_deepdrive.parallel_env, mo_deepdrive.env):
         env = make(render_mode="rgb_array")
         env.reset(seed=0)
@@ -505,7 +504,7 @@ def test_the_environments_can_be_drawn() -> None:
 
 
 def examples(repository: Path) -> list[tuple[str, str]]:
-    """The Python blocks of docs/interfaces.md, each with the heading it stands under."""
+    """The Python blocks of docs/interfaces.md, each with its heading."""
     text = (repository / "docs" / "interfaces.md").read_text(encoding="utf-8")
     found = re.findall(r"^## ([^\n]+)$|^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     heading, blocks = "", []

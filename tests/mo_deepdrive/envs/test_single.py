@@ -1,6 +1,6 @@
-"""The Gymnasium environments of one world: conformance with Gymnasium and MO-Gymnasium, determinism, copies, bad input.
-
-Those with one vehicle, and the intersection, whose vehicles take turns (see also ``test_turn_based.py``)."""
+"""The Gymnasium environments: conformance with Gymnasium and MO-Gymnasium, determinism, copies,
+invalid input. The environments with one vehicle, and the turn-based intersection (see also ``test_turn_based.py``).
+"""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def sample_actions(env: Env, count: int, seed: int) -> list[Any]:
 
 
 def rollout(env: Env, actions: list[Any], seed: int | None) -> list[Any]:
-    """Everything that comes back, starting anew (without a seed) whenever an episode ends."""
+    """All results; the environment is reset (without a seed) whenever an episode ends."""
     out: list[Any] = [env.reset(seed=seed)]
     for action in actions:
         out.append(env.step(action))
@@ -82,7 +82,7 @@ def assert_equal(first: Any, second: Any) -> None:
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_gymnasiums_own_checker_finds_nothing_but_that_the_reward_is_a_vector(
+def test_gymnasiums_checker_warns_of_the_vector_reward_alone(
     make_single: Make, scenario: str, action_type: str
 ) -> None:
     with warnings.catch_warnings(record=True) as found:
@@ -93,7 +93,7 @@ def test_gymnasiums_own_checker_finds_nothing_but_that_the_reward_is_a_vector(
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_the_ids_run_behind_the_wrappers_that_make_puts_around_them(scenario: str, action_type: str) -> None:
+def test_the_ids_work_with_the_wrappers_of_make(scenario: str, action_type: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the vector reward
         env = gymnasium.make(IDS[scenario], action_type=action_type, max_episode_steps=5)
@@ -109,7 +109,7 @@ def test_the_ids_run_behind_the_wrappers_that_make_puts_around_them(scenario: st
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_the_reward_space_holds_every_reward_as_mo_gymnasium_asks(
+def test_the_reward_space_contains_every_reward_as_mo_gymnasium_requires(
     make_single: Make, scenario: str, action_type: str
 ) -> None:
     env = make_single(scenario, action_type=action_type)
@@ -147,9 +147,7 @@ def test_the_spec_names_the_scenario_and_nothing_else_by_default() -> None:
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_what_comes_back_has_the_types_that_gymnasium_asks_for(
-    make_single: Make, scenario: str, action_type: str
-) -> None:
+def test_results_have_the_types_that_gymnasium_requires(make_single: Make, scenario: str, action_type: str) -> None:
     env = make_single(scenario, action_type=action_type, time_limit=2.0)
     ends = 0
     for result in rollout(env, sample_actions(env, 200, 1), seed=1):
@@ -166,7 +164,7 @@ def test_what_comes_back_has_the_types_that_gymnasium_asks_for(
         if scenario == "intersection":
             assert type(info.pop("vehicle")) is int
             if "end" in info and not (terminated or truncated):
-                continue  # the last turn of a vehicle before that of the other
+                continue  # the last turn of a vehicle, before that of the other one
         if terminated or truncated:
             ends += 1
             assert info.keys() == {"end", "success"}
@@ -181,17 +179,17 @@ def test_what_comes_back_has_the_types_that_gymnasium_asks_for(
 
 
 @pytest.mark.parametrize("scenario", IDS)
-def test_returned_arrays_are_fresh_and_the_callers_to_change(make_single: Make, scenario: str) -> None:
-    env, spoiled = make_single(scenario), make_single(scenario)
+def test_returned_arrays_are_new_and_may_be_changed_by_the_caller(make_single: Make, scenario: str) -> None:
+    env, modified = make_single(scenario), make_single(scenario)
     actions = sample_actions(env, 60, 2)
     kept = [env.reset(seed=2)[0]]
-    first = spoiled.reset(seed=2)[0]
+    first = modified.reset(seed=2)[0]
     assert first.flags.writeable
     first[:] = np.nan
     rewards = []
     for action in actions:
         observation, reward, terminated, truncated, _ = env.step(action)
-        other, other_reward, *_ = spoiled.step(action)
+        other, other_reward, *_ = modified.step(action)
         assert_equal(other, observation)
         assert_equal(other_reward, reward)
         assert other.flags.writeable
@@ -210,14 +208,14 @@ def test_returned_arrays_are_fresh_and_the_callers_to_change(make_single: Make, 
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_the_same_seed_gives_the_same_everything(make_single: Make, scenario: str, action_type: str) -> None:
+def test_the_same_seed_gives_the_same_trajectory(make_single: Make, scenario: str, action_type: str) -> None:
     first = make_single(scenario, action_type=action_type, time_limit=1.5)
     second = make_single(scenario, action_type=action_type, time_limit=1.5)
     actions = sample_actions(first, 150, 3)
     one = rollout(first, actions, seed=11)
     assert_equal(one, rollout(second, actions, seed=11))
     assert_equal(one, rollout(first, actions, seed=11))
-    assert sum(len(result) == 2 for result in one) > 3, "and so over several episodes"
+    assert sum(len(result) == 2 for result in one) > 3, "over several episodes"
 
 
 @pytest.mark.parametrize("scenario", IDS)
@@ -239,7 +237,7 @@ COPIES: dict[str, Callable[[Env], Env]] = {
 
 @pytest.mark.parametrize("how", COPIES)
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_a_copy_goes_on_exactly_where_the_original_stands(
+def test_a_copy_continues_exactly_from_the_state_of_the_original(
     make_single: Make, scenario: str, action_type: str, how: str
 ) -> None:
     env = make_single(scenario, action_type=action_type, time_limit=2.0)
@@ -258,7 +256,7 @@ def test_a_copy_goes_on_exactly_where_the_original_stands(
         return out
 
     gone = go_on(twin)
-    assert env.telemetry() == untouched, "the copy has buffers of its own"
+    assert env.telemetry() == untouched, "the copy has its own buffers"
     assert_equal(gone, go_on(env))
     assert any(len(result) == 2 for result in gone)
 
@@ -267,7 +265,7 @@ def test_a_copy_goes_on_exactly_where_the_original_stands(
 
 
 @pytest.mark.parametrize("scenario", IDS)
-def test_a_subset_of_objectives_comes_in_the_order_asked_for(make_single: Make, scenario: str) -> None:
+def test_selected_objectives_are_in_the_given_order(make_single: Make, scenario: str) -> None:
     full = make_single(scenario)
     actions = sample_actions(full, 80, 5)
     everything = [result[1] for result in rollout(full, actions, seed=5) if len(result) == 5]
@@ -284,7 +282,7 @@ def test_a_subset_of_objectives_comes_in_the_order_asked_for(make_single: Make, 
 
 
 @pytest.mark.parametrize("scenario", IDS)
-def test_the_cost_sign_turns_the_costs_and_their_bounds(make_single: Make, scenario: str) -> None:
+def test_the_cost_sign_changes_the_sign_of_costs_and_their_bounds(make_single: Make, scenario: str) -> None:
     env, paper = make_single(scenario), make_single(scenario, cost_sign="paper")
     sign = np.array([-1 if name in COSTS else 1 for name in OBJECTIVES[scenario]])
     actions = sample_actions(env, 150, 6)
@@ -350,7 +348,7 @@ def test_observations_and_rewards_never_leave_their_spaces(make_single: Make, sc
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_many_long_drives_never_leave_the_spaces(make_vector: Make, scenario: str, action_type: str) -> None:
+def test_long_episodes_never_leave_the_spaces(make_vector: Make, scenario: str, action_type: str) -> None:
     env = make_vector(scenario, 256, action_type=action_type, harmful_g_force=None, cost_sign="paper")
     rng = np.random.default_rng(0)
     observations, _ = env.reset(seed=0)
@@ -376,18 +374,19 @@ def test_many_long_drives_never_leave_the_spaces(make_vector: Make, scenario: st
 
 @pytest.mark.parametrize("scenario", OPEN)
 @pytest.mark.parametrize("accelerate", [1.0, -1.0])
-def test_the_fastest_drives_stay_within_the_spaces(make_single: Make, scenario: str, accelerate: float) -> None:
+def test_the_fastest_episodes_stay_within_the_spaces(make_single: Make, scenario: str, accelerate: float) -> None:
     env = make_single(scenario, action_type="continuous", harmful_g_force=None)
     speeds = []
-    # Full throttle across the widest map that pins allow, ahead and, looking away, in reverse; then full brake.
+    # Full throttle across the widest map that reset options allow, towards the destination and away from it; then full
+    # brake.
     for heading in (math.radians(-45), math.radians(-43)):
         turn = 0.0 if accelerate > 0 else math.pi
         options = {"start": (-250.0, -250.0, heading + turn), "destination": (250.0, 250.0)}
         if scenario == "static_obstacle":
-            options["obstacle"] = ((-200.0, 200.0), (-199.0, 200.0))  # out of the way
+            options["obstacle"] = ((-200.0, 200.0), (-199.0, 200.0))  # not on the way
         env.reset(seed=0, options=options)
         if accelerate < 0:
-            # It counts as having been no further than where it looks away.
+            # Its furthest route distance is the one at the start.
             env.batch.state[0, 0].furthest = env.batch.state[0, 0].route_distance
         for decision in range(250):
             action = np.array([0.0, accelerate, -1.0 if decision < 200 else 1.0], dtype=np.float32)
@@ -434,7 +433,7 @@ def test_normalising_and_clipping_wrappers_of_mo_gymnasium_run(make_single: Make
 
 
 @pytest.mark.parametrize("scenario", IDS)
-def test_episode_statistics_of_mo_gymnasium_add_up(make_single: Make, scenario: str) -> None:
+def test_episode_statistics_of_mo_gymnasium_are_right(make_single: Make, scenario: str) -> None:
     env = MORecordEpisodeStatistics(make_single(scenario, time_limit=2.0), gamma=0.9)
     for seed in range(3):
         env.reset(seed=seed)
@@ -468,10 +467,10 @@ def test_importing_the_package_imports_neither_torch_nor_pygame(run_python: Any)
         "env = gymnasium.make('mo-deepdrive-one-waypoint-v0', disable_env_checker=True)\n"
         "print(sorted({'torch', 'pygame', 'matplotlib', 'wandb', 'moviepy', 'numba'} & set(sys.modules)))"
     )
-    assert printed.strip() == "['numba']"  # the list is not empty, so the check sees what is there
+    assert printed.strip() == "['numba']"  # the list is not empty, so the check works
 
 
-def test_mo_gymnasium_makes_the_ids_here_too() -> None:
+def test_mo_gymnasium_makes_the_ids() -> None:
     env = mo_gymnasium.make("mo_deepdrive:mo-deepdrive-one-waypoint-v0", disable_env_checker=True, cost_sign="paper")
     env.reset(seed=0)
     assert (env.step(3)[1] >= 0).all()
@@ -481,7 +480,7 @@ def test_mo_gymnasium_makes_the_ids_here_too() -> None:
 
 
 def assert_refuses(env: Env, call: Callable[[], Any], error: type[Exception], message: str) -> None:
-    """``call`` raises a clear error, and the environment goes on as if it had not been called."""
+    """``call`` raises a clear error, and the environment continues as if it had not been called."""
     before = copy.deepcopy(env)
     with pytest.raises(error, match=message):
         call()
@@ -498,23 +497,23 @@ BAD_CONTINUOUS = {
     "too short": ([0.0, 0.0], "shape"),
     "too long": ([0.0] * 4, "shape"),
     "batched": ([[0.0] * 3], "shape"),
-    "a number": (0.5, "shape"),
-    "words": (["left", "fast", "no"], "dtype"),
+    "a scalar": (0.5, "shape"),
+    "strings": (["left", "fast", "no"], "dtype"),
     "complex": ([1j, 0.0, 0.0], "dtype"),
-    "nothing": (None, "shape"),
+    "None": (None, "shape"),
 }
 BAD_DISCRETE = {
     "too large": (22, "not allowed"),
     "negative": (-1, "not allowed"),
     "huge": (2**63 - 1, "not allowed"),
     "huge unsigned": (np.uint64(2**64 - 1), "not allowed"),
-    "real": (3.0, "dtype"),
+    "a float": (3.0, "dtype"),
     "NaN": (math.nan, "dtype"),
     "a list": ([3], "shape"),
     "a pair": (np.array([3, 4]), "shape"),
-    "a word": ("left", "dtype"),
-    "a truth value": (True, "dtype"),
-    "nothing": (None, "dtype"),
+    "a string": ("left", "dtype"),
+    "a bool": (True, "dtype"),
+    "None": (None, "dtype"),
 }
 
 
@@ -538,14 +537,14 @@ def test_a_bad_discrete_action_is_refused(make_single: Make, scenario: str, what
     assert_refuses(env, lambda: env.step(action), ValueError, message)
 
 
-def test_the_sixteen_actions_end_at_fifteen(make_single: Make) -> None:
+def test_the_last_of_the_sixteen_actions_is_fifteen(make_single: Make) -> None:
     env = make_single(action_type="discrete-16")
     env.reset(seed=0)
     env.step(15)
     assert_refuses(env, lambda: env.step(16), ValueError, r"expected integers in \[0, 16\)")
 
 
-def test_numbers_of_any_integer_type_are_actions(make_single: Make) -> None:
+def test_actions_may_have_any_integer_type(make_single: Make) -> None:
     results = []
     for kind in (int, np.int8, np.int32, np.int64, np.uint8, np.uint64, np.array):
         env = make_single()
@@ -556,12 +555,12 @@ def test_numbers_of_any_integer_type_are_actions(make_single: Make) -> None:
 
 
 @pytest.mark.parametrize("scenario", IDS)
-def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(make_single: Make, scenario: str) -> None:
+def test_a_step_before_the_first_reset_or_after_the_end_is_refused(make_single: Make, scenario: str) -> None:
     env = make_single(scenario, time_limit=0.2)
     with pytest.raises(ResetNeeded):
         env.step(0)
     env.reset(seed=0)
-    # Of two vehicles each chooses twice, and the first has a last turn before the second.
+    # Each of the two vehicles chooses twice, and the first one has its last turn before the second.
     for _ in range(4 if scenario == "intersection" else 1):
         assert not env.step(0)[3]
     assert env.step(0)[3]
@@ -578,18 +577,18 @@ def test_a_step_before_the_first_reset_and_after_the_end_needs_a_reset(make_sing
 
 GOOD = {"start": (0.0, 0.0, -math.pi / 2), "destination": (30.0, 0.0)}
 BAD_OPTIONS = {
-    "the destination on the bicycle": ({**GOOD, "obstacle": ((30.0, -1.0), (30.0, 1.0))}, "no possible scenario"),
-    "the destination within 1 m of it": ({**GOOD, "obstacle": ((30.99, -1.0), (30.99, 1.0))}, "no possible scenario"),
-    "the start inside the car": ({**GOOD, "obstacle": ((0.1, 0.0), (0.2, 0.1))}, "no possible scenario"),
-    "the start at the bicycle": ({**GOOD, "obstacle": ((2.5, -5.0), (2.5, 5.0))}, "no possible scenario"),
+    "the destination on the bicycle": ({**GOOD, "obstacle": ((30.0, -1.0), (30.0, 1.0))}, "no valid scenario"),
+    "the destination within 1 m of it": ({**GOOD, "obstacle": ((30.99, -1.0), (30.99, 1.0))}, "no valid scenario"),
+    "the start inside the car": ({**GOOD, "obstacle": ((0.1, 0.0), (0.2, 0.1))}, "no valid scenario"),
+    "the start at the bicycle": ({**GOOD, "obstacle": ((2.5, -5.0), (2.5, 5.0))}, "no valid scenario"),
     "a NaN in the start": ({"start": (0.0, math.nan, 0.0)}, "'start'.*finite"),
     "an infinite destination": ({"destination": (math.inf, 0.0)}, "'destination'.*finite"),
     "a NaN in the bicycle": ({"obstacle": ((1.0, math.nan), (2.0, 2.0))}, "'obstacle'.*finite"),
     "a start without heading": ({"start": (0.0, 0.0)}, "'start'.*x, y, heading"),
     "a destination of one number": ({"destination": 3.0}, "'destination'.*x, y"),
     "a bicycle with one end": ({"obstacle": (1.0, 2.0)}, "'obstacle'"),
-    "a start of words": ({"start": ("a", "b", "c")}, "'start'"),
-    "a destination of nothing": ({"destination": None}, "'destination'"),
+    "a start of strings": ({"start": ("a", "b", "c")}, "'start'"),
+    "a destination of None": ({"destination": None}, "'destination'"),
     "a start far away": ({"start": (1e6, 0.0, 0.0)}, "'start'.*250 m"),
     "an unknown option": ({"destinatoin": (1.0, 2.0)}, "'destinatoin'.*did you mean 'destination'"),
     "the option of another scenario": ({"starts": ((0, 0, 0), (0, 0, 0))}, "unknown reset option 'starts'"),
@@ -597,7 +596,7 @@ BAD_OPTIONS = {
 
 
 @pytest.mark.parametrize("what", BAD_OPTIONS)
-def test_reset_options_that_make_no_scenario_are_refused(make_single: Make, what: str) -> None:
+def test_reset_options_without_a_valid_scenario_are_refused(make_single: Make, what: str) -> None:
     options, message = BAD_OPTIONS[what]
     env = make_single("static_obstacle")
     env.reset(seed=0)
@@ -605,16 +604,16 @@ def test_reset_options_that_make_no_scenario_are_refused(make_single: Make, what
     assert_refuses(env, lambda: env.reset(options=options), ValueError, message)
 
 
-def test_one_waypoint_has_no_bicycle_to_pin(make_single: Make) -> None:
+def test_one_waypoint_has_no_bicycle_option(make_single: Make) -> None:
     env = make_single()
     env.reset(seed=0)
     refused = {"obstacle": ((1.0, 2.0), (3.0, 4.0))}
     assert_refuses(env, lambda: env.reset(options=refused), ValueError, "'obstacle' in OneWaypoint")
 
 
-def test_a_refused_first_reset_leaves_an_environment_that_still_needs_one(make_single: Make) -> None:
+def test_after_a_refused_first_reset_a_reset_is_still_required(make_single: Make) -> None:
     env = make_single("static_obstacle")
-    with pytest.raises(ValueError, match="no possible scenario"):
+    with pytest.raises(ValueError, match="no valid scenario"):
         env.reset(options={**GOOD, "obstacle": ((0.0, 0.0), (0.0, 0.1))})
     with pytest.raises(ResetNeeded):
         env.step(0)
@@ -627,42 +626,50 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "another unknown argument": ("one_waypoint", {"harmfull_jerk": 3.0}, "did you mean 'harmful_jerk'"),
     "an unknown action type": ("one_waypoint", {"action_type": "discreet"}, "action_type.*'discreet'"),
     "an unknown objective": ("one_waypoint", {"objectives": ("jrek",)}, "'jrek'; did you mean 'jerk'"),
-    "an objective of another scenario": ("one_waypoint", {"objectives": ("collision",)}, "which OneWaypoint lacks"),
-    "an objective twice": ("one_waypoint", {"objectives": ("jerk", "jerk")}, "each once"),
-    "no objectives": ("one_waypoint", {"objectives": ()}, "one or more names"),
+    "an objective of another scenario": ("one_waypoint", {"objectives": ("collision",)}, "OneWaypoint does not have"),
+    "an objective twice": ("one_waypoint", {"objectives": ("jerk", "jerk")}, "distinct names"),
+    "no objectives": ("one_waypoint", {"objectives": ()}, "one or more distinct names"),
     "a time limit of zero": ("one_waypoint", {"time_limit": 0}, "time_limit.*greater than 0"),
     "a negative time limit": ("one_waypoint", {"time_limit": -1.0}, "time_limit.*greater than 0"),
     "a time limit below a decision": ("one_waypoint", {"time_limit": 0.04}, "at least one decision"),
     "a time limit that is not a number": ("one_waypoint", {"time_limit": math.nan}, "time_limit"),
-    "a time limit in words": ("one_waypoint", {"time_limit": "60"}, "time_limit"),
-    "frequencies that do not divide": ("one_waypoint", {"decision_frequency": 7}, "must be a multiple"),
-    "deciding more often than moving": ("one_waypoint", {"simulation_frequency": 5}, "must be a multiple"),
+    "a time limit as a string": ("one_waypoint", {"time_limit": "60"}, "time_limit"),
+    "a frequency that is not a divisor": ("one_waypoint", {"decision_frequency": 7}, "must be a multiple"),
+    "a decision frequency above the simulation frequency": (
+        "one_waypoint",
+        {"simulation_frequency": 5},
+        "must be a multiple",
+    ),
     "a frequency of zero": ("one_waypoint", {"decision_frequency": 0}, "decision_frequency.*equal to 1"),
     "a harmful g-force of zero": ("one_waypoint", {"harmful_g_force": 0.0}, "harmful_g_force.*greater than 0"),
-    "a cost sign of its own": ("one_waypoint", {"cost_sign": "minus"}, "cost_sign"),
-    "a flag that is a number": ("one_waypoint", {"ignore_brake": 1}, "ignore_brake"),
-    "a lane margin without lanes": ("one_waypoint", {"lane_margin": 0.5}, "lane_margin.*no meaning in OneWaypoint"),
-    "lanes to leave without lanes": ("static_obstacle", {"end_on_lane_violation": True}, "no meaning in Static"),
-    "a yield rule without another": ("one_waypoint", {"yield_to_oncoming": False}, "no meaning in OneWaypoint"),
-    "an end together alone": ("static_obstacle", {"end_together": True}, "no meaning in StaticObstacle"),
+    "an unknown cost sign": ("one_waypoint", {"cost_sign": "minus"}, "cost_sign"),
+    "a flag as a number": ("one_waypoint", {"ignore_brake": 1}, "ignore_brake"),
+    "a lane margin without lanes": ("one_waypoint", {"lane_margin": 0.5}, "lane_margin.*no effect in OneWaypoint"),
+    "an end on lane violation without lanes": (
+        "static_obstacle",
+        {"end_on_lane_violation": True},
+        "no effect in Static",
+    ),
+    "a yield rule without another vehicle": ("one_waypoint", {"yield_to_oncoming": False}, "no effect in OneWaypoint"),
+    "an end together with one vehicle": ("static_obstacle", {"end_together": True}, "no effect in StaticObstacle"),
     "an unknown render mode": ("one_waypoint", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
 }
 
 
 @pytest.mark.parametrize("what", BAD_ARGUMENTS)
 @pytest.mark.filterwarnings("ignore:.*render_mode.*")
-def test_environment_arguments_that_make_no_sense_are_refused(make_single: Make, what: str) -> None:
+def test_invalid_environment_arguments_are_refused(make_single: Make, what: str) -> None:
     scenario, options, message = BAD_ARGUMENTS[what]
     with pytest.raises(ValueError, match=message):
         make_single(scenario, **options)
 
 
-def test_every_offending_argument_is_named(make_single: Make) -> None:
+def test_every_invalid_argument_is_named(make_single: Make) -> None:
     with pytest.raises(ValueError, match=r"(?s)time_limit.*lane_margin.*seeed"):
         make_single(time_limit=-1, lane_margin=-2.0, seeed=1)
 
 
-def test_the_single_environment_refuses_the_scenario_of_two_vehicles_and_names_those_that_take_it() -> None:
+def test_the_single_environment_refuses_two_vehicles_and_names_the_alternatives() -> None:
     from mo_deepdrive.envs.single import DrivingEnv
 
     with pytest.raises(ValueError, match=r"'intersection'.*two.*gymnasium\.make\(.*make_vec.*parallel_env"):
@@ -671,7 +678,7 @@ def test_the_single_environment_refuses_the_scenario_of_two_vehicles_and_names_t
         DrivingEnv(scenario="roundabout")
 
 
-def test_a_negative_seed_is_refused_and_leaves_the_state(make_single: Make) -> None:
+def test_a_negative_seed_is_refused_and_does_not_change_the_state(make_single: Make) -> None:
     env = make_single()
     env.reset(seed=0)
     assert_refuses(env, lambda: env.reset(seed=-1), gymnasium.error.Error, "greater or equal to zero")

@@ -1,6 +1,6 @@
-"""The intersection as one Gymnasium environment: whose turn it is, what each turn shows, and how it ends.
+"""The intersection as one Gymnasium environment: whose turn it is, what a turn returns, and how it ends.
 
-``test_envs.py`` holds it to what every environment must do, ``test_faces.py`` to the other faces.
+``test_single.py`` tests what all environments have in common, ``test_interfaces.py`` compares the interfaces.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def env(make_single: Callable[..., Any]) -> Any:
 
 def play(make_single: Callable[..., Any], plan: str, action_type: str = "continuous", together: bool = False) -> Any:
     """All turns of a recorded episode, and its joint actions."""
-    drive = record(action_type, together)
+    recording = record(action_type, together)
     number = list(PLANS).index(plan)
-    env = make_single("intersection", **drive.arguments)
+    env = make_single("intersection", **recording.arguments)
     turns: list[Turn] = []
-    for reset, joint in drive.resets()[: number + 1]:  # an episode draws where those before it have stopped
+    for reset, joint in recording.resets()[: number + 1]:  # an episode continues the random stream of those before it
         turns, chosen = [], [0, 0]
         info = env.reset(**reset)[1]
         while not turns or not (turns[-1][2] or turns[-1][3]):
@@ -40,19 +40,19 @@ def play(make_single: Callable[..., Any], plan: str, action_type: str = "continu
             turns.append(env.step(joint[min(chosen[vehicle], len(joint) - 1)][vehicle]))
             chosen[vehicle] += 1
             info = turns[-1][4]
-    return turns, drive.actions[number]
+    return turns, recording.actions[number]
 
 
 # ------------------------------------------------------------------------------------------------------------- turns
 
 
-def test_the_vehicles_take_turns_and_the_info_names_whose_it_is(env: Any) -> None:
+def test_the_vehicles_take_turns_and_the_info_says_whose_turn_it_is(env: Any) -> None:
     assert env.reset(seed=0)[1] == {"vehicle": 0}
     for turn in range(1, 11):
         assert env.step(3)[4] == {"vehicle": turn % 2}
 
 
-def test_the_world_moves_when_both_have_chosen_so_that_none_sees_the_others_choice(make_single: Any) -> None:
+def test_the_world_moves_after_both_choices_so_neither_sees_the_others(make_single: Any) -> None:
     observations, telemetry = [], []
     for choice in (0, 3, 6):
         env = make_single("intersection")
@@ -60,19 +60,17 @@ def test_the_world_moves_when_both_have_chosen_so_that_none_sees_the_others_choi
         before = env.telemetry()
         observation, reward, *_ = env.step(choice)
         observations.append(observation.tobytes())
-        assert env.telemetry() == before, "one has chosen, and nothing has moved"
-        assert not reward.any(), "its first turn: it has earned nothing yet"
+        assert env.telemetry() == before, "one has chosen, and nothing moves"
+        assert not reward.any(), "no reward on its first turn"
         env.step(3)
         assert env.telemetry() != before
         telemetry.append(env.telemetry())
     assert len(set(observations)) == 1
-    assert len({car[0]["speed"] for car in telemetry}) == 2, "idle, or one of two ways to speed up"
+    assert len({car[0]["speed"] for car in telemetry}) == 2, "idle, or one of two ways to accelerate"
     assert len({car[1]["speed"] for car in telemetry}) == 1
 
 
-def test_a_turn_shows_what_its_vehicle_observes_and_what_its_own_last_decision_earned(
-    make_single: Any, make_vector: Any
-) -> None:
+def test_a_turn_has_the_observation_and_reward_of_its_vehicle(make_single: Any, make_vector: Any) -> None:
     env, vector = make_single("intersection"), make_vector("intersection", 1, autoreset_mode="Disabled")
     observation, _ = env.reset(seed=3)
     observations, _ = vector.reset(seed=3)
@@ -90,7 +88,7 @@ def test_a_turn_shows_what_its_vehicle_observes_and_what_its_own_last_decision_e
         np.testing.assert_array_equal(reward, rewards[0, 0])
 
 
-def test_the_first_turns_of_a_later_episode_have_earned_nothing_either(env: Any) -> None:
+def test_the_first_turns_of_a_later_episode_have_zero_reward_too(env: Any) -> None:
     env.reset(seed=0)
     for _ in range(9):
         env.step(3)
@@ -107,7 +105,7 @@ def test_the_first_turns_of_a_later_episode_have_earned_nothing_either(env: Any)
     ("plan", "first", "last"),
     [("both arrive", 1, 0), ("the straight one fails", 1, 0), ("the left turn fails", 0, 1)],
 )
-def test_who_ends_first_has_one_last_turn_and_then_only_the_other_has_turns(
+def test_the_vehicle_that_ends_first_has_one_last_turn_then_only_the_other(
     make_single: Any, plan: str, first: int, last: int, action_type: str
 ) -> None:
     turns, _ = play(make_single, plan, action_type)
@@ -123,10 +121,8 @@ def test_who_ends_first_has_one_last_turn_and_then_only_the_other_has_turns(
 
 
 @pytest.mark.parametrize("together", [False, True])
-@pytest.mark.parametrize("plan", ["they collide", "both fail in the same decision", "both stand"])
-def test_where_both_end_at_once_vehicle_0_has_its_last_turn_before_vehicle_1(
-    make_single: Any, plan: str, together: bool
-) -> None:
+@pytest.mark.parametrize("plan", ["they collide", "both fail in the same decision", "both stay"])
+def test_if_both_end_at_once_vehicle_0_has_its_last_turn_first(make_single: Any, plan: str, together: bool) -> None:
     turns, actions = play(make_single, plan, together=together)
     assert len(turns) == 2 * len(actions) + 1
     left, straight = turns[-2:]
@@ -134,23 +130,23 @@ def test_where_both_end_at_once_vehicle_0_has_its_last_turn_before_vehicle_1(
     assert left[4] == {"vehicle": 0, "end": ends[0], "success": False}
     assert straight[4] == {"vehicle": 1, "end": ends[1], "success": False}
     assert left[2:4] == (False, False)
-    assert straight[2:4] == ((False, True) if plan == "both stand" else (True, False))
+    assert straight[2:4] == ((False, True) if plan == "both stay" else (True, False))
 
 
 def test_the_episodes_flag_is_that_of_the_vehicle_whose_turn_is_last(make_single: Any) -> None:
-    turns, _ = play(make_single, "one arrives, one stands")
+    turns, _ = play(make_single, "one arrives, one stays")
     assert turns[-1][4] == {"vehicle": 1, "end": "time_limit", "success": False}
     assert turns[-1][2:4] == (False, True)
-    turns, _ = play(make_single, "one arrives, one stands", together=True)
+    turns, _ = play(make_single, "one arrives, one stays", together=True)
     assert turns[-1][4] == {"vehicle": 1, "end": "other_vehicle", "success": False}
     assert turns[-1][2:4] == (True, False)
 
 
-def test_the_answer_to_a_last_turn_is_ignored_but_must_be_an_action(make_single: Any) -> None:
-    drive = record("discrete", False)
-    actions = drive.actions[0]
-    env = make_single("intersection", **drive.arguments)
-    info = env.reset(**drive.resets()[0][0])[1]
+def test_the_action_of_a_last_turn_is_ignored_but_must_be_valid(make_single: Any) -> None:
+    recording = record("discrete", False)
+    actions = recording.actions[0]
+    env = make_single("intersection", **recording.arguments)
+    info = env.reset(**recording.resets()[0][0])[1]
     chosen = [0, 0]
     while "end" not in info:
         vehicle = info["vehicle"]
@@ -159,17 +155,17 @@ def test_the_answer_to_a_last_turn_is_ignored_but_must_be_an_action(make_single:
     assert info["vehicle"] == 1
     with pytest.raises(ValueError, match="vehicle 1"):
         env.step(22)
-    told = [copy.deepcopy(env).step(answer) for answer in range(22)]
-    assert {observation.tobytes() for observation, *_ in told} == {told[0][0].tobytes()}
-    assert {reward.tobytes() for _, reward, *_ in told} == {told[0][1].tobytes()}
-    assert told[0][4] == {"vehicle": 0}
+    results = [copy.deepcopy(env).step(answer) for answer in range(22)]
+    assert {observation.tobytes() for observation, *_ in results} == {results[0][0].tobytes()}
+    assert {reward.tobytes() for _, reward, *_ in results} == {results[0][1].tobytes()}
+    assert results[0][4] == {"vehicle": 0}
 
 
 # ---------------------------------------------------------------------------------------------------------- bad input
 
 
 @pytest.mark.parametrize("choices", [1, 2])
-def test_a_bad_action_leaves_the_turn_and_the_choice_that_waits(make_single: Any, choices: int) -> None:
+def test_an_invalid_action_changes_neither_the_turn_nor_the_pending_choice(make_single: Any, choices: int) -> None:
     env = make_single("intersection", action_type="continuous")
     env.reset(seed=0)
     for _ in range(choices):
@@ -178,14 +174,14 @@ def test_a_bad_action_leaves_the_turn_and_the_choice_that_waits(make_single: Any
     with pytest.raises(ValueError, match=rf"nan.* of vehicle {choices % 2} is not allowed"):
         env.step(np.array([0.0, math.nan, 0.0]))
     for _ in range(3):
-        told, expected = env.step(np.zeros(3)), before.step(np.zeros(3))
-        assert told[4] == expected[4]
-        assert told[0].tobytes() == expected[0].tobytes()
-        assert told[1].tobytes() == expected[1].tobytes()
+        results, expected = env.step(np.zeros(3)), before.step(np.zeros(3))
+        assert results[4] == expected[4]
+        assert results[0].tobytes() == expected[0].tobytes()
+        assert results[1].tobytes() == expected[1].tobytes()
     assert env.batch.state.tobytes() == before.batch.state.tobytes()
 
 
-def test_after_the_end_nothing_moves_until_a_reset(make_single: Any) -> None:
+def test_a_step_after_the_end_is_refused_until_a_reset(make_single: Any) -> None:
     env = make_single("intersection", time_limit=0.1)
     env.reset(seed=0)
     assert [env.step(3)[3] for _ in range(3)] == [False, False, True]
@@ -196,7 +192,7 @@ def test_after_the_end_nothing_moves_until_a_reset(make_single: Any) -> None:
     assert env.reset()[1] == {"vehicle": 0}
 
 
-def test_starts_pin_both_vehicles_for_one_episode(env: Any) -> None:
+def test_starts_set_both_vehicles_for_one_episode(env: Any) -> None:
     env.reset(seed=0, options=STARTS)
     for car, (x, y, heading) in zip(env.telemetry(), STARTS["starts"], strict=True):
         assert (car["x"], car["y"], car["heading"]) == (x, y, heading)
@@ -213,7 +209,7 @@ BAD_OPTIONS = {
 
 
 @pytest.mark.parametrize("what", BAD_OPTIONS)
-def test_reset_options_that_make_no_scenario_are_refused(env: Any, what: str) -> None:
+def test_reset_options_without_a_valid_scenario_are_refused(env: Any, what: str) -> None:
     options, message = BAD_OPTIONS[what]
     env.reset(seed=0)
     env.step(3)
@@ -221,16 +217,16 @@ def test_reset_options_that_make_no_scenario_are_refused(env: Any, what: str) ->
     with pytest.raises(ValueError, match=message):
         env.reset(seed=5, options=options)
     assert env.np_random_seed == 0
-    told, expected = env.step(3), before.step(3)
-    assert told[4] == expected[4] == {"vehicle": 0}
-    assert told[0].tobytes() == expected[0].tobytes()
+    results, expected = env.step(3), before.step(3)
+    assert results[4] == expected[4] == {"vehicle": 0}
+    assert results[0].tobytes() == expected[0].tobytes()
     assert env.reset()[0].tobytes() == before.reset()[0].tobytes()
 
 
 # ---------------------------------------------------------------------------------------------------------- rendering
 
 
-def test_a_picture_changes_when_the_world_moves_and_a_video_of_turns_plays_at_the_speed_of_life(
+def test_frames_change_when_the_world_moves_and_videos_play_in_real_time(
     make_single: Any,
 ) -> None:
     env = make_single("intersection", render_mode="rgb_array")

@@ -1,4 +1,4 @@
-"""The native vector environment: every row is a single environment, whatever the autoreset mode or the threads."""
+"""The native vector environment: every row is a single environment, for every autoreset mode and number of threads."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def assert_equal(first: Any, second: Any, what: str = "") -> None:
 
 
 def rollout(env: Any, actions: list[np.ndarray], seed: int | None = 0) -> list[Any]:
-    """Everything that comes back from a reset and one step per action."""
+    """The results of a reset and one step per action."""
     return [env.reset(seed=seed), *(env.step(action) for action in actions)]
 
 
 def unsigned_zeros(steps: list[Any]) -> list[Any]:
-    """The same with zeros for minus zeros among the rewards (which have a test of their own)."""
+    """The same, with zeros instead of minus zeros among the rewards (which have a separate test)."""
     return [step if len(step) == 2 else (step[0], step[1] + np.float32(0.0), *step[2:]) for step in steps]
 
 
@@ -78,7 +78,7 @@ def episodes(steps: list[Any]) -> int:
 def test_next_step_is_bit_for_bit_mo_gymnasiums_vector_of_single_environments(
     make_single: Make, make_vector: Make, scenario: str, action_type: str
 ) -> None:
-    # Short enough that every world draws more than one block of its stream.
+    # Short, so that every world draws more than one block of its stream.
     options = {"action_type": action_type, "time_limit": 1.2}
     native = make_vector(scenario, 4, **options)
     reference = MOSyncVectorEnv([lambda: make_single(scenario, **options) for _ in range(4)])
@@ -92,14 +92,14 @@ def test_next_step_is_bit_for_bit_mo_gymnasiums_vector_of_single_environments(
     ours = unsigned_zeros(rollout(native, actions, seed=42))
     assert_equal(ours, unsigned_zeros(rollout(reference, actions, seed=42)))
     assert episodes(ours) > 4 * 17
-    # And goes on drawing after a reset without a seed.
+    # A reset without a seed continues the streams.
     ours = unsigned_zeros(rollout(native, actions[:40], seed=None))
     assert_equal(ours, unsigned_zeros(rollout(reference, actions[:40], seed=None)))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_cost_of_nothing_is_zero_and_not_minus_zero(make_vector: Make, scenario: str) -> None:
-    # In the step that starts a world anew MO-Gymnasium's vector pays zeros; so do ours, bit for bit.
+def test_a_cost_of_zero_is_not_minus_zero(make_vector: Make, scenario: str) -> None:
+    # In the step that resets a world the rewards are zeros, as in MO-Gymnasium's vector environment, bit for bit.
     env = make_vector(scenario, 2, time_limit=0.2)
     for result in rollout(env, [np.zeros(env.action_space.shape, dtype=np.int64)] * 4)[1:]:
         assert not result[1].any()
@@ -179,7 +179,7 @@ def test_same_step_gives_the_final_observation_and_the_first_of_the_next_episode
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_disabled_autoreset_needs_a_reset_mask_for_the_worlds_that_are_over(
+def test_without_autoreset_finished_worlds_need_a_reset_mask(
     make_vector: Make, scenario: str, action_type: str
 ) -> None:
     env = make_vector(scenario, 6, action_type=action_type, autoreset_mode="Disabled", time_limit=40.0)
@@ -206,7 +206,7 @@ def test_disabled_autoreset_needs_a_reset_mask_for_the_worlds_that_are_over(
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
-def test_two_threads_give_what_one_gives(make_vector: Make, scenario: str, action_type: str) -> None:
+def test_two_threads_give_the_results_of_one(make_vector: Make, scenario: str, action_type: str) -> None:
     options = {"action_type": action_type, "time_limit": 3.0}
     one, two, many = (make_vector(scenario, 7, threads=threads, **options) for threads in (1, 2, 16))
     actions = sticky_actions(one, 120, seed=6)
@@ -246,10 +246,10 @@ def test_a_saved_state_resumes_exactly_in_a_new_environment(
         assert fresh.telemetry() == env.telemetry()
         rest = [env.step(action) for action in actions[cut : cut + 150]]
         assert_equal([fresh.step(action) for action in actions[cut : cut + 150]], rest)
-        # Many resets later the random streams are still the same.
+        # After many resets the random streams are still the same.
         assert_equal(fresh.reset(), env.reset())
         assert_equal(fresh.get_state(), env.get_state())
-    assert (pending > 0) == (mode == "NextStep"), "a world that is over, and starts anew in the next step, is saved too"
+    assert (pending > 0) == (mode == "NextStep"), "a finished world, which the next step resets, is saved, too"
 
 
 def test_a_saved_state_is_a_copy(make_vector: Make) -> None:
@@ -284,7 +284,7 @@ def test_the_state_of_another_environment_is_refused(make_vector: Make) -> None:
 
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_copy_of_a_vector_environment_goes_on_exactly(make_vector: Make, scenario: str, how: Any) -> None:
+def test_a_copy_of_a_vector_environment_continues_exactly(make_vector: Make, scenario: str, how: Any) -> None:
     env = make_vector(scenario, 4, threads=2, time_limit=1.0)
     actions = sticky_actions(env, 80, seed=9)
     rollout(env, actions[:25], seed=9)
@@ -311,14 +311,14 @@ def test_an_integer_seed_counts_up_and_a_list_seeds_every_world(make_vector: Mak
 
 
 @pytest.mark.parametrize("scenario", OPEN)
-def test_no_seed_goes_on_drawing_world_by_world(make_single: Make, make_vector: Make, scenario: str) -> None:
+def test_without_a_seed_every_world_continues_its_stream(make_single: Make, make_vector: Make, scenario: str) -> None:
     env = make_vector(scenario, 2)
     single = make_single(scenario)
     single.reset(seed=21)
     env.reset(seed=20)
     for _ in range(40):  # more than a block of draws
         assert_equal(env.reset()[0][1], single.reset()[0])
-    # None in a list leaves that world's stream alone.
+    # None in a list does not affect that world's stream.
     observations, _ = env.reset(seed=[5, None])
     assert_equal(observations[1], single.reset()[0])
     single.reset(seed=5)
@@ -326,7 +326,7 @@ def test_no_seed_goes_on_drawing_world_by_world(make_single: Make, make_vector: 
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_masked_reset_leaves_the_other_worlds_and_their_streams_alone(make_vector: Make, scenario: str) -> None:
+def test_a_masked_reset_does_not_affect_the_other_worlds_and_their_streams(make_vector: Make, scenario: str) -> None:
     env, twin = make_vector(scenario, 3), make_vector(scenario, 3)
     actions = sticky_actions(env, 20, seed=0)
     rollout(env, actions, seed=0)
@@ -400,7 +400,7 @@ def test_one_intersection_is_a_row_of_many(make_vector: Make, action_type: str, 
 
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_flags_persist_until_the_world_starts_anew_and_the_gone_earn_nothing(
+def test_flags_persist_until_the_world_is_reset_and_vehicles_off_the_road_earn_nothing(
     make_vector: Make, mode: str, end_together: bool
 ) -> None:
     env = make_vector(
@@ -408,7 +408,7 @@ def test_flags_persist_until_the_world_starts_anew_and_the_gone_earn_nothing(
     )
     env.reset(seed=12)
     gone = np.zeros((16, 2), dtype=bool)  # vehicles that have left the road
-    fresh = np.zeros(16, dtype=bool)  # worlds that start anew in this step
+    fresh = np.zeros(16, dtype=bool)  # worlds that are reset in this step
     drove_on = 0
     for batch in sticky_actions(env, 400, seed=12):
         before = env.telemetry()
@@ -433,7 +433,7 @@ def test_flags_persist_until_the_world_starts_anew_and_the_gone_earn_nothing(
                 assert not ends["success"][world].any()
             for v in range(2):
                 if gone[world, v] and not fresh[world] and not (over[world] and mode == "SameStep"):
-                    assert after[world][v] == before[world][v], "it stays where it left the road"
+                    assert after[world][v] == before[world][v], "it does not move after leaving the road"
         if end_together:
             np.testing.assert_array_equal(flags.any(axis=1), flags.all(axis=1))
         drove_on += int((flags.sum(axis=1) == 1).sum())
@@ -446,7 +446,7 @@ def test_flags_persist_until_the_world_starts_anew_and_the_gone_earn_nothing(
     assert (drove_on > 100) == (not end_together)
 
 
-def test_when_both_end_for_themselves_each_keeps_its_own_end(make_vector: Make) -> None:
+def test_vehicles_that_end_separately_keep_their_own_ends(make_vector: Make) -> None:
     env = make_vector("intersection", 1, action_type="continuous", autoreset_mode="Disabled", end_together=True)
     env.reset(options={"starts": ((27.077, 10.0, 0.0), (24.039, 45.0, math.pi))})
     away = np.array([[[0.0, -0.5, -1.0], [0.0, -0.5, -1.0]]], dtype=np.float32)
@@ -469,13 +469,13 @@ def test_when_both_end_for_themselves_each_keeps_its_own_end(make_vector: Make) 
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_returned_arrays_are_fresh_and_the_callers_to_change(make_vector: Make, scenario: str) -> None:
-    env, spoiled = (make_vector(scenario, 3, autoreset_mode="SameStep", time_limit=0.5) for _ in range(2))
+def test_returned_arrays_are_new_and_may_be_changed_by_the_caller(make_vector: Make, scenario: str) -> None:
+    env, modified = (make_vector(scenario, 3, autoreset_mode="SameStep", time_limit=0.5) for _ in range(2))
     actions = sticky_actions(env, 30, seed=0)
     expected = rollout(env, actions)
-    spoiled.reset(seed=0)[0][:] = np.nan
+    modified.reset(seed=0)[0][:] = np.nan
     for action, step in zip(actions, expected[1:], strict=True):
-        ours = spoiled.step(action)
+        ours = modified.step(action)
         assert_equal(ours, step)
         for array in (*ours[:4], *ours[4].values()):
             if isinstance(array, np.ndarray):
@@ -498,14 +498,14 @@ def test_max_episode_steps_is_the_time_limit_in_decisions(make_vector: Make, sce
 
 
 @pytest.mark.parametrize("steps", [0, -5])
-def test_max_episode_steps_that_hold_no_decision_are_refused(make_vector: Make, steps: int) -> None:
+def test_max_episode_steps_below_one_is_refused(make_vector: Make, steps: int) -> None:
     with pytest.raises(ValueError, match="max_episode_steps"):
         make_vector("one_waypoint", 2, max_episode_steps=steps)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_step_before_the_first_reset_needs_a_reset(make_vector: Make, scenario: str, mode: str) -> None:
+def test_a_step_before_the_first_reset_is_refused(make_vector: Make, scenario: str, mode: str) -> None:
     env = make_vector(scenario, 2, autoreset_mode=mode)
     with pytest.raises(ResetNeeded):
         env.step(env.action_space.sample())
@@ -514,7 +514,7 @@ def test_a_step_before_the_first_reset_needs_a_reset(make_vector: Make, scenario
 
 
 @pytest.mark.parametrize("look", ["np_random", "np_random_seed", "get_state"])
-def test_looking_at_an_environment_does_not_replace_its_first_reset(make_vector: Make, look: str) -> None:
+def test_reading_an_environment_does_not_replace_its_first_reset(make_vector: Make, look: str) -> None:
     env = make_vector("one_waypoint", 2)
     found = getattr(env, look)
     if callable(found):
@@ -526,7 +526,7 @@ def test_looking_at_an_environment_does_not_replace_its_first_reset(make_vector:
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 @pytest.mark.parametrize("scenario", SCENARIOS)
 @pytest.mark.parametrize("threads", [1, 2])
-def test_one_bad_action_is_refused_and_no_world_has_moved(
+def test_one_invalid_action_is_refused_and_no_world_moves(
     make_vector: Make, scenario: str, action_type: str, threads: int
 ) -> None:
     env = make_vector(scenario, 4, action_type=action_type, threads=threads)
@@ -565,18 +565,18 @@ BAD_RESETS: dict[str, tuple[str, dict[str, Any], str]] = {
     "a mask of another size": ("one_waypoint", {"reset_mask": np.array([True])}, "reset_mask"),
     "an empty mask": ("one_waypoint", {"reset_mask": np.array([False, False])}, "at least one True"),
     "an unknown option": ("intersection", {"start": (0.0, 0.0, 0.0)}, "did you mean 'starts'"),
-    "one start for two": ("intersection", {"starts": (0.0, 0.0, 0.0)}, "'starts'"),
-    "a start that is no number": ("intersection", {"starts": ((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))}, "finite"),
-    "an impossible bicycle": (
+    "one start for two vehicles": ("intersection", {"starts": (0.0, 0.0, 0.0)}, "'starts'"),
+    "a start that is not a number": ("intersection", {"starts": ((0.0, 0.0, 0.0), (0.0, math.nan, 0.0))}, "finite"),
+    "an invalid bicycle": (
         "static_obstacle",
         {"start": (0.0, 0.0, 0.0), "obstacle": ((0.0, 0.0), (0.1, 0.0))},
-        "no possible scenario",
+        "no valid scenario",
     ),
 }
 
 
 @pytest.mark.parametrize("what", BAD_RESETS)
-def test_a_bad_reset_is_refused_and_no_world_has_moved(make_vector: Make, what: str) -> None:
+def test_an_invalid_reset_is_refused_and_no_world_changes(make_vector: Make, what: str) -> None:
     scenario, options, message = BAD_RESETS[what]
     env = make_vector(scenario, 2)
     env.reset(seed=0)
@@ -597,7 +597,7 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "a fixed destination at the intersection": (
         "intersection",
         {"fixed_destination": True},
-        "no meaning in Intersection",
+        "no effect in Intersection",
     ),
     "an unknown objective": ("intersection", {"objectives": ("lane_violations",)}, "did you mean 'lane_violation'"),
     "an unknown argument": ("intersection", {"yield_to_oncomming": False}, "did you mean 'yield_to_oncoming'"),
@@ -607,7 +607,7 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("what", BAD_ARGUMENTS)
-def test_environment_arguments_that_make_no_sense_are_refused(what: str) -> None:
+def test_invalid_environment_arguments_are_refused(what: str) -> None:
     from mo_deepdrive.envs.vector import DrivingVectorEnv
 
     scenario, options, message = BAD_ARGUMENTS[what]

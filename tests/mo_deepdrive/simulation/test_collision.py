@@ -1,4 +1,4 @@
-"""Collisions: the compiled geometry against a slow reference, and nothing passes through anything at any speed."""
+"""Collisions: the compiled geometry against a slow reference, and no passing through at any speed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mo_deepdrive.simulation import geometry
 
-EDGE = 1e-9  # m; within it of touching, rounding decides
+EDGE = 1e-9  # m; closer to contact, rounding decides
 IDLE = 0
 
 
@@ -62,7 +62,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 @example(pose=ORIGIN, a=(-0.5, 0.1), b=(0.5, 0.1))
 @example(pose=ORIGIN, a=(-5.0, 0.0), b=(5.0, 0.0))
 @example(pose=ORIGIN, a=(2.0, -5.0), b=(2.0, 5.0))
-def test_a_segment_touches_a_box_where_no_axis_separates_them(
+def test_a_segment_touches_a_box_if_no_axis_separates_them(
     shapes: Any, pose: tuple[float, float, float], a: tuple[float, float], b: tuple[float, float]
 ) -> None:
     segment = np.array([a, b])
@@ -78,7 +78,7 @@ def test_a_segment_touches_a_box_where_no_axis_separates_them(
 @example(first=ORIGIN, second=(1.0, 1.0, math.pi / 2))
 @example(first=ORIGIN, second=(2.2, 0.0, 0.0))
 @example(first=ORIGIN, second=(2.4, 0.0, 0.0))
-def test_two_boxes_overlap_where_no_axis_separates_them(
+def test_two_boxes_overlap_if_no_axis_separates_them(
     shapes: Any, first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> None:
     gap = shapes.gap(shapes.box(*first), shapes.box(*second))
@@ -105,7 +105,7 @@ def test_densely_sampled_segments_agree(shapes: Any) -> None:
     found = np.zeros(len(boxes), dtype=bool)
     segments_touch_boxes(boxes, segments, found)
     assert found[sampled].all()
-    # What the samples miss is a corner that the segment clips between two of them.
+    # The samples may miss a corner that the segment clips between two of them.
     clipped = np.flatnonzero(found & ~sampled)
     assert len(clipped) < 0.01 * len(boxes)
     for k in clipped:
@@ -117,7 +117,7 @@ def test_densely_sampled_boxes_agree(shapes: Any) -> None:
     rng = np.random.default_rng(1)
     first = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
     second = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
-    # Two convex shapes overlap exactly where an edge of one meets the other, or one lies within the other.
+    # Two convex shapes overlap exactly if an edge of one meets the other, or one is inside the other.
     parts = np.linspace(-0.5, 0.5, 41)
     right, ahead = (axis.ravel() for axis in np.meshgrid(parts * shapes.width, parts * shapes.length))
     cos, sin = np.cos(first[:, 2:]), np.sin(first[:, 2:])
@@ -134,7 +134,7 @@ def test_densely_sampled_boxes_agree(shapes: Any) -> None:
 
 
 @given(heading=reals(-7, 7), right=reals(-0.4, 0.4), ahead=reals(-0.4, 0.4), turn=reals(0, 7), length=reals(0, 0.4))
-def test_a_segment_wholly_inside_the_car_touches_it(
+def test_a_segment_inside_the_car_touches_it(
     shapes: Any, heading: float, right: float, ahead: float, turn: float, length: float
 ) -> None:
     middle = np.array([3.0, 4.0])
@@ -154,7 +154,7 @@ DESTINATION_AWAY = 240.0
 
 
 def set_motion(env: Any, speeds: list[float]) -> None:
-    """Give the vehicles of a vector environment with one world a speed straight ahead, through its saved state."""
+    """Set the speed of the vehicles of a vector environment with one world, straight ahead, through its state."""
     saved = env.get_state()
     state = saved["state"].view(env.batch.state.dtype)
     for vehicle, speed in zip(state[0], speeds, strict=True):
@@ -176,7 +176,7 @@ def bicycle_env(make_vector: Any, frequencies: tuple[int, int]) -> Any:
 
 
 def pass_a_bicycle(env: Any, heading: float, speed: float, bicycle: np.ndarray) -> str:
-    """Drive straight from the origin until the car is well past the bicycle; how the episode ended ("" if it runs)."""
+    """Drive straight from the origin until the car is past the bicycle; how the episode ended ("" if it did not)."""
     direction = np.array([-math.sin(heading), math.cos(heading)])
     start = (0.0, 0.0, heading)
     env.reset(options={"start": start, "destination": DESTINATION_AWAY * direction, "obstacle": bicycle})
@@ -190,7 +190,7 @@ def pass_a_bicycle(env: Any, heading: float, speed: float, bicycle: np.ndarray) 
 
 
 @pytest.mark.parametrize("frequencies", FREQUENCIES)
-def test_a_car_that_drives_straight_collides_exactly_where_the_bicycle_lies_in_its_swath(
+def test_a_car_that_drives_straight_collides_exactly_if_the_bicycle_is_in_its_swath(
     make_vector: Any, shapes: Any, frequencies: tuple[int, int]
 ) -> None:
     env = bicycle_env(make_vector, frequencies)
@@ -230,7 +230,7 @@ def test_a_car_that_drives_straight_collides_exactly_where_the_bicycle_lies_in_i
 
 
 def drive_ahead(env: Any, speed: float, actions: np.ndarray) -> tuple[list[tuple[float, float, float]], str]:
-    """Poses after each decision (the starting one first) and how the episode ended ("" if it runs)."""
+    """The initial pose and those after each decision, and how the episode ended ("" if it did not)."""
     set_motion(env, [speed])
     poses = []
     for action in (None, *actions):
@@ -267,13 +267,13 @@ def test_a_car_that_turns_passes_through_nothing(make_vector: Any, shapes: Any, 
     free = make_vector("one_waypoint", **options)
     env = make_vector("static_obstacle", **options)
     rng = np.random.default_rng(frequency)
-    # Poses are tested at most a quarter of a width apart: whatever reaches deeper than half of that is met.
+    # Poses are tested at most a quarter of a width apart, so everything deeper than half of that is found.
     surely = -(shapes.width / 8 + 0.01)
     met = missed = clear = 0
     for _ in range(300):
         pins = {"start": (0.0, 0.0, 0.0), "destination": (rng.uniform(-60, 60), 200.0)}
         speed = rng.uniform(5.0, fastest)
-        # So that the car turns by half a radian per physics step at most.
+        # The car turns by at most half a radian per physics step.
         steer = rng.uniform(-1, 1, (20, 1)) * min(1.0, 0.4 / (0.1 * speed))
         actions = np.concatenate([steer, rng.uniform(-1, 1, (20, 1)), np.full((20, 1), -1.0)], axis=1)
         free.reset(options=pins)
@@ -358,7 +358,7 @@ def test_two_vehicles_that_cross_at_any_speed_do_not_pass_through_each_other(
     def check(
         headings: tuple[float, float], speeds: tuple[float, float], part: float, ahead: float, aside: float
     ) -> None:
-        # Both are near (30, 30) after ``part`` of the decision.
+        # Both are near (30, 30) after the fraction ``part`` of the decision.
         when = part * last
         starts = np.zeros((2, 3))
         for v in range(2):

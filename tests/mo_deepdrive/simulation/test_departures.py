@@ -1,5 +1,4 @@
-"""Where the benchmark departs from the published code on purpose: one test for each of the ten points of
-``simulator.md``, section 8, in its order."""
+"""Intended departures from the published code: one test for each of the ten in ``docs/simulator.md``, in its order."""
 
 from __future__ import annotations
 
@@ -37,7 +36,7 @@ def drive(env: Any, policy: Any, observation: np.ndarray, most: int = 10_000) ->
 
 
 @pytest.mark.parametrize("scenario", SIZES)
-def test_1_every_cost_is_negated_so_that_every_component_is_to_be_maximised(make_vector: Any, scenario: str) -> None:
+def test_1_every_cost_is_negated_so_every_component_is_maximised(make_vector: Any, scenario: str) -> None:
     env = make_vector(scenario, 8, action_type="continuous")
     paper = make_vector(scenario, 8, action_type="continuous", cost_sign="paper")
     env.reset(seed=1)
@@ -56,15 +55,15 @@ def test_1_every_cost_is_negated_so_that_every_component_is_to_be_maximised(make
 
 
 @pytest.mark.parametrize(("scenario", "size"), SIZES.items())
-def test_2_observations_are_complete_from_the_reset_on_and_velocity_points_where_the_vehicle_goes(
+def test_2_observations_are_complete_from_the_reset_and_velocity_has_the_direction_of_motion(
     make_vector: Any, scenario: str, size: int
 ) -> None:
     env = make_vector(scenario, 4, action_type="continuous", autoreset_mode="Disabled")
     first, _ = env.reset(seed=3)
     vehicles = (2,) if scenario == "intersection" else ()
     assert first.shape == (4, *vehicles, size)
-    assert (first[..., 2] > 1.0).all(), "the distance to the next waypoint is there after the reset"
-    # An observation depends on the state alone: what a vehicle at rest sees does not change while it idles.
+    assert (first[..., 2] > 1.0).all(), "the distance to the next waypoint is observed after the reset"
+    # An observation depends on the state alone: that of a vehicle at rest does not change while it is idle.
     actions = np.zeros(env.action_space.shape, dtype=np.float32)
     actions[..., 2] = -1.0
     np.testing.assert_array_equal(env.step(actions)[0], first)
@@ -78,9 +77,7 @@ def test_2_observations_are_complete_from_the_reset_on_and_velocity_points_where
         assert (along > 0.99).all()
 
 
-def test_3_a_collision_comes_on_the_decision_of_the_contact_and_solid_shapes_collide(
-    make_single: Any, shapes: Any
-) -> None:
+def test_3_a_collision_is_on_the_decision_of_the_contact_of_solid_shapes(make_single: Any, shapes: Any) -> None:
     bicycle = ((10.0, -1.0), (10.0, 1.0))
     env = make_single("static_obstacle", action_type="continuous")
     env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (60.0, 0.0), "obstacle": bicycle})
@@ -92,11 +89,11 @@ def test_3_a_collision_comes_on_the_decision_of_the_contact_and_solid_shapes_col
         gaps.append(shapes.gap(shapes.box(car["x"], car["y"], car["heading"]), np.array(bicycle)))
         assert observation.shape == (19,)
     assert info == {"end": "collision", "success": False}
-    assert min(gaps[:-1]) > 0.0 > gaps[-1], "the decision that ends is the first after which they overlap"
+    assert min(gaps[:-1]) > 0.0 > gaps[-1], "the last decision is the first after which they overlap"
     assert steps[-1] == (-1.0, True)
     assert set(steps[:-1]) == {(0.0, False)}
-    # A segment that lies wholly within the car, touching none of its edges. It is there from one physics step to the
-    # next: the car is put before it with a speed, so that no edge passes over it unnoticed.
+    # A segment inside the car that touches none of its edges. It is inside from one physics step to the next: the car
+    # starts in front of it with a speed, so that no edge is on it at a physics step.
     small = np.array([[10.0, 0.0], [10.0, 0.01]])
     env = make_single("static_obstacle", harmful_g_force=None, simulation_frequency=10)
     env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (60.0, 0.0), "obstacle": small})
@@ -133,10 +130,10 @@ def test_5_all_randomness_comes_from_the_environments_own_seeded_generator(make_
     np.random.seed(0)  # noqa: NPY002  (the global generator is what must not matter)
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     first, second = spawn(7), spawn(None)
-    assert (np.random.get_state()[1] == before).all(), "the global generator is left alone"  # noqa: NPY002
+    assert (np.random.get_state()[1] == before).all(), "the global generator is not used"  # noqa: NPY002
     np.random.seed(1)  # noqa: NPY002
     other = make_vector(scenario, 3)
-    other.reset(seed=8)  # another environment that draws in between
+    other.reset(seed=8)  # another environment, which draws in between
     again = spawn(7)
     other.reset()
     np.testing.assert_array_equal(again, first)
@@ -144,12 +141,10 @@ def test_5_all_randomness_comes_from_the_environments_own_seeded_generator(make_
     assert (first != second).any()
 
 
-def test_6_the_vehicles_move_at_the_same_time_and_one_that_ends_leaves_the_road_to_the_other(
-    make_vector: Any, chase: Any
-) -> None:
+def test_6_the_vehicles_move_together_and_one_that_ends_leaves_the_road(make_vector: Any, chase: Any) -> None:
     options: dict[str, Any] = {"action_type": "continuous", "autoreset_mode": "Disabled"}
     env = make_vector("intersection", **options)
-    # They move at the same time: each observes the other where, and as fast as, it now is.
+    # They move at the same time: each observes the current position and speed of the other.
     observations, _ = env.reset(options={"starts": ((27.077, 10.0, 0.0), (24.039, 40.0, math.pi))})
     both = np.stack([CRAWL, CRAWL])[None]
     for _ in range(3):
@@ -159,7 +154,7 @@ def test_6_the_vehicles_move_at_the_same_time_and_one_that_ends_leaves_the_road_
     for v, car in enumerate(env.telemetry()[0]):
         assert car["speed"] > 0.1
         np.testing.assert_allclose(observations[0, 1 - v, seen], [car["vx"], car["vy"]], rtol=1e-6, atol=1e-9)
-    # The straight one arrives and leaves the road; the left turn then drives on and arrives too.
+    # The vehicle that drives straight on arrives and leaves the road; then the left turn arrives, too.
     early = ((27.077, 6.0, 0.0), (24.039, 15.0, math.pi))
     observations, _ = env.reset(options={"starts": early})
     ended_at = [0, 0]
@@ -173,7 +168,7 @@ def test_6_the_vehicles_move_at_the_same_time_and_one_that_ends_leaves_the_road_
             break
     assert list(infos["end"][0]) == ["arrived", "arrived"]
     assert 0 < ended_at[1] < ended_at[0]
-    # In the published code the first to end ended it for both.
+    # In the published code the episode ended for both vehicles with the first one.
     together = make_vector("intersection", end_together=True, **options)
     observations, _ = together.reset(options={"starts": early})
     for _ in range(600):
@@ -229,7 +224,7 @@ def test_7_a_bicycle_at_the_vehicle_or_the_destination_is_drawn_again(make_singl
     assert 10 < redrawn < 45  # 6% of the draws
 
 
-def test_8_the_destination_objective_is_on_in_one_waypoint(make_single: Any, chase: Any) -> None:
+def test_8_one_waypoint_has_the_destination_objective(make_single: Any, chase: Any) -> None:
     env = make_single(action_type="continuous")
     assert "destination" in env.objectives
     steps, info = drive(env, chase, env.reset(seed=0)[0])
@@ -244,7 +239,7 @@ def test_9_circling_is_measured_from_the_starting_heading(make_vector: Any, side
     env.reset(seed=0)
     start = env.telemetry()[0][1]["heading"]
     assert start == math.pi
-    # A whole turn done, the straight vehicle looks where it looked; to the left its heading is now 540 degrees.
+    # After a full turn to the left the vehicle faces its initial direction, and its heading is 540 degrees.
     saved = env.get_state()
     car = saved["state"].view(env.batch.state.dtype)[0, 1]
     car.heading = start + side * 2 * math.pi
@@ -261,7 +256,7 @@ def test_9_circling_is_measured_from_the_starting_heading(make_vector: Any, side
     assert len(turned) > 5
 
 
-def test_10_an_arrival_on_the_last_decision_before_the_time_limit_is_an_arrival(make_single: Any, chase: Any) -> None:
+def test_10_an_arrival_on_the_last_decision_counts_as_an_arrival(make_single: Any, chase: Any) -> None:
     env = make_single(action_type="continuous")
     decisions = len(drive(env, chase, env.reset(seed=0)[0])[0])
     assert 20 < decisions < 600

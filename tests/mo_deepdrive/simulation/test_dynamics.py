@@ -1,4 +1,4 @@
-"""The compiled motion of a vehicle against a literal loop over the equations of ``simulator.md``, section 3."""
+"""The compiled motion of a vehicle against a plain loop over the equations of the specification, section 3."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ G = Real("9.807")
 
 @dataclasses.dataclass
 class Car:
-    """The state of a vehicle, as the specification names it."""
+    """The state of a vehicle, by the names of the specification."""
 
     x: float = 0.0
     y: float = 0.0
@@ -118,7 +118,7 @@ def literal_decision(car: Car, target: tuple[float, float, float], rules: Rules)
         w = (w + dt * v / L_B * np.sin(slip)) * Real("0.95") ** frictions
         v = (v + dt * throttle) * Real("0.999") ** frictions * Real("0.96") ** (brake * frictions)
         before = np.array([x, y])
-        # Here pi is the number itself, not its nearest double.
+        # Here pi is exact, not rounded to double precision.
         quarter = np.arccos(Real(0))
         x = x + ahead * np.cos(h + quarter) + side * np.cos(h)
         y = y + ahead * np.sin(h + quarter) + side * np.sin(h)
@@ -135,7 +135,7 @@ def literal_decision(car: Car, target: tuple[float, float, float], rules: Rules)
 
 
 def compiled_decisions(car: Car, targets: list[tuple[float, float, float]], rules: Rules) -> list[Car]:
-    """The same decisions by the package."""
+    """The same decisions, by the package."""
     state = np.zeros((1, 1), dtype=VEHICLE)
     vehicle = state[0, 0]
     for name in FIELDS:
@@ -154,10 +154,10 @@ def compiled_decisions(car: Car, targets: list[tuple[float, float, float]], rule
 
 
 def assert_same(ours: Car, literal: Car, rules: Rules, steps: int, spun: float, fast: float) -> None:
-    """Equal to 1e-12 relative, or but for what rounding leaves of small numbers.
+    """Equal up to 1e-12 relatively, or up to the rounding errors of small numbers.
 
-    An angle is rounded in proportion to its size, and all the turning so far (``spun``, rad) went through it. The
-    direction of the velocity is as good as the angle, and every difference multiplies that by the rate.
+    The rounding error of an angle is proportional to its size, so it grows with the total rotation (``spun``, rad). The
+    direction of the velocity is as accurate as the angle, and every difference multiplies its error by the rate.
     """
     rate = rules.simulation_frequency
     digits = 1e-15 * (10 + steps)
@@ -180,13 +180,13 @@ def assert_same(ours: Car, literal: Car, rules: Rules, steps: int, spun: float, 
 
 
 def well_posed(car: Car, target: tuple[float, float, float], rules: Rules) -> bool:
-    """False where rounding decides: the tangent jumps at 90 degrees of steer, the throttle is cut off at 100 m/s."""
+    """False if rounding decides: the tangent jumps at 90 degrees of steer, the throttle is cut off at 100 m/s."""
     ramp = controls_over_a_decision(car, target, rules)
     return abs(float(car.speed) - 100) > 1e-9 and all(abs(abs(steer) - PI / 2) > 1e-9 for steer, _, _ in ramp)
 
 
 def check(car: Car, targets: list[tuple[float, float, float]], rules: Rules) -> list[Car]:
-    """Hold the package's decisions against the literal ones, as far as they are well posed; returns the package's."""
+    """Compare the package's decisions with the plain ones where they are well posed; returns the package's."""
     assert well_posed(car, targets[0], rules)
     compiled = compiled_decisions(car, targets, rules)
     literal = car
@@ -256,10 +256,10 @@ def test_ordinary_driving_follows_the_equations_of_the_specification(seed: int) 
 
 @needs_extended_precision
 @pytest.mark.parametrize("steer", [math.pi, 4.0, 5.0, -3.2, -4.5])
-def test_steer_beyond_half_a_turn_counts_as_half_a_turn(steer: float) -> None:
+def test_steer_is_clipped_to_half_a_turn(steer: float) -> None:
     car = Car(speed=5.0, steer=steer)
     (ours,) = check(car, [(steer, 0.0, 0.0)], Rules())
-    # tan(pi) = 0: the car goes straight, and the wheel keeps its own angle.
+    # tan(pi) = 0: the car drives straight, and the steer keeps its value.
     assert ours.yaw_step == pytest.approx(0.0, abs=1e-15)
     assert ours.x == pytest.approx(0.0, abs=1e-14)
     assert ours.steer == steer
@@ -267,7 +267,7 @@ def test_steer_beyond_half_a_turn_counts_as_half_a_turn(steer: float) -> None:
 
 
 @needs_extended_precision
-def test_above_the_top_speed_the_throttle_does_nothing() -> None:
+def test_the_throttle_has_no_effect_above_the_top_speed() -> None:
     above = check(Car(speed=101.0, throttle=3.0), [(0.0, 3.0, 0.0)], Rules())[0]
     coasting = check(Car(speed=101.0), [(0.0, 0.0, 0.0)], Rules())[0]
     below = check(Car(speed=99.0, throttle=3.0), [(0.0, 3.0, 0.0)], Rules())[0]
@@ -277,7 +277,7 @@ def test_above_the_top_speed_the_throttle_does_nothing() -> None:
 
 
 @needs_extended_precision
-def test_constrained_controls_move_by_at_most_their_limits_in_a_decision() -> None:
+def test_constrained_controls_change_by_at_most_their_limits_in_a_decision() -> None:
     rules = Rules(constrain_controls=True)
     far = check(Car(speed=1.0), [(0.5, 3.0, 0.0), (-0.5, -3.0, 0.0)], rules)
     assert (far[0].steer, far[0].throttle) == (pytest.approx(0.18), pytest.approx(0.24))
@@ -289,14 +289,14 @@ def test_constrained_controls_move_by_at_most_their_limits_in_a_decision() -> No
 
 
 @needs_extended_precision
-def test_an_ignored_brake_does_nothing() -> None:
+def test_an_ignored_brake_has_no_effect() -> None:
     braked = check(Car(speed=5.0, brake=2.0), [(0.0, 0.0, 3.0)], Rules(ignore_brake=True))[0]
     assert braked.speed == pytest.approx(5.0 * 0.999**6, rel=1e-12)
     assert braked.brake == 0.0
 
 
 @needs_extended_precision
-def test_the_brake_grips_by_equal_parts_and_lets_go_at_once() -> None:
+def test_the_brake_engages_in_equal_parts_and_releases_at_once() -> None:
     grips = check(Car(speed=5.0), [(0.0, 0.0, 3.0)], Rules())[0]
     assert grips.speed == pytest.approx(5.0 * 0.999**6 * 0.96 ** (3.0 * (1 + 2 + 3 + 4 + 5 + 6) / 6), rel=1e-12)
     assert grips.brake == 3.0
@@ -312,12 +312,12 @@ def test_frictions_are_those_of_a_second_at_every_simulation_frequency(frequency
     assert compiled_decisions(Car(speed=50.0), [(0.0, 0.0, 0.0)], rules)[0].speed == pytest.approx(50.0 * 0.999**60)
     braked = compiled_decisions(Car(speed=50.0, brake=1.0), [(0.0, 0.0, 1.0)], rules)[0]
     assert braked.speed == pytest.approx(50.0 * 0.999**60 * 0.96**60)
-    # The heading change per physics step fades the same; steering straight, nothing else moves it.
+    # The heading change per physics step decays likewise; with straight steering, nothing else changes it.
     spun = compiled_decisions(Car(yaw_step=0.01), [(0.0, 0.0, 0.0)], rules)[0]
     assert spun.yaw_step == pytest.approx(0.01 * 0.95**60)
 
 
-def test_a_car_at_rest_that_is_left_alone_stays_as_it_is() -> None:
+def test_a_car_at_rest_that_is_idle_does_not_change() -> None:
     car = Car(x=3.0, y=4.0, heading=1.0)
     assert compiled_decisions(car, [(0.0, 0.0, 0.0)] * 3, Rules()) == [car] * 3
 

@@ -1,12 +1,12 @@
-"""A small frozen set of our own trajectories, so that the dynamics stay guarded where the recorded ones are absent.
+"""A small frozen set of our own trajectories, which guards the dynamics bit for bit.
 
-``tests/data/regression.npz`` holds, for each case below, the actions of every decision and what came of them: rewards
-and ends of every decision, state and observations of every fifth. EnvAdapter start anew by themselves, so that spawns,
-redraws and the seeded streams are guarded too. After a change of the simulation that is *meant* to change it:
+``data/regression.npz`` has, for each case below, the actions, rewards and ends of every decision, and the state and
+observations of every fifth. Worlds are reset automatically, so starts, redraws and the seeded streams are guarded, too.
+After an intended change of the simulation,
 
     python tests/mo_deepdrive/simulation/test_regression.py
 
-writes the set again; say in the commit why.
+writes the set again; the commit message says why.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def make(case: str) -> Any:
 
 
 def replay(env: Any, actions: Any) -> dict[str, np.ndarray]:
-    """Drive one world through ``actions``; a callable gives the next action of the last observations."""
+    """Drive one world with ``actions``; a callable chooses them from the last observations."""
     observations, _ = env.reset(seed=SEED)
     taken, rewards, ends, states, seen = [], [], [], [], []
     for decision in range(DECISIONS):
@@ -101,7 +101,7 @@ def replay(env: Any, actions: Any) -> dict[str, np.ndarray]:
 
 
 def wander_and_chase(env: Any) -> Any:
-    """A seeded policy: it wanders at random, holding its actions, and now and then drives to the waypoint."""
+    """A seeded policy of random, repeated actions, which sometimes drives to the waypoint."""
     rng = np.random.default_rng(SEED)
     shape = env.single_action_space.shape
     held = np.zeros(shape, dtype=env.action_space.dtype)
@@ -135,7 +135,7 @@ def toward(env: Any, observation: np.ndarray) -> Any:
 
 
 def write() -> None:
-    """Make the frozen set again."""
+    """Write the frozen set again."""
     arrays = {}
     for case in CASES:
         env = make(case)
@@ -154,7 +154,7 @@ def frozen() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_simulation_is_the_one_that_was_frozen(frozen: dict[str, np.ndarray], case: str) -> None:
+def test_the_simulation_reproduces_the_frozen_trajectories(frozen: dict[str, np.ndarray], case: str) -> None:
     expected = {name: frozen[f"{case}/{name}"] for name in ("actions", "rewards", "ends", "states", "observations")}
     env = make(case)
     ours = replay(env, expected["actions"].astype(env.action_space.dtype))
@@ -163,7 +163,7 @@ def test_the_simulation_is_the_one_that_was_frozen(frozen: dict[str, np.ndarray]
     assert len(expected["rewards"]) == DECISIONS
     np.testing.assert_array_equal(ours["ends"], expected["ends"])
     for k, field in enumerate(FIELDS):
-        # The floor is for what rounding leaves of a zero.
+        # The floor allows for rounding of zeros.
         np.testing.assert_allclose(
             ours["states"][..., k], expected["states"][..., k], rtol=1e-9, atol=1e-9, err_msg=field
         )

@@ -1,0 +1,336 @@
+"""Driving by hand: an environment whose actions are the keys that are held down, and the window to drive it in.
+
+Gymnasium's play utility takes one step per frame and resets as soon as an episode ends. A :class:`HumanPlayEnv` shows
+several frames per decision, so that a short press of a key is not lost, and holds the last frame for a moment at the
+end of an episode.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from mo_deepdrive import actions as action_sets
+from mo_deepdrive.envs.vector import DrivingVectorEnv
+from mo_deepdrive.quiet_pygame import pygame
+from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
+
+FRAMES_PER_DECISION = 3
+END_HOLD = 1.5  # s for which the last frame of an episode is shown
+SEEDS = 2**31
+INVISIBLE_DRIVERS = ("dummy", "offscreen")  # SDL's video drivers without a display
+
+
+class Keys(NamedTuple):
+    """The keys that one person holds down."""
+
+    accelerate: bool
+    brake: bool
+    left: bool
+    right: bool
+
+
+# Per person: the keys in the order of Keys.
+KEYBOARD = {
+    "arrow keys": (pygame.K_UP, pygame.K_DOWN, pygame.K_LEFT, pygame.K_RIGHT),
+    "W A S D": (pygame.K_w, pygame.K_s, pygame.K_a, pygame.K_d),
+}
+RESTART_KEY = pygame.K_r
+
+
+class Driver(Protocol):
+    """Drives the vehicles that no person drives."""
+
+    def reset(self) -> None:
+        """Start a new episode."""
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        """Choose actions.
+
+        Args:
+            observations: (1, V, size) observations of all vehicles.
+
+        Returns:
+            (1, V) or (1, V, 3) actions of all vehicles, as the environment takes them. Those of the vehicles that
+            people drive are ignored.
+        """
+
+    def observe(self, rewards: NDArray[np.float32]) -> None:
+        """Receive the rewards (1, V, d) of all vehicles after a decision."""
+
+
+def choose_action(keys: Keys, vehicle: Record, action_type: str) -> int:
+    """The discrete action that comes closest to what the keys would do in a car.
+
+    Left and right steer as far as any action does at this speed; without them the steering returns to straight.
+    Without a key for the speed the car coasts, and without any key the action is idle. If both keys of a pair are
+    down, the car brakes, or drives straight on.
+
+    Args:
+        keys: the keys that are down.
+        vehicle: record of dtype VEHICLE.
+        action_type: a key of ``mo_deepdrive.actions.DISCRETE``.
+    """
+    names = action_sets.action_names(action_type)
+    if not any(keys):
+        return names.index("idle")
+
+    def target_steer(group: action_sets.Steer) -> float:
+        target: float = group.decay * vehicle.steer + group.offset + group.curl / max(vehicle.speed, 1.0) ** 2
+        return target
+
+    groups = action_sets.DISCRETE[action_type]
+    if keys.left == keys.right:
+        steer = min(groups, key=lambda group: abs(target_steer(group)))
+    else:
+        outermost = max if keys.left else min
+        steer = outermost((group for group in groups if not group.decay), key=target_steer)
+    if keys.brake:
+        change = action_sets.DECREASE
+    elif keys.accelerate:
+        change = action_sets.INCREASE
+    else:  # the first "decrease" only releases the throttle
+        change = action_sets.DECREASE if vehicle.throttle > 0.0 else action_sets.MAINTAIN
+    return names.index(f"{steer.name}, {action_sets.SPEED_CHANGES[change]}")
+
+
+@dataclass(frozen=True)
+class EpisodeOutcome:
+    """How an episode ended for each of its V vehicles.
+
+    Attributes:
+        episode: its number, starting at 1.
+        seed: seed of its scenario.
+        ends: (V,) why it ended (a name of ``mo_deepdrive.simulation.state.ENDS``).
+        seconds: (V,) after what time it ended.
+        returns: (V, d) undiscounted vector returns.
+    """
+
+    episode: int
+    seed: int
+    ends: tuple[str, ...]
+    seconds: tuple[float, ...]
+    returns: NDArray[np.float64]
+
+
+def make_play_env(env_id: str, **arguments: Any) -> DrivingVectorEnv:
+    """A single environment for :class:`HumanPlayEnv`: it returns RGB frames and is not reset automatically.
+
+    Args:
+        env_id: an id of this package.
+        **arguments: arguments of the environment.
+    """
+    arguments = {**arguments, "render_mode": "rgb_array"}
+    env = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+    return cast(DrivingVectorEnv, env.unwrapped)
+
+
+class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
+    """An environment in which people drive some of the vehicles, or all of them.
+
+    An action says which keys are down: the :class:`Keys` of every person, then whether to restart the episode. A step
+    is one frame. Every FRAMES_PER_DECISION-th step is a decision, based on all keys that were down since the last one.
+    ``info["outcome"]`` is an :class:`EpisodeOutcome` in the step in which the last vehicle ends; END_HOLD seconds later
+    the episode terminates. The seed of the first episode is that of ``reset(seed=...)``, and it increases by one with
+    every episode. A restarted episode keeps its seed.
+
+    Args:
+        env: a single environment, from :func:`make_play_env`.
+        seats: the vehicles that people drive.
+        driver: drives the other vehicles.
+        on_frame: called with the frame of every decision.
+
+    Attributes:
+        vector_env: the environment.
+        seats: the vehicles that people drive.
+
+    Raises:
+        ValueError: if nobody drives a vehicle.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
+    render_mode = "rgb_array"
+
+    def __init__(
+        self,
+        env: DrivingVectorEnv,
+        seats: Sequence[int],
+        *,
+        driver: Driver | None = None,
+        on_frame: Callable[[NDArray[np.uint8]], None] | None = None,
+    ):
+        if driver is None and set(seats) != set(range(env.vehicles)):
+            raise ValueError(f"seats = {list(seats)} leave some of the {env.vehicles} vehicles without a driver")
+        self.vector_env = env
+        self.seats = tuple(seats)
+        self.metadata = {**type(self).metadata, "render_fps": FRAMES_PER_DECISION * env.config.decision_frequency}
+        self.observation_space = env.observation_space
+        self._keys = len(seats) * len(Keys._fields) + 1
+        self.action_space = spaces.MultiBinary(self._keys)
+        self._driver = driver
+        self._on_frame = on_frame
+        self._action_type = "discrete" if env.batch.continuous else env.config.action_type
+        self._table = action_sets.action_table(self._action_type)
+        self._first_seed: int | None = None
+        self._finished = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start the next episode.
+
+        Args:
+            seed: seed of this episode; None for the next one, which is random at first.
+            options: reset options of the environment.
+        """
+        super().reset(seed=seed)
+        if seed is not None or self._first_seed is None:
+            self._first_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
+            self._finished = 0
+        self._seed = self._first_seed + self._finished
+        self._observations, _ = self.vector_env.reset(seed=self._seed, options=options)
+        self._returns = np.zeros((self.vector_env.vehicles, self.vector_env.reward_dim))
+        if self._driver is not None:
+            self._driver.reset()
+        self._pressed = np.zeros(self._keys, dtype=np.bool_)
+        self._frames = 0
+        self._over = False
+        self._decisions_held = 0  # duration of the last frame, in decisions
+        self._frame: NDArray[np.uint8] | None = None
+        return self._observations, {}
+
+    def step(
+        self, action: NDArray[np.int8]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], bool, bool, dict[str, Any]]:
+        """Show one more frame; the reward (V, d) is zero in steps that are not a decision."""
+        self._pressed |= np.asarray(action, dtype=np.bool_)
+        self._frames += 1
+        rewards = np.zeros(self._returns.shape, dtype=np.float32)
+        info: dict[str, Any] = {}
+        *pressed, restart = self._pressed.tolist()
+        if not restart and self._frames % FRAMES_PER_DECISION == 0:
+            if self._on_frame is not None:
+                self._on_frame(self.render())
+            if self._over:
+                self._decisions_held += 1
+            else:
+                width = len(Keys._fields)
+                rewards = self._decide([Keys(*pressed[k : k + width]) for k in range(0, len(pressed), width)])
+                info = {"outcome": self._outcome()} if self._over else {}
+            self._pressed[:] = False
+        terminated = self._decisions_held >= END_HOLD * self.vector_env.config.decision_frequency
+        self._finished += terminated
+        return self._observations, rewards, terminated, restart, info
+
+    def _decide(self, keys: list[Keys]) -> NDArray[np.float32]:
+        """Step the environment once; its rewards (V, d)."""
+        env = self.vector_env
+        chosen = np.zeros((1, env.vehicles), dtype=np.int64)
+        for v, held in zip(self.seats, keys, strict=True):
+            chosen[0, v] = choose_action(held, env.batch.state[0, v], self._action_type)
+        joint: NDArray[Any] = self._continuous(chosen) if env.batch.continuous else chosen
+        if self._driver is not None:
+            others = [v for v in range(env.vehicles) if v not in self.seats]
+            joint[:, others] = self._driver.act(self._observations.reshape(1, env.vehicles, -1))[:, others]
+        self._observations, raw, terminated, truncated, _ = env.step(joint.reshape(env.action_space.shape))
+        rewards = raw.reshape(self._returns.shape)
+        self._returns += rewards
+        if self._driver is not None:
+            self._driver.observe(rewards[None])
+        self._over = bool((terminated | truncated).all())
+        self._frame = None
+        return rewards
+
+    def _continuous(self, chosen: NDArray[np.int64]) -> NDArray[np.float32]:
+        """The continuous actions (1, V, 3) with the same target controls as the discrete ones ``chosen`` (1, V)."""
+        controls = np.zeros((*chosen.shape, len(action_sets.CONTINUOUS_NAMES)))
+        action_sets.decode_discrete(self.vector_env.batch.state, chosen, self._table, controls)
+        scaled = controls / (STEER_RANGE, MAX_ACCELERATION, MAX_ACCELERATION / 2) - (0.0, 0.0, 1.0)
+        return scaled.astype(np.float32)
+
+    def _outcome(self) -> EpisodeOutcome:
+        decisions = self.vector_env.batch.state["decisions"][0]
+        return EpisodeOutcome(
+            episode=self._finished + 1,
+            seed=self._seed,
+            ends=self.vector_env.batch.end_names(0),
+            seconds=tuple((decisions / self.vector_env.config.decision_frequency).tolist()),
+            returns=self._returns.copy(),
+        )
+
+    def render(self) -> NDArray[np.uint8]:
+        """The current frame: RGB (height, width, 3)."""
+        if self._frame is None:
+            frames = self.vector_env.render()
+            assert frames is not None, "the environment has no frames: it needs render_mode='rgb_array'"
+            self._frame = frames[0]
+        return self._frame
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.vector_env.close()
+
+
+def key_table(codes: Sequence[int]) -> dict[tuple[int, ...], NDArray[np.int8]]:
+    """The action of :class:`HumanPlayEnv` for every set of pressed keys, given by their codes."""
+    rows = list(itertools.product((0, 1), repeat=len(codes)))[1:]
+    return {tuple(itertools.compress(codes, row)): np.array(row, dtype=np.int8) for row in rows}
+
+
+def open_display(*, allow_invisible: bool) -> None:
+    """Initialise the display for a window.
+
+    Args:
+        allow_invisible: accept a video driver of SDL without a display, such as "dummy".
+
+    Raises:
+        ValueError: if there is no display.
+    """
+    try:
+        pygame.display.init()
+        pygame.display.set_caption("MO-DeepDrive")
+        driver = pygame.display.get_driver()
+        # Without a display SDL may fall back on an invisible window.
+        problem = f"SDL has only {driver!r}" if driver in INVISIBLE_DRIVERS and not allow_invisible else ""
+    except pygame.error as error:
+        problem = f"SDL says {str(error)!r}"
+    if problem:
+        raise ValueError(
+            f"cannot open a window ({problem}): driving needs a display; on Linux set DISPLAY or WAYLAND_DISPLAY, "
+            "and if SDL_VIDEODRIVER is set, it must name a driver that has one"
+        )
+
+
+def describe_controls(seats: Sequence[int]) -> str:
+    """One line that says which keys drive which vehicle."""
+    drivers = (f"vehicle {v}: {name}" for v, name in zip(seats, KEYBOARD, strict=False))
+    return "; ".join((*drivers, "R restarts the episode, Escape quits"))
+
+
+def play_in_window(env: HumanPlayEnv, fps: int, on_outcome: Callable[[EpisodeOutcome], None]) -> None:
+    """Drive in a window until the user quits.
+
+    Args:
+        env: the environment; it has at most as many seats as KEYBOARD has entries.
+        fps: decisions per second.
+        on_outcome: called at the end of every episode.
+    """
+    from gymnasium.utils.play import play  # imported late: it selects a backend of matplotlib
+
+    def callback(*transition: Any) -> None:
+        info = transition[-1]
+        if "outcome" in info:
+            on_outcome(info["outcome"])
+
+    keys = itertools.islice(KEYBOARD.values(), len(env.seats))
+    codes = [*itertools.chain.from_iterable(keys), RESTART_KEY]
+    noop = np.zeros(len(codes), dtype=np.int8)
+    play(env, fps=fps * FRAMES_PER_DECISION, callback=callback, keys_to_action=key_table(codes), noop=noop)

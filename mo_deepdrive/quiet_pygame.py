@@ -1,0 +1,12 @@
+"""pygame, imported without the greeting that it prints: standard output belongs to the program."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+with contextlib.redirect_stdout(io.StringIO()):
+    import pygame
+    from pygame import gfxdraw
+
+__all__ = ["gfxdraw", "pygame"]

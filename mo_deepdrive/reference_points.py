@@ -1,0 +1,96 @@
+"""Reference points, from which hypervolumes are measured.
+
+A reference point is part of a published result: hypervolumes that were measured from different points cannot be
+compared. The points are in ``data/reference_points.yaml``; ``docs/fronts.md`` has the measurements behind them.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any, get_args
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from mo_deepdrive.config import ActionType, EnvConfig, ScenarioName, nearest
+from mo_deepdrive.simulation.params import chosen_objectives
+
+TABLE = resources.files("mo_deepdrive") / "data" / "reference_points.yaml"
+
+
+@dataclass(frozen=True)
+class ReferencePoint:
+    """The point from which hypervolumes are measured.
+
+    Attributes:
+        objectives: names of the d objectives, in order.
+        values: (d,) one number per objective, maximised. A policy adds to the hypervolume if it is better in all of
+            them.
+        version: version of the table of reference points. Hypervolumes of different versions cannot be compared.
+        reason: the rule behind each value.
+    """
+
+    objectives: tuple[str, ...]
+    values: NDArray[np.float64]
+    version: int
+    reason: str
+
+
+def reference_point(
+    scenario: str = "one_waypoint",
+    action_type: str = "discrete",
+    gamma: float = 0.99,
+    objectives: Sequence[str] | None = None,
+) -> ReferencePoint:
+    """The agreed reference point for hypervolumes.
+
+    Args:
+        scenario: "one_waypoint", "static_obstacle" or "intersection" (where it holds for each vehicle).
+        action_type: "discrete", "discrete-16" or "continuous".
+        gamma: discount factor of the returns: 0.99 or 1.0.
+        objectives: names, to select and order; None for all of the scenario's.
+
+    Raises:
+        ValueError: for an unknown scenario, action type or objective, or a gamma without a reference point.
+    """
+    names = select_objectives(scenario, action_type, objectives)
+    table = _table()
+    known = [
+        point for point in table["points"] if scenario in point["scenarios"] and action_type in point["action_types"]
+    ]
+    for point in known:
+        if point["gamma"] == gamma:
+            return ReferencePoint(
+                objectives=names,
+                values=np.array([point["values"][name] for name in names], dtype=np.float64),
+                version=table["version"],
+                reason="; ".join(f"{name}: {table['reasons'][name]}" for name in names),
+            )
+    gammas = ", ".join(str(point["gamma"]) for point in known)
+    raise ValueError(f"gamma = {gamma!r} has no reference point; known: {gammas}")
+
+
+@functools.cache
+def _table() -> dict[str, Any]:
+    table: dict[str, Any] = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    return table
+
+
+def select_objectives(scenario: str, action_type: str, objectives: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of the selected objectives, in order; all of the scenario's for None.
+
+    Raises:
+        ValueError: for an unknown scenario, action type or objective.
+    """
+    for name, value, allowed in (
+        ("scenario", scenario, get_args(ScenarioName)),
+        ("action_type", action_type, get_args(ActionType)),
+    ):
+        if value not in allowed:
+            raise ValueError(f"{name} = {value!r} is unknown; {nearest(value, allowed)}")
+    chosen = None if objectives is None else tuple(objectives)
+    return chosen_objectives(EnvConfig(scenario=scenario, objectives=chosen))  # type: ignore[arg-type]  # checked above

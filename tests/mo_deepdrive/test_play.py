@@ -1,0 +1,265 @@
+"""Driving by hand: keys as actions, and people in an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mo_deepdrive.actions import CONTINUOUS, DISCRETE, MICRO_STEER, action_names
+from mo_deepdrive.play import (
+    END_HOLD,
+    FRAMES_PER_DECISION,
+    EpisodeOutcome,
+    HumanPlayEnv,
+    Keys,
+    choose_action,
+    make_play_env,
+)
+from mo_deepdrive.simulation.state import VEHICLE
+
+ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
+NOTHING, UP, DOWN = Keys(False, False, False, False), Keys(True, False, False, False), Keys(False, True, False, False)
+LEFT, RIGHT = Keys(False, False, True, False), Keys(False, False, False, True)
+UP_LEFT = Keys(True, False, True, False)
+
+
+# ------------------------------------------------------------------------------------------------------ keys as actions
+
+
+def chosen(keys: Keys, action_type: str = "discrete", **fields: float) -> str:
+    """The name of the action for a vehicle whose state is zero except for ``fields``."""
+    vehicle = np.zeros(1, dtype=VEHICLE)[0]
+    for name, value in fields.items():
+        vehicle[name] = value
+    return action_names(action_type)[choose_action(keys, vehicle, action_type)]
+
+
+@pytest.mark.parametrize("action_type", list(DISCRETE))
+def test_keys_choose_actions_by_what_they_do(action_type: str) -> None:
+    assert chosen(NOTHING, action_type, speed=5.0, steer=0.1) == "idle"
+    assert chosen(UP, action_type) == "decay steer, increase speed"
+    assert chosen(DOWN, action_type, speed=3.0) == "decay steer, decrease speed"
+    assert chosen(UP_LEFT, action_type) == "large steer left, increase speed"
+    assert chosen(Keys(False, True, False, True), action_type) == "large steer right, decrease speed"
+
+
+def test_left_and_right_steer_as_far_as_possible_at_every_speed() -> None:
+    assert chosen(LEFT, speed=1.0) == "large steer left, maintain speed"
+    assert chosen(LEFT, speed=8.0, steer=0.1) == "small steer left, maintain speed"
+    assert chosen(RIGHT, speed=8.0, steer=-0.1) == "small steer right, maintain speed"
+
+
+def test_the_steering_returns_to_straight_without_left_and_right() -> None:
+    assert chosen(UP, speed=3.0, steer=0.1).startswith("micro steer")
+    assert chosen(UP, speed=3.0, steer=MICRO_STEER) == "decay steer, increase speed"
+    assert chosen(UP, "discrete-16", speed=3.0, steer=0.01) == "decay steer, increase speed"
+
+
+def test_the_car_coasts_without_a_key_for_the_speed() -> None:
+    assert chosen(LEFT, speed=2.0, throttle=1.0) == "large steer left, decrease speed"
+    assert chosen(LEFT, speed=2.0, throttle=0.0) == "large steer left, maintain speed"
+
+
+def test_opposite_keys_brake_and_steer_straight() -> None:
+    assert chosen(Keys(True, True, False, False)) == "decay steer, decrease speed"
+    assert chosen(Keys(True, False, True, True)) == "decay steer, increase speed"
+
+
+# --------------------------------------------------------------------------------------------------- the environment
+
+
+def make_human_env(
+    env_id: str = ONE, *, seats: tuple[int, ...] = (0,), on_frame: Any = None, **arguments: Any
+) -> HumanPlayEnv:
+    human_env = HumanPlayEnv(make_play_env(env_id, **arguments), seats, on_frame=on_frame)
+    human_env.reset(seed=1)
+    return human_env
+
+
+def pressed(*keys: Keys, restart: bool = False) -> NDArray[np.int8]:
+    """The action for the keys that every person holds down."""
+    return np.array([*(key for each in keys for key in each), restart], dtype=np.int8)
+
+
+def hold(human_env: HumanPlayEnv, *keys: Keys, decisions: int = 1) -> list[dict[str, Any]]:
+    """Hold keys for some decisions; returns the infos of all steps."""
+    return [human_env.step(pressed(*keys))[4] for _ in range(decisions * FRAMES_PER_DECISION)]
+
+
+def vehicles(human_env: HumanPlayEnv) -> Any:
+    return human_env.vector_env.batch.state[0]
+
+
+@pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
+def test_the_keys_drive_a_car(action_type: str) -> None:
+    human_env = make_human_env(action_type=action_type)
+    (car,) = vehicles(human_env)
+    start = car.copy()
+    hold(human_env, UP, decisions=20)
+    assert 1.5 < car.speed < 2.5
+    assert car.x > start.x + 1.0
+    assert car.heading == pytest.approx(start.heading, abs=1e-6)
+    hold(human_env, LEFT, decisions=5)
+    assert car.heading > start.heading + 0.1
+    heading = car.heading
+    hold(human_env, RIGHT, decisions=10)
+    assert car.heading < heading - 0.1
+    speed = car.speed
+    hold(human_env, NOTHING, decisions=5)
+    assert 0.9 * speed < car.speed < speed
+    hold(human_env, DOWN, decisions=10)
+    assert car.speed < 0.2
+
+
+def test_continuous_actions_drive_as_the_discrete_ones_do() -> None:
+    discrete, continuous = make_human_env(), make_human_env(action_type="continuous")
+    for keys in (UP, UP_LEFT, LEFT, NOTHING, RIGHT, DOWN):
+        for human_env in (discrete, continuous):
+            hold(human_env, keys, decisions=6)
+        for field in ("x", "y", "heading", "speed"):
+            assert vehicles(continuous)[0][field] == pytest.approx(vehicles(discrete)[0][field], abs=1e-4), field
+
+
+def test_a_key_pressed_for_one_frame_counts_for_a_whole_decision() -> None:
+    short, long = make_human_env(), make_human_env()
+    for frame in range(FRAMES_PER_DECISION):
+        short.step(pressed(UP if frame == 1 else NOTHING))
+    hold(long, UP)
+    assert vehicles(short)[0].throttle == vehicles(long)[0].throttle > 0.0
+    hold(short, NOTHING)
+    assert vehicles(short)[0].throttle == 0.0
+
+
+def test_two_people_drive_a_car_each() -> None:
+    human_env = make_human_env(TWO, seats=(0, 1))
+    hold(human_env, UP, NOTHING, decisions=10)
+    first, second = vehicles(human_env)
+    assert (first.speed > 0.5, second.speed) == (True, 0.0)
+    hold(human_env, NOTHING, UP, decisions=10)
+    assert second.speed > 0.5
+    assert first.throttle == 0.0
+
+
+def test_every_vehicle_needs_a_driver() -> None:
+    with pytest.raises(ValueError, match=r"seats = \[1\] .* 2 vehicles without a driver"):
+        make_human_env(TWO, seats=(1,))
+
+
+def test_an_outcome_has_the_ends_and_returns_of_all_vehicles() -> None:
+    human_env = make_human_env(TWO, seats=(0, 1), time_limit=2, end_together=False)
+    total = np.zeros((2, human_env.vector_env.reward_dim))
+    for _ in range(20 * FRAMES_PER_DECISION):
+        _, rewards, terminated, truncated, info = human_env.step(pressed(UP, NOTHING))
+        total += rewards
+        assert not terminated
+        assert not truncated
+    outcome: EpisodeOutcome = info["outcome"]
+    assert (outcome.episode, outcome.seed) == (1, 1)
+    assert outcome.ends == ("time_limit", "time_limit")
+    assert outcome.seconds == (2.0, 2.0)
+    np.testing.assert_allclose(outcome.returns, total)
+    distances = outcome.returns[:, human_env.vector_env.objectives.index("distance")]
+    assert distances[0] > 1.0
+    assert distances[1] == 0.0
+
+
+def test_the_last_frame_is_held_and_the_next_episode_differs() -> None:
+    human_env = make_human_env(time_limit=0.5)
+    first = vehicles(human_env)[0].waypoints.copy()
+    hold(human_env, UP, decisions=5)
+    x = vehicles(human_env)[0].x
+    for still in range(1, round(END_HOLD * 10) * FRAMES_PER_DECISION + 1):
+        terminated = human_env.step(pressed(UP))[2]
+        assert terminated == (still == round(END_HOLD * 10) * FRAMES_PER_DECISION)
+    assert vehicles(human_env)[0].x == x
+    human_env.reset()
+    assert (vehicles(human_env)[0].waypoints != first).any()
+    infos = hold(human_env, NOTHING, decisions=5)
+    assert (infos[-1]["outcome"].episode, infos[-1]["outcome"].seed) == (2, 2)
+
+
+def test_a_restarted_episode_has_the_same_scenario() -> None:
+    human_env = make_human_env()
+    beginning = vehicles(human_env).copy()
+    hold(human_env, UP_LEFT, decisions=5)
+    *_, terminated, truncated, info = human_env.step(pressed(NOTHING, restart=True))
+    assert (terminated, truncated, info) == (False, True, {})
+    human_env.reset()
+    assert vehicles(human_env).tobytes() == beginning.tobytes()
+
+
+def test_without_a_seed_the_scenarios_differ_but_can_be_restarted() -> None:
+    first, second = make_human_env(), make_human_env()
+    starts = []
+    for human_env in (first, second):
+        fresh = HumanPlayEnv(human_env.vector_env, (0,))
+        fresh.reset()
+        starts.append(vehicles(fresh).copy())
+        fresh.reset()
+        assert vehicles(fresh).tobytes() == starts[-1].tobytes()
+    assert starts[0].tobytes() != starts[1].tobytes()
+
+
+def test_on_frame_receives_a_frame_per_decision() -> None:
+    frames: list[NDArray[np.uint8]] = []
+    human_env = make_human_env(time_limit=0.3, on_frame=frames.append)
+    start = human_env.render()
+    hold(human_env, UP, decisions=3 + round(END_HOLD * 10))
+    assert len(frames) == 3 + round(END_HOLD * 10)
+    assert np.array_equal(frames[0], start)
+    assert (frames[3] != frames[2]).any()
+    assert np.array_equal(frames[-1], frames[3])
+
+
+class StraightDriver:
+    """A driver that drives straight on and records its calls."""
+
+    def __init__(self, action: Any) -> None:
+        self.action = np.array(action)
+        self.calls: list[tuple[str, Any]] = []
+
+    def reset(self) -> None:
+        self.calls.append(("reset", None))
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        self.calls.append(("act", observations.copy()))
+        return np.array([[self.action, self.action]])
+
+    def observe(self, rewards: NDArray[np.float32]) -> None:
+        self.calls.append(("observe", rewards.copy()))
+
+
+@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
+@pytest.mark.parametrize("mine", [0, 1])
+def test_a_driver_drives_the_other_vehicle_and_receives_everything(mine: int, action_type: str) -> None:
+    action = (
+        (0.0, 1.0, -1.0)
+        if action_type == CONTINUOUS
+        else action_names(action_type).index("decay steer, increase speed")
+    )
+    driver = StraightDriver(action)
+    env = make_play_env(TWO, action_type=action_type)
+    human_env = HumanPlayEnv(env, (mine,), driver=driver)
+    first, _ = human_env.reset(seed=1)
+    rewards = [human_env.step(pressed(NOTHING))[1] for _ in range(2 * FRAMES_PER_DECISION)]
+    assert [name for name, _ in driver.calls] == ["reset", "act", "observe", "act", "observe"]
+    assert driver.calls[1][1].tobytes() == first.tobytes()
+    assert driver.calls[1][1].shape == (1, 2, first.shape[-1])
+    for (_, observed), frame in zip(driver.calls[2::2], (FRAMES_PER_DECISION, 2 * FRAMES_PER_DECISION), strict=True):
+        assert observed.shape == (1, 2, env.reward_dim)
+        np.testing.assert_array_equal(observed[0], rewards[frame - 1])
+    assert vehicles(human_env)[1 - mine].travelled > 0.0
+    assert vehicles(human_env)[mine].travelled == 0.0
+    human_env.reset()
+    assert driver.calls[-1][0] == "reset"
+
+
+def test_importing_play_imports_neither_torch_nor_algorithms(run_python: Callable[[str], str]) -> None:
+    found = run_python(
+        "import sys, mo_deepdrive.play\nprint([name for name in ('torch', 'algorithms') if name in sys.modules])"
+    )
+    assert found == "[]\n"
