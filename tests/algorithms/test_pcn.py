@@ -478,8 +478,8 @@ def test_training_metrics_are_means_over_the_exploring_episodes(
 ) -> None:
     agent = small_pcn("deep-sea-treasure", gamma=1.0)
     rounds, commands = collected(agent, monkeypatch), []
-    ambitious = agent._ambitious
-    monkeypatch.setattr(agent, "_ambitious", lambda: (commands.append(ambitious()), commands[-1])[1])
+    sample = agent._sample_commands
+    monkeypatch.setattr(agent, "_sample_commands", lambda: (commands.append(sample()), commands[-1])[1])
     lines = recorded(agent, TOTAL, log_interval=log_interval)
     assert lines[-1][0] == agent.step
     warmup = 2
