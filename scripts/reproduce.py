@@ -1,6 +1,6 @@
 """Make the paper's figures and claims again: train what is missing, judge, draw.
 
-    python scripts/reproduce.py --all                 # everything, into docs/results and the zoo
+    python scripts/reproduce.py --all                 # everything, into docs/results, the README and the zoo
     python scripts/reproduce.py --figure 4            # what figure 4 shows
     python scripts/reproduce.py --claim 2 --seeds 3   # what claim 2 needs, with three seeds
     python scripts/reproduce.py --quick               # everything in minutes: fewer seeds, shorter training
@@ -32,6 +32,7 @@ from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Entry, Plan, entries, load_plan
 from algorithms.reproduction.report import (
     FRONT_CELL,
+    insert_verdicts,
     is_study,
     keep_fronts,
     median_entry,
@@ -143,8 +144,9 @@ def reproduce(options: argparse.Namespace, plan: Plan, console: Console) -> int:
     keep_fronts(wanted, results, output)
     _write(plan, results, output, figures, how, console)
     if everything and options.output is None and not options.quick and options.seeds is None and not failed:
+        insert_verdicts(ROOT / "README.md", plan, results)
         names = export_policies(wanted, plan, results)
-        console.print(f"the zoo has {', '.join(names)}")
+        console.print(f"README.md has the verdicts; the zoo has {', '.join(names)}")
     for job, error in failed.items():
         console.print(f"FAILED {job.name}: {error}", markup=False, highlight=False, soft_wrap=True)
     return 1 if failed else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +31,7 @@ from algorithms.reproduction.results import Results
 REPORT_FILE = "reproduction.md"
 FRONT_CELL, FRONT_VARIANT = "one_waypoint_front", "pcn"
 # The verdict table of another document stands between these lines.
+BEGIN, END = "<!-- verdicts: written by scripts/reproduce.py -->", "<!-- end of verdicts -->"
 
 
 def write_report(plan: Plan, results: Results, directory: Path, figures: Sequence[int], *, how: str) -> list[Path]:
@@ -265,3 +267,18 @@ def _studies(cell: str, plan: Plan, results: Results) -> list[str]:
         if is_study(arm):
             parts += [f"**{arm.title}**", _study(cell, key, arm, results)]
     return parts
+
+
+def insert_verdicts(path: Path, plan: Plan, results: Results) -> None:
+    """Replace the verdict table of another document, between BEGIN and END.
+
+    Raises:
+        ValueError: if the document does not have these lines.
+        OSError: if it cannot be written.
+    """
+    text = path.read_text(encoding="utf-8")
+    if text.count(BEGIN) != 1 or text.count(END) != 1:
+        raise ValueError(f"{str(path)!r} has no place for the verdicts, between {BEGIN!r} and {END!r}")
+    table = f"{BEGIN}\n\n{verdict_table(plan, results)}\n\n{END}"
+    replaced = re.sub(f"{re.escape(BEGIN)}.*{re.escape(END)}", lambda _: table, text, flags=re.DOTALL)
+    atomic_write(path, replaced.encode())

@@ -24,6 +24,9 @@ from algorithms.reproduction.claims import CLAIMS, Claim, compare  # noqa: E402
 from algorithms.reproduction.figures import CURVES, FIGURES, draw_curves  # noqa: E402
 from algorithms.reproduction.plan import Plan, entries, load_plan  # noqa: E402
 from algorithms.reproduction.report import (  # noqa: E402
+    BEGIN,
+    END,
+    insert_verdicts,
     is_study,
     verdict_table,
     write_report,
@@ -299,6 +302,23 @@ def test_a_figure_shows_every_seed_in_the_colours_of_both_algorithms(tmp_path: P
     assert not (tmp_path / "nothing.png").exists()
 
 
+def test_the_verdicts_are_put_between_their_marks_and_nothing_else_changes(tmp_path: Path) -> None:
+    plan, path = load_plan(PLAN), tmp_path / "README.md"
+    results = made_up("one_waypoint_linear", {"a2c": SOLVED, "mo_a2c": SOLVED})
+    path.write_text(f"before\n\n{BEGIN}\nold\n{END}\n\nafter \\1\n")
+    insert_verdicts(path, plan, results)
+    once = path.read_text()
+    assert once.startswith("before\n\n")
+    assert once.endswith("after \\1\n")
+    assert "**comes out**" in once
+    assert "old" not in once
+    insert_verdicts(path, plan, results)
+    assert path.read_text() == once
+    path.write_text("no marks")
+    with pytest.raises(ValueError, match="no place for the verdicts"):
+        insert_verdicts(path, plan, results)
+
+
 # What is published.
 
 published = pytest.mark.skipif(
@@ -307,9 +327,11 @@ published = pytest.mark.skipif(
 
 
 @published
-def test_the_report_says_what_the_published_scores_say() -> None:
+def test_the_readme_and_the_report_say_what_the_published_scores_say(tmp_path: Path) -> None:
     plan, results = load_plan(PLAN), Results.read(PUBLISHED)
     table = verdict_table(plan, results)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert readme.split(BEGIN)[1].split(END)[0].strip() == table
     assert table in (PUBLISHED / "reproduction.md").read_text(encoding="utf-8")
 
 
