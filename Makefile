@@ -1,4 +1,4 @@
-# `make train` and `make test` each work alone on a machine with Python (3.10 to 3.13) and make.
+# `make train` and `make test` each work on a machine with nothing but Python (3.10 to 3.13) and make.
 PYTHON ?= python3
 VENV ?= .venv
 CONFIG ?= configs/one_waypoint/mo_a2c_linear.yaml
@@ -10,7 +10,7 @@ READY = $(VENV)/.ready
 RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
 
-.PHONY: install train test test-ray test-peers test-cluster lint benchmark clean
+.PHONY: install train test test-fast test-ray test-peers test-cluster lint benchmark clean
 
 install: $(READY)
 
@@ -19,7 +19,7 @@ $(READY): pyproject.toml constraints.txt
 	$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
-# RLlib pins an older Gymnasium, so its tests have an environment of their own.
+# RLlib pins an older Gymnasium, so its tests run in a separate environment.
 $(RAY_READY): pyproject.toml constraints.txt constraints-ray.txt
 	$(PYTHON) -m venv $(RAY_VENV)
 	grep --invert-match '^gymnasium==' constraints.txt > $(RAY_VENV)/constraints.txt
@@ -27,7 +27,7 @@ $(RAY_READY): pyproject.toml constraints.txt constraints-ray.txt
 		--constraint $(RAY_VENV)/constraints.txt --constraint constraints-ray.txt --editable ".[rllib]" pytest hypothesis
 	touch $@
 
-# morl-baselines brings a solver that is compiled (against Debian's libgmp-dev and libcdd-dev) and 24 packages more.
+# morl-baselines compiles a solver (against Debian's libgmp-dev and libcdd-dev) and installs 24 further packages.
 $(PEERS_READY): pyproject.toml constraints.txt constraints-peers.txt
 	$(PYTHON) -m venv $(PEERS_VENV)
 	$(PEERS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
@@ -41,11 +41,16 @@ lint: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+	$(VENV)/bin/codespell
 
 test: lint
 	$(VENV)/bin/python -m pytest --numprocesses 2 --ignore tests/cluster
 
-# Starts a Slurm of its own (Debian's slurm-wlm and munge, as root) and a Ray cluster of its own, and stops them.
+# For the inner loop: no lint, and nothing that takes more than a few seconds.
+test-fast: $(READY)
+	$(VENV)/bin/python -m pytest --numprocesses 2 --ignore tests/cluster -m "not slow and not cluster"
+
+# Starts and stops a temporary Slurm (Debian's slurm-wlm and munge, as root) and temporary Ray clusters.
 test-cluster: $(READY)
 	$(VENV)/bin/python -m pytest tests/cluster --numprocesses 2 --dist loadfile
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["env", "parallel_env", "raw_env", "reference_front", "reference_point"]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _VECTOR = "mo_deepdrive.envs.vector:DrivingVectorEnv"
 _SINGLE = "mo_deepdrive.envs.single:DrivingEnv"

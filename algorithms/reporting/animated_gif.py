@@ -1,0 +1,64 @@
+"""Animated GIFs of several episodes side by side, for places that show images only."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from algorithms.common.atomic_io import atomic_write
+from algorithms.reporting.video_grid import caption_strip, scaled
+
+Frame = NDArray[np.uint8]  # (height, width, 3), RGB
+GAP = 4  # pixels between two clips
+COLOURS = 255  # of the palette; one further index marks pixels that do not change
+
+
+def write_gif(
+    clips: Sequence[tuple[str, Iterable[Frame]]], path: str | Path, *, fps: int = 10, side: int = 320
+) -> tuple[int, int]:
+    """Write a looping GIF that shows ``clips`` side by side, each below its caption.
+
+    A clip that is shorter than the longest one keeps showing its last frame.
+
+    Args:
+        clips: captions, and frames (height, width, 3) of uint8. The left square of each frame is shown.
+        path: the file; it appears when it is complete.
+        fps: frames per second, a divisor of 100, because a GIF counts hundredths of a second.
+        side: pixels of a clip's width and height.
+
+    Returns:
+        The number of frames and of bytes.
+
+    Raises:
+        ValueError: if there is no clip, one has no frames, or ``fps`` does not divide 100.
+        OSError: if the file cannot be written.
+    """
+    if not clips:
+        raise ValueError("clips is empty; a GIF needs at least one")
+    if fps < 1 or 100 % fps:
+        raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
+    columns = []
+    for caption, frames in clips:
+        strip = caption_strip(caption, side)
+        tiles = [np.vstack([strip, scaled(frame[:, : len(frame)], side, side)]) for frame in frames]
+        if not tiles:
+            raise ValueError(f"clip {caption!r} has no frames")
+        columns.append(tiles)
+    count = max(map(len, columns))
+    gap = np.full((len(columns[0][0]), GAP, 3), 255, dtype=np.uint8)
+    sheets = []
+    for t in range(count):
+        row = [tiles[min(t, len(tiles) - 1)] for tiles in columns]
+        sheets.append(np.hstack([part for tile in row for part in (tile, gap)][:-1]))
+    samples = np.vstack(sheets[:: max(1, count // 8)])
+    palette = Image.fromarray(samples).quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+    images = [Image.fromarray(sheet).quantize(palette=palette, dither=Image.Dither.NONE) for sheet in sheets]
+    buffer = io.BytesIO()
+    images[0].save(buffer, format="GIF", save_all=True, append_images=images[1:], duration=1000 // fps, loop=0)
+    atomic_write(path, buffer.getvalue())
+    return count, len(buffer.getvalue())

@@ -1,0 +1,97 @@
+"""Write a looping GIF of trained policies side by side: the picture at the top of the README.
+
+    python scripts/gif.py --output docs/images/scenarios.gif
+    python scripts/gif.py one_waypoint_linear-ppo runs/mo_ppo_linear/mo_ppo-seed0 --output two.gif
+
+Each policy acts greedily. A short episode is followed by further ones while they fit beside the longest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
+os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
+sys.path.append(str(Path.cwd()))  # a user's own utility may be there
+
+from algorithms.experiments.config import find_environment
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import build
+from algorithms.reporting.animated_gif import Frame, write_gif
+from algorithms.reporting.videos import episode_frames, make_world
+
+POLICIES = ("one_waypoint_nonlinear-mo_ppo", "static_obstacle_nonlinear-mo_ppo", "intersection_nonlinear-mo_ppo")
+TITLES = {"one_waypoint": "OneWaypoint", "static_obstacle": "StaticObstacle", "intersection": "Intersection"}
+HOLD = 6  # frames for which the last one of an episode is shown
+
+
+def parse_arguments(arguments: list[str]) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    parser.add_argument("runs", nargs="*", default=POLICIES, metavar="RUN", help="run directories or names in the zoo")
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the GIF")
+    parser.add_argument(
+        "--seed", type=int, default=1_000_001, metavar="S", help="of the first episodes (default: %(default)s)"
+    )
+    parser.add_argument("--fps", type=int, default=10, metavar="N", help="frames per second (default: %(default)s)")
+    parser.add_argument("--side", type=int, default=320, metavar="PIXELS", help="of each clip (default: %(default)s)")
+    return parser.parse_args(arguments)
+
+
+def open_policy(name: str, seed: int) -> tuple[str, Iterator[list[Frame]]]:
+    """Load a policy: the title of its scenario, and the frames of one greedy episode after the other.
+
+    Raises:
+        ValueError: if there is no such run or policy, or it learns a front.
+    """
+    run = Run.open(name, device="cpu")
+    if not run.experiment.known_utility:
+        raise ValueError(f"{name!r} is a front of policies; choose one with scripts/choose.py --video instead")
+    agent = build(run.experiment, num_envs=1)
+    agent.load(run.checkpoint, policy_only=True)
+    env = make_world(run.experiment.environment)
+    scenario = find_environment(run.experiment.environment.id).kwargs.get("scenario", "")
+
+    title = TITLES.get(scenario, run.experiment.environment.id)
+    return title, (list(episode_frames(agent, env, i, greedy=True)) for i in range(seed, 2**31))
+
+
+def clips(names: Sequence[str], seed: int) -> list[tuple[str, list[Frame]]]:
+    """Titles and frames: the first episode of each policy, and further ones of it while they fit beside the longest."""
+    titles, episodes = zip(*(open_policy(name, seed) for name in names), strict=True)
+    shown = [next(each) for each in episodes]
+    length = max(map(len, shown))
+    for frames, further in zip(shown, episodes, strict=True):
+        for episode in further:
+            frames.extend([frames[-1]] * HOLD)
+            if len(frames) + len(episode) > length:
+                break
+            frames.extend(episode)
+    return [(title, frames[:length] + frames[-1:] * HOLD) for title, frames in zip(titles, shown, strict=True)]
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command line ``arguments`` and return the exit code."""
+    options = parse_arguments(arguments)
+    try:
+        if not 0 <= options.seed < 2**31:
+            raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
+        if options.side < 16:
+            raise ValueError(f"--side {options.side} must be at least 16 pixels")
+        shown = clips(options.runs, options.seed)
+        count, size = write_gif(shown, options.output, fps=options.fps, side=options.side)
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(f"{options.output}: {count} frames, {size / 1e6:.2f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

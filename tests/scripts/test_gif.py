@@ -1,0 +1,47 @@
+"""The script that makes the GIF of the README."""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from tests.helpers.paths import REPOSITORY
+
+
+@pytest.fixture(scope="module")
+def main() -> Callable[[list[str]], int]:
+    return runpy.run_path(str(REPOSITORY / "scripts" / "gif.py"))["main"]
+
+
+def test_two_policies_of_the_zoo_side_by_side(main: Callable[[list[str]], int], tmp_path: Path) -> None:
+    path = tmp_path / "two.gif"
+    names = ["one_waypoint_linear-ppo", "static_obstacle_linear-ppo"]
+    assert main([*names, "--output", str(path), "--side", "48", "--seed", "7"]) == 0
+    with Image.open(path) as image:
+        assert image.n_frames > 30
+        assert image.size[0] == 2 * 48 + 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["one_waypoint_linear-pop"], "one_waypoint_linear-ppo"),
+        (["one_waypoint_front-pcn"], "is a front of policies"),
+        (["one_waypoint_linear-ppo", "--seed", "-1"], "--seed -1 must be between"),
+        (["one_waypoint_linear-ppo", "--side", "3"], "--side 3 must be at least 16"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(
+    arguments: list[str],
+    message: str,
+    main: Callable[[list[str]], int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main([*arguments, "--output", str(tmp_path / "none.gif")]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

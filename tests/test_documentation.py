@@ -1,0 +1,337 @@
+"""The documentation is true: examples run, commands parse, links and names exist."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import yaml
+
+from algorithms.experiments.config import load_experiment
+from tests.helpers.paths import REPOSITORY
+
+DOCUMENTS = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    *(f"docs/{p.name}" for p in (REPOSITORY / "docs").glob("*.md")),
+]
+DOCUMENTS += [f"docs/results/{path.name}" for path in (REPOSITORY / "docs" / "results").glob("*.md")]
+# The changelog names what no longer exists.
+WITH_NAMES = [name for name in DOCUMENTS if name != "CHANGELOG.md"]
+NOT_RUN = "<!-- not run by the tests: "
+SLOW = ("agent.train(",)  # examples that contain it take more than a few seconds
+
+
+class Block(NamedTuple):
+    """A fenced block: its document, first line, language, text, and the last line above that is not empty."""
+
+    document: str
+    line: int
+    language: str
+    text: str
+    before: str
+
+    def __str__(self) -> str:
+        return f"{self.document}:{self.line}"
+
+
+def blocks(language: str) -> Iterator[Block]:
+    for document in DOCUMENTS:
+        lines = (REPOSITORY / document).read_text(encoding="utf-8").splitlines()
+        begin = None
+        for number, line in enumerate(lines):
+            if begin is None and line.startswith("```"):
+                begin = number
+            elif line == "```" and begin is not None:
+                if lines[begin] == f"```{language}":
+                    text = "\n".join(lines[begin + 1 : number]) + "\n"
+                    before = next((above for above in reversed(lines[:begin]) if above), "")
+                    yield Block(document, begin + 2, language, text, before)
+                begin = None
+        assert begin is None, f"{document}:{begin}: a fence is not closed"
+
+
+def prose(document: str) -> str:
+    """The document without its fenced blocks."""
+    return re.sub(
+        r"^```.*?^```$", "", (REPOSITORY / document).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------ Python
+
+EXAMPLES = list(blocks("python"))
+
+
+@pytest.mark.parametrize("block", EXAMPLES, ids=str)
+def test_a_python_example_compiles(block: Block) -> None:
+    compile(block.text, str(block), "exec")
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        pytest.param(block, id=str(block), marks=[pytest.mark.slow] if any(s in block.text for s in SLOW) else [])
+        for block in EXAMPLES
+        if not block.before.startswith(NOT_RUN)
+    ],
+)
+def test_a_python_example_runs(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "momaland" in block.text or "mo_deepdrive.env(" in block.text:
+        pytest.importorskip("momaland")
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, Any] = {"__name__": "example"}
+    exec(compile(block.text, str(block), "exec"), namespace)
+    if "evaluation" in namespace:
+        assert namespace["evaluation"].metrics()["success"] > 0.9, "the trained policy should do what the text claims"
+
+
+def test_there_are_examples() -> None:
+    assert len(EXAMPLES) >= 12
+    assert sum(not block.before.startswith(NOT_RUN) for block in EXAMPLES) >= 10
+
+
+def test_the_readme_begins_with_a_short_example() -> None:
+    first = next(block for block in EXAMPLES if block.document == "README.md")
+    assert len([line for line in first.text.splitlines() if line.strip()]) == 4
+
+
+# ---------------------------------------------------------------------------------------------------------- commands
+
+STUBS = """
+PATH=
+emit() { printf '%s\\0' "$@"; printf '\\n'; }
+for name in python pip make wandb sudo git cd; do eval "$name() { emit $name \\"\\$@\\"; }"; done
+"""
+
+
+def commands() -> Iterator[tuple[Block, list[str]]]:
+    """The words of every command in the shell blocks, with loops, braces and patterns expanded by bash itself.
+
+    Nothing is executed: known programs are functions that print their arguments, and any other is an error.
+    """
+    for block in blocks("bash"):
+        run = subprocess.run(
+            ["bash", "--norc", "-eu", "-c", STUBS + block.text],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode == 0, f"{block}: {run.stderr}"
+        for line in run.stdout.splitlines():
+            yield block, line.rstrip("\0").split("\0")
+
+
+COMMANDS = [(str(block), words) for block, words in commands()]
+
+
+def of_program(program: str) -> list[tuple[str, list[str]]]:
+    return [(where, words[1:]) for where, words in COMMANDS if words[0] == program]
+
+
+class Parsed(BaseException):
+    """The command line of a script has been parsed."""
+
+    def __init__(self, options: argparse.Namespace, others: list[str]):
+        super().__init__()
+        self.options = options
+        self.others = others
+
+
+def parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> Parsed:
+    """Start the script ``words[0]`` as a program and stop it when it has parsed its arguments."""
+    parse_known = argparse.ArgumentParser.parse_known_args
+
+    def stop(parser: argparse.ArgumentParser, *arguments: Any) -> Any:
+        raise Parsed(*parse_known(parser, *arguments))
+
+    def stop_if_all_known(parser: argparse.ArgumentParser, *arguments: Any) -> Any:
+        options, others = parse_known(parser, *arguments)
+        if others:
+            parser.error(f"unrecognized arguments: {' '.join(others)}")
+        raise Parsed(options, [])
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", stop)
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop_if_all_known)
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(sys, "path", [str(REPOSITORY / "scripts"), *sys.path])
+    with pytest.raises(Parsed) as caught:
+        runpy.run_path(str(REPOSITORY / words[0]), run_name="__main__")
+    return caught.value
+
+
+@pytest.mark.parametrize("words", [words for _, words in of_program("python")], ids=" ".join)
+def test_a_command_is_understood_by_its_script(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    if words[:2] == ["-m", "venv"]:
+        return
+    assert re.fullmatch(r"scripts/\w+\.py", words[0])
+    assert (REPOSITORY / words[0]).is_file()
+    parsed = parse(words, monkeypatch)
+    config = getattr(parsed.options, "config", None)
+    assert all(re.fullmatch(r"--\w+(\.\w+)+=.+", other) for other in parsed.others)
+    if config is None:
+        assert not parsed.others
+        return
+    assert (REPOSITORY / config).is_file()
+    if words[0] == "scripts/train.py":
+        monkeypatch.chdir(REPOSITORY)
+        load_experiment(config, parsed.others)
+
+
+def test_a_misspelt_command_is_not_understood(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        parse(["scripts/plot.py", "RUN", "--ouput", "a.png"], monkeypatch)
+    assert "--ouput" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("where", "words"), of_program("pip"), ids=str)
+def test_what_is_installed_exists(where: str, words: list[str]) -> None:
+    assert words[0] == "install"
+    project = (REPOSITORY / "pyproject.toml").read_text(encoding="utf-8")
+    known = re.findall(
+        r"^(\w+) = \[", project.split("[project.optional-dependencies]")[1].split("[tool.")[0], flags=re.MULTILINE
+    )
+    for option, value in pairwise(words):
+        if option == "--constraint":
+            assert (REPOSITORY / value).is_file(), where
+    for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
+        assert set(extras.split(",")) <= set(known), where
+
+
+def test_targets_of_make_exist() -> None:
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z][a-z-]*):", makefile, flags=re.MULTILINE))
+    named = {word for _, words in of_program("make") for word in words}
+    for document in DOCUMENTS:
+        named |= set(re.findall(r"`make ([a-z-]+)`", prose(document)))
+    assert len(named) >= 5
+    assert named <= targets
+
+
+def test_sweeps_of_weights_and_biases_exist() -> None:
+    sweeps = [words[1] for _, words in of_program("wandb") if words[0] == "sweep"]
+    assert sweeps
+    assert all((REPOSITORY / name).is_file() for name in sweeps)
+
+
+@pytest.mark.parametrize("block", list(blocks("yaml")), ids=str)
+def test_a_yaml_example_is_a_mapping(block: Block) -> None:
+    assert isinstance(yaml.safe_load(block.text), dict)
+
+
+# --------------------------------------------------------------------------------------------------- links and names
+
+
+def anchors(path: Path) -> set[str]:
+    """Names of the headings of a document, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_relative_links_and_images_lead_somewhere(document: str) -> None:
+    path = REPOSITORY / document
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(document)):
+        if re.match(r"[a-z]+:", link):
+            continue
+        target, _, anchor = link.partition("#")
+        found = (path.parent / target).resolve() if target else path
+        assert found.exists(), f"{document} links to {link}"
+        assert REPOSITORY in found.parents, f"{document} links to {link}"
+        if anchor:
+            assert anchor in anchors(found), f"{document} links to {link}"
+
+
+def tracked() -> list[str]:
+    """The files of the repository; what is generated lies elsewhere."""
+    run = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    if run.returncode == 0:
+        return run.stdout.splitlines()
+    return [str(path.relative_to(REPOSITORY)) for path in REPOSITORY.rglob("*") if path.is_file()]
+
+
+FILES = tracked()
+FOLDERS = ("mo_deepdrive/", "algorithms/", "configs/", "scripts/", "tests/", "docs/")
+
+
+def quoted(document: str) -> list[str]:
+    return re.findall(r"(?<!`)`([^`\n]+)`(?!`)", prose(document))
+
+
+@pytest.mark.parametrize("document", WITH_NAMES)
+def test_paths_in_backticks_exist(document: str) -> None:
+    for name in quoted(document):
+        if re.search(r"[A-Z]{3,}", name):  # a placeholder, such as RUN
+            continue
+        if name.startswith(FOLDERS) and " " not in name:
+            path = REPOSITORY / name
+            assert path.exists() or any(fnmatch(file, name) for file in FILES), f"{document} names {name}"
+        elif re.fullmatch(r"[\w/]+\.(py|yaml)", name):
+            assert any(f"/{file}".endswith(f"/{name}") for file in FILES), f"{document} names {name}"
+
+
+def resolve(name: str) -> None:
+    """Import the module, class, function or attribute of a dotted name.
+
+    Raises:
+        ImportError, AttributeError: if there is none.
+    """
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found: Any = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError as error:
+            if not (error.name or "").startswith(parts[0]):
+                raise
+            continue
+        for part in parts[length:]:
+            found = getattr(found, part)
+        return
+    raise ImportError(name)
+
+
+@pytest.mark.parametrize("document", WITH_NAMES)
+def test_modules_and_their_members_in_backticks_exist(document: str) -> None:
+    for text in quoted(document):
+        for name in re.findall(r"(?<![\w./])((?:mo_deepdrive|algorithms)(?:\.\w+)+)", text):
+            if name.startswith("mo_deepdrive.envs.rllib"):  # needs Ray
+                source = (REPOSITORY / "mo_deepdrive" / "envs" / "rllib.py").read_text(encoding="utf-8")
+                assert f"\nclass {name.rpartition('.')[2]}(" in source or name.endswith(".rllib")
+            else:
+                resolve(name)
+
+
+@pytest.mark.parametrize("document", WITH_NAMES)
+def test_ids_of_environments_exist(document: str) -> None:
+    import gymnasium
+
+    import mo_deepdrive  # noqa: F401  (registers them)
+
+    text = (REPOSITORY / document).read_text(encoding="utf-8")
+    for name in set(re.findall(r"mo-deepdrive-[a-z-]+-v\d+", text)):
+        assert name in gymnasium.registry, f"{document} names {name}"
+
+
+def test_pictures_of_the_readme_are_small() -> None:
+    for link in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", (REPOSITORY / "README.md").read_text(encoding="utf-8")):
+        assert (REPOSITORY / link).stat().st_size < 2_000_000
+
+
+def test_the_readme_is_short() -> None:
+    assert len((REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()) <= 160
