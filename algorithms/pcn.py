@@ -1,4 +1,4 @@
-"""PCN: Pareto Conditioned Networks (Reymond, Bargiacchi and Nowe 2022), for a utility that is not known yet.
+"""PCN: Pareto Conditioned Networks (Reymond, Bargiacchi and Nowé 2022), for a utility that is not known yet.
 
 One network acts under a command (R, h): the discounted return R in R^d that is desired from here on, and the number h
 of decisions in which to get it. It is trained by supervised learning to take the actions of past episodes that got what
