@@ -41,8 +41,9 @@ from algorithms import ALGORITHMS
 from algorithms.common.atomic_io import write_json
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import hypervolume
+from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.training import build, evaluate_front
+from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare

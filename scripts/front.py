@@ -34,9 +34,9 @@ from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import Policy
+from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 from algorithms.pcn import PCN
 from mo_deepdrive import fronts
 from mo_deepdrive.actions import (

@@ -34,10 +34,10 @@ from rich.table import Table
 
 from algorithms.agent import Agent
 from algorithms.driving import PICTURES, HumanPlayEnv, Outcome
+from algorithms.experiments.build import build
 from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 from algorithms.reporting.videos import make_world, writing
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.driving import HOLD, PICTURES, HumanPlayEnv, Keys, Outcome, choose_action
+from algorithms.experiments.build import build
 from algorithms.experiments.config import EnvironmentSettings, make_experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 from algorithms.reporting.videos import make_world
 from mo_deepdrive.actions import DISCRETE, MICRO_STEER, action_names
 from mo_deepdrive.simulation.state import VEHICLE
@@ -286,13 +285,8 @@ PRESS, RELEASE = pygame.KEYDOWN, pygame.KEYUP
 
 
 @pytest.fixture(scope="module")
-def play(repository: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("play", repository / "scripts" / "play.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def play(load_script: Callable[[str], ModuleType]) -> ModuleType:
+    return load_script("play")
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import pytest
 
 import mo_deepdrive
 from algorithms.common.yaml_io import dump, read_mapping, read_value
+from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment, make_experiment, parse_overrides
-from algorithms.experiments.training import build
 from algorithms.peers import PEERS
 
 TEXT = """
@@ -155,7 +155,7 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
         ("--training.seed=-1", ["training.seed", "greater than or equal to 0"]),
         ("--training.seed=true", ["training.seed", "True", "integer"]),
         ("--training.device=abacus", ["training.device", "abacus", "cpu, cuda"]),
-        ("--training.device=cuda:99", ["training.device", "cuda:99", "not there"]),
+        ("--training.device=cuda:99", ["training.device", "cuda:99", "does not exist"]),
         ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
         ("--utility=linear", ["utility", "'linear'"]),
         ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),

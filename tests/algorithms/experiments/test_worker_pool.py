@@ -15,9 +15,9 @@ import pytest
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import DiskFull
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
-from algorithms.experiments.training import DiskFull
 from algorithms.experiments.worker_pool import DIED, perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
 

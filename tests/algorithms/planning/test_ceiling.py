@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -19,15 +17,9 @@ AT_THE_NOSE = ((9.8, 25.6), (12.0, 25.6))  # a bicycle that points at the nose, 
 
 
 @pytest.fixture(scope="module")
-def ceiling(repository: Path) -> ModuleType:
+def ceiling(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    spec = importlib.util.spec_from_file_location("ceiling", repository / "scripts" / "ceiling.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["ceiling"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("ceiling")
 
 
 def test_command_line(

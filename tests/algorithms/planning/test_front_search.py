@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -14,9 +12,9 @@ import moocore
 import numpy as np
 import pytest
 
+from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 from mo_deepdrive import fronts
 
 OPEN = ("one_waypoint", "static_obstacle")
@@ -24,15 +22,9 @@ SMALL = ["--decisions", "300000", "--anew"]
 
 
 @pytest.fixture(scope="module")
-def front(repository: Path) -> ModuleType:
+def front(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    spec = importlib.util.spec_from_file_location("front", repository / "scripts" / "front.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["front"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("front")
 
 
 @pytest.fixture
