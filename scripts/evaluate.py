@@ -69,5 +69,5 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    prepare_process(os.environ, sys.path, os.getcwd())
+    prepare_process(os.environ, sys.path)
     sys.exit(main(sys.argv[1:]))

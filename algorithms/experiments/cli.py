@@ -23,17 +23,16 @@ FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
 SEEDS = range(2**31)  # of evaluation episodes
 
 
-def prepare_process(environment: MutableMapping[str, str], path: list[str], directory: str) -> None:
+def prepare_process(environment: MutableMapping[str, str], path: list[str]) -> None:
     """Make a script ready: videos are rendered without a display, and modules of the user can be imported.
 
     Args:
         environment: ``os.environ``; SDL's drivers are set unless the user has chosen others.
-        path: ``sys.path``; ``directory`` is added to its end.
-        directory: the working directory, where a user's own utility is looked for.
+        path: ``sys.path``; the working directory, where a user's own utility may be, is added to its end.
     """
     environment.setdefault("SDL_VIDEODRIVER", "dummy")
     environment.setdefault("SDL_AUDIODRIVER", "dummy")
-    path.append(directory)
+    path.append(str(Path.cwd()))
 
 
 def make_parser(description: str | None) -> argparse.ArgumentParser:

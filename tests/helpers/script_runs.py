@@ -45,8 +45,8 @@ algorithm:
   gradient_steps: 50
   warmup_episodes: 32
   persistence: 0.95
-  store_episodes: 100
-  haste: 0
+  buffer_size: 100
+  horizon_reduction: 0
   horizon_scale: 20.0
 training: {total_timesteps: 6000, num_envs: 16, seed: 5}
 evaluation: {episodes: 1, final_episodes: 1, interval: 1500}

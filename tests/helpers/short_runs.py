@@ -1,4 +1,4 @@
-"""Runs of a second or less, and what it means that two runs are the same."""
+"""Runs of a second or less, and the comparison of two runs."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def job(folder: Path, seed: int = 0, **training: Any) -> Job:
 
 
 def quiet() -> Console:
-    """A console that keeps what is printed."""
+    """A console that stores what is printed."""
     return Console(file=io.StringIO(), width=200)
 
 
 def printed(console: Console) -> str:
-    """What a quiet console was told."""
+    """The text printed to a quiet console."""
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
@@ -54,7 +54,7 @@ def metrics(run: Path) -> list[dict[str, str]]:
 
 
 def assert_same_run(first: Path, second: Path) -> None:
-    """The same weights and optimiser, the same curves, the same final evaluation; and both are finished."""
+    """Assert that two finished runs have the same weights, optimisers, metrics and final evaluations."""
     for path in (first, second):
         assert json.loads((path / "status.json").read_text())["state"] == "finished"
     one, other = (load_file(path / "checkpoint.safetensors") for path in (first, second))
@@ -66,7 +66,7 @@ def assert_same_run(first: Path, second: Path) -> None:
 
 
 def assert_whole(run: Path) -> None:
-    """No file of a finished run is torn, none is left over, and no step is logged twice."""
+    """Assert that no file of a finished run is torn, no temporary file is left, and no step is logged twice."""
     assert not list(run.glob(".*.tmp"))
     rows = metrics(run)
     assert all(None not in row and None not in row.values() for row in rows)

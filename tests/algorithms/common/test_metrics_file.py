@@ -69,7 +69,7 @@ def expected_rows(*fronts: tuple[int, Front]) -> list[tuple[int, int, float, flo
 FRONTS = [(0, make_front(1, 0)), (10, make_front(3, 1)), (20, make_front(2, 2)), (30, make_front(4, 3))]
 
 
-def test_every_front_is_kept_to_the_last_bit_with_a_row_per_policy(tmp_path: Path) -> None:
+def test_every_front_is_stored_to_the_last_bit_with_a_row_per_policy(tmp_path: Path) -> None:
     path = tmp_path / "fronts.csv"
     file = FrontsFile(path)
     for number, (step, front) in enumerate(FRONTS):
@@ -90,7 +90,7 @@ def test_a_resumed_run_writes_fronts_after_the_checkpoint_again(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("torn", ["30,0,0.5", "30", "30,0,0.5,0.", "30,0,0.5\n"])
-def test_fronts_are_whole_after_a_row_that_a_crash_tore(tmp_path: Path, torn: str) -> None:
+def test_a_torn_row_of_a_front_is_dropped(tmp_path: Path, torn: str) -> None:
     path = tmp_path / "fronts.csv"
     file = FrontsFile(path)
     for step, front in FRONTS[:3]:
@@ -113,7 +113,7 @@ def test_a_run_resumes_where_no_front_was_written_yet(tmp_path: Path, content: s
 
 
 @pytest.mark.parametrize("after", [None, -1])
-def test_a_run_without_checkpoint_begins_its_fronts_anew(tmp_path: Path, after: int | None) -> None:
+def test_a_run_without_checkpoint_starts_its_fronts_again(tmp_path: Path, after: int | None) -> None:
     path = tmp_path / "fronts.csv"
     FrontsFile(path).write(*FRONTS[0])
     FrontsFile(path, after=after).write(*FRONTS[3])

@@ -29,11 +29,14 @@ def experiment() -> Experiment:
     return make_experiment(VALUES)
 
 
-def test_a_process_renders_without_a_display_unless_the_user_chose_one() -> None:
+def test_a_process_renders_without_a_display_unless_the_user_chose_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     environment, path = {"SDL_VIDEODRIVER": "x11"}, ["first"]
-    prepare_process(environment, path, "/here")
+    prepare_process(environment, path)
     assert environment == {"SDL_VIDEODRIVER": "x11", "SDL_AUDIODRIVER": "dummy"}
-    assert path == ["first", "/here"]
+    assert path == ["first", str(tmp_path)]
 
 
 def test_short_forms_become_overrides_and_come_last() -> None:

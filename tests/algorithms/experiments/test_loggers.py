@@ -1,4 +1,4 @@
-"""Metrics on disk: CSV, TensorBoard, Weights & Biases."""
+"""Logging to metrics.csv, TensorBoard and Weights & Biases."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from algorithms.experiments.loggers import Logger
 
 
 def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:
-    """What TensorBoard shows: per curve its steps and values."""
+    """The curves in TensorBoard's files: steps and values by name."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(directory / "tensorboard")).Reload()
     return {name: [(e.step, e.value) for e in events.Scalars(name)] for name in events.Tags()["scalars"]}
 
 
-def test_every_row_is_kept_to_the_last_bit_and_columns_grow(tmp_path: Path) -> None:
+def test_every_row_is_stored_to_the_last_bit_and_columns_are_added(tmp_path: Path) -> None:
     with Logger(tmp_path) as logger:
         logger.log(0, {"a": 1 / 3})
         logger.log(10, {"a": 2, "b/c": np.float32(0.1)})
@@ -41,7 +41,7 @@ def test_every_row_is_kept_to_the_last_bit_and_columns_grow(tmp_path: Path) -> N
     assert scalars(tmp_path)["a"] == [(0, pytest.approx(1 / 3)), (10, 2.0), (20, pytest.approx(0.0))]
 
 
-def test_rows_are_there_while_training_goes_on(tmp_path: Path) -> None:
+def test_rows_can_be_read_during_training(tmp_path: Path) -> None:
     with Logger(tmp_path) as logger:
         for step in range(3):
             logger.log(step, {"a": step})
@@ -62,7 +62,7 @@ def test_a_resumed_run_writes_rows_after_the_checkpoint_again(tmp_path: Path) ->
     assert scalars(tmp_path)["a"] == [(0, 0.0), (10, 10.0), (20, -20.0)]
 
 
-def test_a_run_without_checkpoint_begins_its_metrics_anew(tmp_path: Path) -> None:
+def test_a_run_without_checkpoint_starts_its_metrics_again(tmp_path: Path) -> None:
     with Logger(tmp_path) as logger:
         logger.log(0, {"a": 1})
     with Logger(tmp_path, after=-1) as logger:
@@ -84,7 +84,7 @@ def test_a_full_disk_is_an_error_and_keeps_the_rows(tmp_path: Path, monkeypatch:
 
 
 class FakeWandb:
-    """What the logger uses of wandb, and a record of it."""
+    """The part of wandb that the logger uses; it records the calls."""
 
     Error = type("Error", (Exception,), {})
 
@@ -122,17 +122,17 @@ class FakeWandb:
 
 
 class FullList(list):  # type: ignore[type-arg]
-    """Takes nothing."""
+    """A list that refuses new rows."""
 
     def append(self, row: Any) -> None:
-        raise ConnectionError("nobody is there")
+        raise ConnectionError("no server")
 
 
 SETTINGS = WandbSettings(project="p", group="g", tags=["t"])
 
 
 def log_with(fake: FakeWandb, path: Path, monkeypatch: pytest.MonkeyPatch, settings: Any = SETTINGS) -> list[str]:
-    """Log one row with W&B played by ``fake``; what was said."""
+    """Log one row with ``fake`` in place of W&B; the messages."""
     said: list[str] = []
     monkeypatch.setitem(sys.modules, "wandb", fake)
     after = 0 if (path / "metrics.csv").exists() else None
@@ -153,7 +153,7 @@ def test_wandb_gets_the_rows_and_a_resumed_run_keeps_its_id(tmp_path: Path, monk
     assert (fake.runs[1]["id"], fake.runs[1]["resume"]) == ("new-id", "allow")
 
 
-def test_a_run_of_a_sweep_goes_on_in_the_sweeps_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_of_a_sweep_is_resumed_in_the_sweeps_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = FakeWandb(mode="offline")
     fake.sweep_id = "s"
     assert log_with(fake, tmp_path, monkeypatch, WandbSettings(project="p", entity="e")) == []
@@ -194,13 +194,13 @@ def test_wandb_goes_offline_when_the_server_refuses(tmp_path: Path, monkeypatch:
     assert [run["mode"] for run in fake.runs] == ["offline"]
 
 
-def test_training_goes_on_when_wandb_fails_altogether(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_continues_when_wandb_fails_altogether(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (message,) = log_with(FakeWandb(key=False, refuses=("offline",)), tmp_path, monkeypatch, SETTINGS)[1:]
     assert "is disabled" in message
     assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == 1
 
 
-def test_training_goes_on_when_wandb_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_continues_when_wandb_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setitem(sys.modules, "wandb", None)
     with Logger(tmp_path, wandb=SETTINGS, say=said.append) as logger:
@@ -211,7 +211,9 @@ def test_training_goes_on_when_wandb_is_not_installed(tmp_path: Path, monkeypatc
     assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == 2
 
 
-def test_wandb_that_breaks_while_training_is_left_out_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wandb_that_fails_during_training_is_disabled_with_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake, said = FakeWandb(), []
     monkeypatch.setitem(sys.modules, "wandb", fake)
     offline = WandbSettings(project="p", mode="offline")
@@ -223,7 +225,7 @@ def test_wandb_that_breaks_while_training_is_left_out_once(tmp_path: Path, monke
     assert "is disabled from here on" in message
 
 
-def test_the_real_wandb_keeps_an_offline_run(tmp_path: Path) -> None:
+def test_the_real_wandb_stores_an_offline_run(tmp_path: Path) -> None:
     pytest.importorskip("wandb")
     with Logger(tmp_path, wandb=WandbSettings(project="p", mode="offline"), say=pytest.fail) as logger:
         logger.log(0, {"a": 1})
