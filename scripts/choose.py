@@ -27,7 +27,7 @@ from algorithms.evaluation.choice import Preference, distance_to_target, expecte
 from algorithms.evaluation.evaluate import Evaluation
 from algorithms.evaluation.front import Front
 from algorithms.evaluation.statistics import Estimate, mean, rate
-from algorithms.experiments.agent_report import attempt_film
+from algorithms.experiments.agent_report import film_policies_of_front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import (
     add_evaluation_arguments,
@@ -40,7 +40,6 @@ from algorithms.experiments.cli import (
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.front_report import film_front
 from mo_deepdrive.utilities import make_utility
 
 RUNNERS_UP = 4
@@ -127,11 +126,10 @@ def main(arguments: list[str]) -> int:
         order = rank_policies(values, returns.mean(axis=1), scales).tolist()
         console.print(choice_table(front, evaluations, preference, values, order))
         console.print(f"policy {order[0]} of {run.path / 'front.csv'}")
-        if options.video and not attempt_film(
-            lambda: film_front(agent, front, experiment, options.video, seed=seed, policies=order[:1]), console
-        ):
-            return 1
-    return 0
+        filmed = not options.video or film_policies_of_front(
+            agent, front, experiment, options.video, console, seed=seed, policies=order[:1]
+        )
+    return 0 if filmed else 1
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], s
 
     def closeness(returns: NDArray[np.float64]) -> NDArray[np.float64]:
         shortfall = np.maximum(wanted - returns.mean(axis=1), 0.0) / scales
-        return -np.linalg.norm(shortfall, axis=1)
+        return -np.asarray(np.linalg.norm(shortfall, axis=1))
 
     return Preference("minus the distance to the target", closeness)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from algorithms.evaluation.evaluate import Policy
+from algorithms.evaluation.front import Front
 from algorithms.experiments.config import Experiment
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.front_report import film_front, report_front
@@ -52,7 +53,7 @@ def report_agent(
     if not experiment.known_utility:
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         report_front(experiment, front, console, directory=directory, step=agent.step)
-        return video is None or attempt_film(lambda: film_front(agent, front, experiment, video, seed=seed), console)
+        return video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
     evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
     console.print(table(evaluations, f"{title}{episodes} episodes from seed {seed}"))
     if directory is not None:
@@ -78,6 +79,33 @@ def film(
         Whether there is a video.
     """
     return attempt_film(lambda: record(policy, experiment.environment, path, seed=seed, greedy=greedy), console)
+
+
+def film_policies_of_front(
+    agent: Any,
+    front: Front,
+    experiment: Experiment,
+    path: str | Path,
+    console: Console,
+    *,
+    seed: int,
+    policies: Sequence[int] | None = None,
+) -> bool:
+    """Record a video of policies of a front side by side, or print why there is none.
+
+    Args:
+        agent: the agent that learnt the front.
+        front: its policies.
+        experiment: its environment.
+        path: the file.
+        console: where to print.
+        seed: seed of the episode.
+        policies: indices of the policies; four that cover the front if None.
+
+    Returns:
+        Whether there is a video.
+    """
+    return attempt_film(lambda: film_front(agent, front, experiment, path, seed=seed, policies=policies), console)
 
 
 def attempt_film(recording: Callable[[], object], console: Console) -> bool:

@@ -36,7 +36,7 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}
     if experiment.utility is None:
-        check_reference_point(experiment, adapter.objectives)
+        check_reference_point(experiment.evaluation.reference_point, adapter.objectives)
     else:
         options["utility"] = _make_utilities(experiment.utility, adapter)
     return algorithm(
@@ -84,19 +84,20 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
         ) from error
 
 
-def check_reference_point(experiment: Experiment, objectives: tuple[str, ...]) -> None:
+def check_reference_point(reference_point: list[float] | None, objectives: tuple[str, ...]) -> None:
     """Check that the reference point of an experiment fits its environment.
 
     Args:
-        experiment: with or without a reference point.
+        reference_point: one number per objective; None for none.
         objectives: names of the environment's objectives.
 
     Raises:
         ValueError: if it has another number of objectives.
     """
-    point = experiment.evaluation.reference_point
-    if point is not None and len(point) != len(objectives):
-        raise ValueError(f"evaluation.reference_point = {point} needs {len(objectives)} numbers: {objectives}")
+    if reference_point is not None and len(reference_point) != len(objectives):
+        raise ValueError(
+            f"evaluation.reference_point = {reference_point} needs {len(objectives)} numbers: {objectives}"
+        )
 
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:

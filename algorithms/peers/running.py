@@ -52,7 +52,7 @@ def prepare(experiment: Experiment, log: Log) -> Task:
     worlds = EnvAdapter(make_environment(settings, 1))
     utility = None
     if experiment.utility is None:
-        check_reference_point(experiment, worlds.objectives)
+        check_reference_point(experiment.evaluation.reference_point, worlds.objectives)
     else:
         chosen = experiment.utility
         utility = make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments)
