@@ -5,7 +5,7 @@
     python scripts/choose.py RUN --target distance=14 g_force=-6
 
 RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo. All of its policies are
-evaluated anew. --weights chooses the greatest weighted sum of returns (objectives that are not named have weight 0),
+evaluated again. --weights chooses the greatest weighted sum of returns (objectives that are not named have weight 0),
 --utility the greatest expected utility, --target the policy whose mean returns fall short of the named returns by the
 smallest distance, in nominal scales of the objectives.
 """

@@ -52,7 +52,7 @@ def add_training_arguments(parser: argparse.ArgumentParser) -> None:
 def parse_training_arguments(
     parser: argparse.ArgumentParser, arguments: Sequence[str]
 ) -> tuple[argparse.Namespace, list[str]]:
-    """Parse a command line in which every key of the YAML file is an option of its own.
+    """Parse a command line in which every key of the YAML file is an option.
 
     Args:
         parser: with the arguments of :func:`add_training_arguments`.
@@ -97,7 +97,7 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
 
     Args:
         options: with the arguments of :func:`add_evaluation_arguments`, whose --video is checked too.
-        experiment: what is evaluated.
+        experiment: the experiment to evaluate.
 
     Returns:
         Number of episodes per policy, and seed of the first episode.

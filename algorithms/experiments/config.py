@@ -138,7 +138,7 @@ class Experiment(Settings):
             hyperparameters.
         training: length, seed and hardware of the training.
         evaluation: how the policy is evaluated.
-        logging: what is written.
+        logging: what is written during and after the training.
     """
 
     environment: EnvironmentSettings

@@ -119,7 +119,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     try:
-        run, begun = _lock(job)
+        run, resumed = _lock(job)
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
     try:
@@ -129,7 +129,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
         agent = resume(run)
         with (job.path / "train.log").open("a") as log:
             console = Console(file=log, width=120)
-            if train_and_finish(run, agent, console, resumed=begun, watch=watch, stop=stop) is not None:
+            if train_and_finish(run, agent, console, resumed=resumed, watch=watch, stop=stop) is not None:
                 return "stopped"
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error

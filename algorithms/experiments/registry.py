@@ -1,4 +1,4 @@
-"""What a name in a YAML file or on a command line stands for; it is imported when it is first asked for.
+"""Names in YAML files and on command lines; the classes and files they refer to are imported when first used.
 
 Peers (other libraries' algorithms) and the zoo (trained policies) are layers above this one: they are found by their
 dotted paths, so that an experiment can name them without importing them.
@@ -16,13 +16,13 @@ from algorithms import ALGORITHMS
 from mo_deepdrive.config import Settings, nearest
 
 # "module:attribute" of the table of other libraries' algorithms, and of the function that finds a trained policy.
-PEERS = "algorithms.peers:PEERS"
+PEER_TABLE = "algorithms.peers:PEERS"
 FIND_TRAINED_POLICY = "algorithms.zoo:find"
 
 
 @dataclass(frozen=True)
 class AlgorithmEntry:
-    """What an experiment has to know of an algorithm.
+    """The properties of an algorithm that an experiment depends on.
 
     Attributes:
         name: its name in YAML files.
@@ -62,7 +62,7 @@ def find_algorithm(name: object) -> AlgorithmEntry:
     if isinstance(name, str) and name in ALGORITHMS:
         algorithm = ALGORITHMS[name]
         return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=False)
-    peers: Mapping[str, Any] = import_object(PEERS)
+    peers: Mapping[str, Any] = import_object(PEER_TABLE)
     if not isinstance(name, str) or name not in peers:
         raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, [*ALGORITHMS, *peers])}")
     peer = peers[name]

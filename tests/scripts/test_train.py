@@ -33,6 +33,8 @@ from tests.helpers.script_runs import (
     status,
 )
 
+NO_FIGURES = "--logging.save_figures=false"
+
 
 def test_training_leaves_everything_in_its_directory(finished: Path) -> None:
     assert {path.name for path in finished.iterdir()} - {".lock"} == RESULTS
@@ -63,7 +65,7 @@ def test_training_leaves_everything_in_its_directory(finished: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_an_interrupted_and_resumed_run_is_the_same_run(driving: Path, call: Call) -> None:
     run, whole = driving.parent / "run", driving.parent / "whole"
-    options = ["--config", driving, "--training.total_timesteps=24000", "--evaluation.interval=6000"]
+    options = ["--config", driving, "--training.total_timesteps=24000", "--evaluation.interval=6000", NO_FIGURES]
     code, out, error = interrupt(run, 6_000, signal.SIGINT, *options, "--output", run)
     assert code == 130, out + error
     assert f"--resume {run}" in out
@@ -90,7 +92,7 @@ def test_an_interrupted_and_resumed_run_is_the_same_run(driving: Path, call: Cal
 def test_an_interrupted_run_on_another_environment_can_be_resumed(tmp_path: Path, call: Call) -> None:
     (tmp_path / "other.yaml").write_text(TREASURE)
     run = tmp_path / "run"
-    options = ["--config", "other.yaml", "--training.total_timesteps=8000", "--evaluation.interval=2000"]
+    options = ["--config", "other.yaml", "--training.total_timesteps=8000", "--evaluation.interval=2000", NO_FIGURES]
     code, out, error = interrupt(run, 2_000, signal.SIGINT, *options, "--output", run)
     assert code == 130, out + error
     assert status(run)["step"] < 8_000
@@ -191,7 +193,7 @@ def test_other_environments_can_be_trained_on(
 
 def test_both_vehicles_of_the_intersection_are_reported(driving: Path, call: Call) -> None:
     overrides = ["--environment.id=mo-deepdrive-intersection-v0", "--utility.name=intersection_linear"]
-    code, out, error = call("train", "--config", driving, *overrides, "--output", "run")
+    code, out, error = call("train", "--config", driving, *overrides, NO_FIGURES, "--output", "run")
     assert code == 0, out + error
     numbers = json.loads((driving.parent / "run" / "evaluation.json").read_text())["policies"]["greedy"]
     for vehicle in ("vehicle_0", "vehicle_1"):
@@ -210,7 +212,7 @@ def test_vehicles_can_have_different_utilities(driving: Path, call: Call, algori
         "--utility.name=intersection_linear",
         "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [0, 0, 2, 0, 0, 0]}}",
     ]
-    code, out, error = call("train", "--config", driving, *overrides, "--output", "run")
+    code, out, error = call("train", "--config", driving, *overrides, NO_FIGURES, "--output", "run")
     assert code == 0, out + error
     with (driving.parent / "run" / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
