@@ -1,15 +1,74 @@
-"""Trainers for multi-objective environments, for a known utility or for all."""
+"""Algorithms for multi-objective reinforcement learning, for a known utility or for every utility.
 
-from typing import Any
+``from algorithms import MOA2C`` imports what it names and nothing else; ``import algorithms`` imports no algorithm.
+"""
 
-from algorithms.a2c import A2C
-from algorithms.actor_critic import ActorCritic
-from algorithms.agent import Agent
-from algorithms.mo_a2c import MOA2C
-from algorithms.mo_ppo import MOPPO
-from algorithms.pcn import PCN
-from algorithms.ppo import PPO
+from __future__ import annotations
 
-ALGORITHMS: dict[str, type[Any]] = {algorithm.name: algorithm for algorithm in (A2C, PPO, MOA2C, MOPPO, PCN)}
+import importlib
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from algorithms.a2c import A2C
+    from algorithms.actor_critic import ActorCritic
+    from algorithms.agent import Agent
+    from algorithms.mo_a2c import MOA2C
+    from algorithms.mo_ppo import MOPPO
+    from algorithms.pcn import PCN
+    from algorithms.ppo import PPO
 
 __all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent"]
+
+# The module of every class that can be imported from here.
+_MODULES = {
+    "A2C": "algorithms.a2c",
+    "MOA2C": "algorithms.mo_a2c",
+    "MOPPO": "algorithms.mo_ppo",
+    "PCN": "algorithms.pcn",
+    "PPO": "algorithms.ppo",
+    "ActorCritic": "algorithms.actor_critic",
+    "Agent": "algorithms.agent",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a class when it is first asked for."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(importlib.import_module(_MODULES[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names, including classes that have not been imported yet."""
+    return sorted({*globals(), *__all__})
+
+
+class _LazyClasses(Mapping[str, type[Any]]):
+    """A mapping from the names of algorithms to their classes, each imported when it is first asked for."""
+
+    def __init__(self, classes: Mapping[str, str]):
+        self._classes = dict(classes)
+
+    def __getitem__(self, name: str) -> type[Any]:
+        """The class of the algorithm ``name``."""
+        loaded: type[Any] = __getattr__(self._classes[name])
+        return loaded
+
+    def __contains__(self, name: object) -> bool:
+        """Whether ``name`` is an algorithm; imports nothing."""
+        return name in self._classes
+
+    def __iter__(self) -> Iterator[str]:
+        """The names, without importing what they name."""
+        return iter(self._classes)
+
+    def __len__(self) -> int:
+        """The number of algorithms."""
+        return len(self._classes)
+
+
+ALGORITHMS: Mapping[str, type[Any]] = _LazyClasses(
+    {"a2c": "A2C", "ppo": "PPO", "mo_a2c": "MOA2C", "mo_ppo": "MOPPO", "pcn": "PCN"}
+)

@@ -1,17 +1,19 @@
-"""Measure speed and memory: ``python scripts/benchmark.py [--quick] [--sweep] [--output FILE.csv]``.
+"""Measure speed and memory.
 
-Everything is measured in one run, the best of several repetitions, so that ratios hold on a noisy machine. Peers are
-measured where they are installed (``pip install highway-env`` for mo-highway-fast-v0; the extra ``[peers]`` for
-morl-baselines' PCN).
+    python scripts/benchmark.py --quick --output benchmark.csv
+    python scripts/benchmark.py --sweep
 
-``--sweep`` measures only how long scripts/table.py and scripts/plot.py take to summarise a sweep of 1,000 runs (with
-``--quick`` 100) with 1,000 logged rows of 40 metrics each, and how much memory; its made-up runs take 0.8 GB of the
-temporary folder.
+Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
+machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
+mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
+
+--sweep measures only the time and memory that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000
+runs (with --quick 100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary
+directory.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import csv
 import io
@@ -41,8 +43,10 @@ from algorithms import ALGORITHMS
 from algorithms.common.atomic_io import write_json
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import hypervolume
+from algorithms.experiments.build import build
+from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.training import build, evaluate_front
+from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
@@ -61,7 +65,7 @@ OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 DEEP_SEA = CONFIGS / "deep_sea_treasure"
-DEEP_SEA_POINT = (0.0, -25.0)  # the reference point that morl-baselines uses there
+DEEP_SEA_POINT = (0.0, -25.0)  # the reference point of morl-baselines
 
 FIRST_STEP = """
 import mo_deepdrive, mo_gymnasium
@@ -89,7 +93,7 @@ print(resident() - before, resident())
 """
 
 
-# Runs a script; then writes the most memory (MB) that it has had.
+# Runs a script, then prints its peak memory (MB).
 WITH_PEAK = r"""
 import re, runpy, sys
 sys.argv = {command}
@@ -102,14 +106,14 @@ status = open("/proc/self/status").read()
 print(int(re.search(r"VmHWM:\s+(\d+)", status).group(1)) / 1000, file=sys.stderr)
 """
 
-# Of a made-up sweep: what its cells vary, in the section of the algorithm, and what its runs have measured.
+# Of the synthetic sweep: hyperparameters that vary between its cells, and metrics of its runs.
 GRID: dict[str, list[Any]] = {
     "learning_rate": [1e-4, 3e-4, 1e-3, 3e-3, 1e-2],
     "steps": [8, 16, 32, 64],
     "entropy_start": [0.001, 0.003, 0.01, 0.03, 0.1],
     "observe_discount": [True, False],
 }
-MADE_UP = (
+SYNTHETIC_METRICS = (
     *("utility_esr", "utility_ser", "success", "length", "mean_g_force", "max_g_force", "mean_jerk", "max_jerk"),
     *("return/distance", "return/destination", "return/g_force", "return/jerk"),
     *("discounted_return/distance", "discounted_return/destination"),
@@ -118,17 +122,24 @@ MADE_UP = (
 
 
 @dataclass
-class Row:
-    """One measurement and what it is to be compared with."""
+class Measurement:
+    """One measurement.
 
-    what: str
+    Attributes:
+        name: what was measured.
+        value: in ``unit``.
+        unit: of the value.
+        target: the value to be reached, as text.
+    """
+
+    name: str
     value: float
     unit: str
     target: str = ""
 
 
 def best(run: Callable[[], int], repetitions: int) -> float:
-    """Units per second of the fastest of ``repetitions`` calls; ``run`` returns how many units it did."""
+    """Units per second of the fastest of ``repetitions`` calls of ``run``, which returns the number of units."""
     fastest = 0.0
     for _ in range(repetitions):
         started = time.perf_counter()
@@ -137,9 +148,9 @@ def best(run: Callable[[], int], repetitions: int) -> float:
     return fastest
 
 
-def vector_rate(env_id: str, worlds: int, threads: int, repetitions: int) -> float:
-    """EnvAdapter stepped per second by the native vector environment under random actions, autoreset included."""
-    env = gymnasium.make_vec(env_id, num_envs=worlds, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
+def vector_rate(env_id: str, num_envs: int, threads: int, repetitions: int) -> float:
+    """Environment steps per second of the native vector environment under random actions, including autoreset."""
+    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, threads=threads)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     shape: tuple[int, ...] = (STEPS_PER_REPETITION, *(env.action_space.shape or ()))
@@ -148,19 +159,19 @@ def vector_rate(env_id: str, worlds: int, threads: int, repetitions: int) -> flo
     def run() -> int:
         for action in actions:
             env.step(action)
-        return worlds * len(actions)
+        return num_envs * len(actions)
 
     run()
     return best(run, repetitions)
 
 
-def kernel_rate(env_id: str, worlds: int, repetitions: int) -> float:
-    """EnvAdapter stepped per second by the kernel alone (decoding included), without autoreset."""
-    env = gymnasium.make_vec(env_id, num_envs=worlds, autoreset_mode=AutoresetMode.SAME_STEP)
+def kernel_rate(env_id: str, num_envs: int, repetitions: int) -> float:
+    """Environment steps per second of the kernel alone (including the decoding of actions), without autoreset."""
+    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
     env.reset(seed=0)
     batch = env.unwrapped.batch  # type: ignore[attr-defined]
     rng = np.random.default_rng(0)
-    actions = rng.integers(0, 22, (10, worlds, batch.scenario.vehicles))
+    actions = rng.integers(0, 22, (10, num_envs, batch.scenario.vehicles))
     start = batch.state.copy()
     fastest = 0.0
     for _ in range(10 * repetitions):
@@ -168,12 +179,12 @@ def kernel_rate(env_id: str, worlds: int, repetitions: int) -> float:
         started = time.perf_counter()
         for action in actions:
             batch.step(action)
-        fastest = max(fastest, worlds * len(actions) / (time.perf_counter() - started))
+        fastest = max(fastest, num_envs * len(actions) / (time.perf_counter() - started))
     return fastest
 
 
 def single_rate(env_id: str, repetitions: int, steps: int) -> float | None:
-    """Steps per second of ``mo_gymnasium.make(env_id)`` under random actions; None where it is not installed."""
+    """Steps per second of ``mo_gymnasium.make(env_id)`` under random actions; None if it is not installed."""
     try:
         env = mo_gymnasium.make(env_id)
     except (gymnasium.error.Error, ImportError):
@@ -215,17 +226,17 @@ def parallel_rate(repetitions: int, steps: int) -> float:
 
 
 def training_rate(algorithm: str, title: str, hidden: list[int], total: int) -> float:
-    """Environment steps per second (of both vehicles together) of training end to end, 256 worlds x 16 steps."""
+    """Environment steps per second of training end to end, with 256 environments x 16 steps per update."""
     env = make_env(IDS[title], 256)
     utility = make_utility(LINEAR[title], env.unwrapped.objectives)  # type: ignore[attr-defined]
     agent = ALGORITHMS[algorithm](env, utility, seed=0, steps=16, hidden=hidden)
     rates: list[float] = []
-    agent.train(total, log=lambda step, metrics: rates.append(metrics["time/steps_per_second"]), log_interval=50)
+    agent.train(total, log=lambda _, metrics: rates.append(metrics["time/steps_per_second"]), log_interval=50)
     return rates[-1]
 
 
 def our_pcn() -> tuple[float, float]:
-    """Seconds of training PCN on Deep Sea Treasure as its YAML says, and the hypervolume of its front."""
+    """Seconds of training PCN on Deep Sea Treasure with its YAML file, and the hypervolume of its front."""
     experiment = load_experiment(DEEP_SEA / "pcn.yaml")
     agent = build(experiment)
     started = time.perf_counter()
@@ -237,12 +248,12 @@ def our_pcn() -> tuple[float, float]:
 
 
 def peer_pcn() -> tuple[float, float] | None:
-    """The same of morl-baselines' PCN, with the arguments of its own example; None where it is not installed."""
+    """The same for morl-baselines' PCN with the arguments of its example; None if it is not installed."""
     experiment = load_experiment(DEEP_SEA / "morl_baselines_pcn.yaml")
     peer = PEERS[experiment.algorithm["name"]]
     if peer.obstacle() is not None:
         return None
-    task = prepare(experiment, lambda step, metrics: None)
+    task = prepare(experiment, lambda _step, _metrics: None)
     with contextlib.redirect_stdout(io.StringIO()):
         started = time.perf_counter()
         policies = peer.adapter(task)
@@ -251,20 +262,21 @@ def peer_pcn() -> tuple[float, float] | None:
     return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
 
 
-def deep_sea_rows() -> list[Row]:
-    """PCN on Deep Sea Treasure, ours beside morl-baselines'."""
-    known = mo_gymnasium.make("deep-sea-treasure-v0").unwrapped.pareto_front(0.99)  # type: ignore[attr-defined]
-    whole = hypervolume(known, DEEP_SEA_POINT)
+def deep_sea_rows() -> list[Measurement]:
+    """PCN on Deep Sea Treasure, this project's and morl-baselines'."""
+    name = "deep-sea-treasure-v0"
+    known = mo_gymnasium.make(name).unwrapped.pareto_front(0.99)  # type: ignore[attr-defined]
+    best_known = f"{hypervolume(known, DEEP_SEA_POINT):.2f}"
     seconds, found = our_pcn()
     rows = [
-        Row("deep-sea-treasure-v0, pcn, as its YAML", seconds, "s"),
-        Row("deep-sea-treasure-v0, pcn, hypervolume", found, "", f"{whole:.2f}"),
+        Measurement(f"{name}, pcn, as its YAML", seconds, "s"),
+        Measurement(f"{name}, pcn, hypervolume", found, "", best_known),
     ]
     theirs = peer_pcn()
     if theirs is not None:
-        rows.append(Row("deep-sea-treasure-v0, morl-baselines' PCN, 100,000 steps", theirs[0], "s"))
-        rows.append(Row("deep-sea-treasure-v0, morl-baselines' PCN, hypervolume", theirs[1], "", f"{whole:.2f}"))
-        rows.append(Row("deep-sea-treasure-v0, time of pcn / morl-baselines' PCN", seconds / theirs[0], "x", "< 0.2"))
+        rows.append(Measurement(f"{name}, morl-baselines' PCN, 100,000 steps", theirs[0], "s"))
+        rows.append(Measurement(f"{name}, morl-baselines' PCN, hypervolume", theirs[1], "", best_known))
+        rows.append(Measurement(f"{name}, time of pcn / morl-baselines' PCN", seconds / theirs[0], "x", "< 0.2"))
     return rows
 
 
@@ -281,7 +293,7 @@ def first_step_seconds() -> tuple[float, float]:
 
 
 def memory_megabytes(scenario: str) -> tuple[float, float]:
-    """Growth and total of resident memory (MB) with 4096 worlds; reads /proc, so on Linux only."""
+    """Growth and total of resident memory (MB) with 4096 environments; Linux only, since it reads /proc."""
     code = MEMORY.replace("{name}", scenario)
     output = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     growth, total = output.split()
@@ -289,17 +301,17 @@ def memory_megabytes(scenario: str) -> tuple[float, float]:
 
 
 def make_sweep(sweep: Path, runs: int, rows: int) -> None:
-    """Write a finished sweep of made-up numbers, in cells of five seeds.
+    """Write a finished sweep of synthetic numbers, in cells of five seeds.
 
     Args:
         sweep: its directory.
-        runs: how many, a multiple of 5.
-        rows: logged by each, with 40 metrics.
+        runs: number of runs, a multiple of 5.
+        rows: number of rows logged by each run, with 40 metrics.
     """
     rng = np.random.default_rng(0)
     base = load_experiment(CONFIGS / "one_waypoint" / "mo_a2c_linear.yaml").to_dict()
-    names = [f"{kind}/{name}" for kind in ("eval/greedy", "eval/stochastic") for name in MADE_UP]
-    names += [f"train/{name}" for name in MADE_UP[:8]]
+    names = [f"{kind}/{name}" for kind in ("eval/greedy", "eval/stochastic") for name in SYNTHETIC_METRICS]
+    names += [f"train/{name}" for name in SYNTHETIC_METRICS[:8]]
     steps = pl.DataFrame({"step": np.arange(rows) * 8192})
     manifest: list[ManifestRow] = []
     for values, seed in product(islice(product(*GRID.values()), runs // 5), range(5)):
@@ -314,14 +326,14 @@ def make_sweep(sweep: Path, runs: int, rows: int) -> None:
         learnt = score * (1.0 - np.exp(-np.linspace(0.0, 5.0, rows)))[:, None]
         metrics = pl.DataFrame(learnt + 0.5 * rng.standard_normal((rows, len(names))), schema=names)
         steps.hstack(metrics).write_csv(directory / "metrics.csv")
-        estimates = {name: {"value": score, "low": score - 0.1, "high": score + 0.1} for name in MADE_UP}
+        estimates = {name: {"value": score, "low": score - 0.1, "high": score + 0.1} for name in SYNTHETIC_METRICS}
         write_json(directory / "evaluation.json", {"policies": {"greedy": estimates, "stochastic": estimates}})
         write_json(directory / "status.json", {"state": "finished", "step": rows * 8192})
     write_manifest(sweep, manifest)
 
 
-def summary_rows(runs: int, rows: int) -> list[Row]:
-    """Time and memory of the scripts that summarise a sweep; reads /proc, so on Linux only."""
+def summary_rows(runs: int, rows: int) -> list[Measurement]:
+    """Time and memory of the scripts that summarise a sweep; Linux only, since it reads /proc."""
     scripts = Path(__file__).resolve().parent
     measured = []
     with tempfile.TemporaryDirectory() as folder:
@@ -336,57 +348,57 @@ def summary_rows(runs: int, rows: int) -> list[Row]:
                 done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
                 seconds = time.perf_counter() - started
                 what = f"{script}, {runs:,} x {rows:,} rows, {when}"
-                measured.append(Row(what, seconds, "s", "< 30"))
-                measured.append(Row(f"{what}, peak memory", float(done.stderr.split()[-1]), "MB", "< 1000"))
+                measured.append(Measurement(what, seconds, "s", "< 30"))
+                measured.append(Measurement(f"{what}, peak memory", float(done.stderr.split()[-1]), "MB", "< 1000"))
     return measured
 
 
-def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads: bool) -> list[Row]:
+def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads: bool) -> list[Measurement]:
     """All measurements."""
-    rows: list[Row] = []
+    rows: list[Measurement] = []
     targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M"}
     for title, env_id in IDS.items():
-        rows.append(Row(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "worlds/s"))
+        rows.append(Measurement(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "worlds/s"))
         rate = vector_rate(env_id, 1024, 1, repetitions)
-        rows.append(Row(f"{title}, make_vec, N = 1024, 1 thread", rate, "worlds/s", targets[title]))
+        rows.append(Measurement(f"{title}, make_vec, N = 1024, 1 thread", rate, "worlds/s", targets[title]))
         if with_threads:
             one = vector_rate(env_id, 4096, 1, repetitions)
             two = vector_rate(env_id, 4096, 2, repetitions)
-            rows.append(Row(f"{title}, make_vec, N = 4096, 2 threads", two, "worlds/s"))
-            rows.append(Row(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8"))
+            rows.append(Measurement(f"{title}, make_vec, N = 4096, 2 threads", two, "worlds/s"))
+            rows.append(Measurement(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8"))
     ours = single_rate(IDS["OneWaypoint"], repetitions, 5000)
     assert ours is not None
-    rows.append(Row("OneWaypoint, mo_gymnasium.make", ours, "steps/s", "60 k"))
+    rows.append(Measurement("OneWaypoint, mo_gymnasium.make", ours, "steps/s", "60 k"))
     for peer in OTHERS:
         rate_of_peer = single_rate(peer, max(1, repetitions // 3), 300)
         if rate_of_peer is not None:
-            rows.append(Row(f"{peer}, mo_gymnasium.make", rate_of_peer, "steps/s"))
-            rows.append(Row(f"OneWaypoint / {peer}, single", ours / rate_of_peer, "x"))
-    rows.append(Row("Intersection, parallel_env", parallel_rate(repetitions, 5000), "joint steps/s", "25 k"))
+            rows.append(Measurement(f"{peer}, mo_gymnasium.make", rate_of_peer, "steps/s"))
+            rows.append(Measurement(f"OneWaypoint / {peer}, single", ours / rate_of_peer, "x"))
+    rows.append(Measurement("Intersection, parallel_env", parallel_rate(repetitions, 5000), "joint steps/s", "25 k"))
     for algorithm, target in (("a2c", "400 k"), ("mo_a2c", "300 k"), ("mo_ppo", "")):
         rate = training_rate(algorithm, "OneWaypoint", [64, 32], training_steps)
-        rows.append(Row(f"{algorithm} training, 256 x 16, 1 thread", rate, "steps/s", target))
+        rows.append(Measurement(f"{algorithm} training, 256 x 16, 1 thread", rate, "steps/s", target))
     for algorithm, target in (("a2c", "150 k"), ("mo_a2c", ""), ("mo_ppo", "")):
         for hidden in ([64, 32], [128, 64]):
             rate = training_rate(algorithm, "Intersection", hidden, training_steps // 2)
             what = f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread"
-            rows.append(Row(what, rate, "joint steps/s", target))
+            rows.append(Measurement(what, rate, "joint steps/s", target))
     rows += deep_sea_rows()
     cold, warm = first_step_seconds()
-    rows.append(Row("import and first step, cold cache", cold, "s", "< 20"))
-    rows.append(Row("import and first step, warm cache", warm, "s", "< 1.5"))
+    rows.append(Measurement("import and first step, cold cache", cold, "s", "< 20"))
+    rows.append(Measurement("import and first step, warm cache", warm, "s", "< 1.5"))
     for scenario in ("one-waypoint", "intersection"):
         growth, total = memory_megabytes(scenario)
-        rows.append(Row(f"{scenario}, 4096 worlds, growth of resident memory", growth, "MB"))
-        rows.append(Row(f"{scenario}, 4096 worlds, resident memory of the process", total, "MB", "< 300"))
+        rows.append(Measurement(f"{scenario}, 4096 worlds, growth of resident memory", growth, "MB"))
+        rows.append(Measurement(f"{scenario}, 4096 worlds, resident memory of the process", total, "MB", "< 300"))
     return rows + summary_rows(sweep_runs, 1000)
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Run the command line."""
+    parser = make_parser(__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
-    parser.add_argument("--sweep", action="store_true", help="only how a sweep is summarised")
+    parser.add_argument("--sweep", action="store_true", help="measure only the summary of a sweep")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -398,13 +410,13 @@ def main() -> None:
         rows = measure(repetitions, training_steps, sweep_runs, with_threads=(os.cpu_count() or 1) > 1)
     table = Table("measurement", "value", "unit", "goal")
     for row in rows:
-        table.add_row(row.what, f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}", row.unit, row.target)
+        table.add_row(row.name, f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}", row.unit, row.target)
     Console().print(table)
     if arguments.output is not None:
         with arguments.output.open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["measurement", "value", "unit", "goal"])
-            writer.writerows([row.what, f"{row.value:.6g}", row.unit, row.target] for row in rows)
+            writer.writerows([row.name, f"{row.value:.6g}", row.unit, row.target] for row in rows)
 
 
 if __name__ == "__main__":

@@ -4,118 +4,90 @@
     python scripts/peers.py --config configs/peers/pcn.yaml --seed 3
     python scripts/peers.py --config FILE --algorithm.name=morl_baselines.lcn --training.total_timesteps=1e5
 
-Every key of the YAML file is an option of its own: --section.key=value. Peers keep no checkpoints: a run that is
-interrupted cannot go on.
+Every key of the YAML file is an option: --section.key=value. Peers write no checkpoints: a run that is interrupted
+cannot be resumed.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import sys
-
-os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
-os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
-sys.path.append(os.getcwd())  # where a user's own utility lives
+from argparse import Namespace
 
 import numpy as np
 import torch
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
+from algorithms.experiments.cli import (
+    add_training_arguments,
+    exit_on_error,
+    make_parser,
+    new_run,
+    parse_training_arguments,
+    prepare_process,
+)
 from algorithms.experiments.config import Experiment, load_experiment
 from algorithms.experiments.progress_bar import make_console
-from algorithms.experiments.run_directory import Run, default_directory
 from algorithms.peers import PEERS
+from algorithms.peers.listing import peers_table
 from algorithms.peers.running import prepare, run_peer
 from mo_deepdrive.config import nearest
 
 
-def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
+def parse_arguments(arguments: list[str]) -> tuple[Namespace, list[str]]:
     """The options of this script, and the overrides of the experiment."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
-    )
+    parser = make_parser(__doc__)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--config", metavar="FILE", help="the experiment")
-    source.add_argument("--list", action="store_true", help="what there is, what it needs and whether it can run here")
-    parser.add_argument("--seed", metavar="N", help="short for --training.seed")
-    parser.add_argument("--device", metavar="D", help="short for --training.device")
-    parser.add_argument("--output", metavar="DIR", help="the run's directory (default: runs/CONFIG/NAME)")
-    options, overrides = parser.parse_known_args(arguments)
-    overrides += [f"--{key}={value}" for key in ("seed", "device") if (value := getattr(options, key)) is not None]
-    return options, overrides
+    source.add_argument("--config", metavar="FILE", help="YAML file of the experiment")
+    source.add_argument("--list", action="store_true", help="list the peers, their requirements and whether they run")
+    add_training_arguments(parser)
+    return parse_training_arguments(parser, arguments)
 
 
-def overview() -> Table:
-    """One row per peer."""
-    table = Table(box=SIMPLE_HEAD)
-    table.add_column("name", no_wrap=True)
-    for column in ("learns", "actions", "objectives", "runs here"):
-        table.add_column(column)
-    for name, peer in PEERS.items():
-        objectives = "any" if peer.objectives is None else "{} to {}".format(*peer.objectives)
-        obstacle = peer.obstacle()
-        table.add_row(
-            name,
-            "a known utility" if peer.known_utility else "a front",
-            ", ".join(peer.actions),
-            objectives,
-            "yes" if obstacle is None else f"no: {obstacle}".replace("[", r"\["),
-        )
-    return table
+def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
+    """The experiment of a YAML file, with everything checked that can be checked without training.
+
+    Raises:
+        ValueError: if it is not valid, or its algorithm is not another library's.
+    """
+    experiment = load_experiment(path, overrides)
+    name = experiment.algorithm["name"]
+    if name not in PEERS:
+        raise ValueError(f"algorithm.name = {name!r} is not another library's; use train.py, or {nearest(name, PEERS)}")
+    prepare(experiment, lambda _step, _metrics: None)
+    return experiment
 
 
 def seed_everything(seed: int) -> None:
     """Seed the global generators: the libraries draw from them whatever seed they are given."""
     random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002
+    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
     torch.manual_seed(seed)
 
 
-def load(options: argparse.Namespace, overrides: list[str]) -> Experiment:
-    """The experiment that the options ask for, checked as far as it can be without training.
-
-    Raises:
-        ValueError: for anything wrong with it.
-    """
-    experiment = load_experiment(options.config, overrides)
-    name = experiment.algorithm["name"]
-    if name not in PEERS:
-        raise ValueError(f"algorithm.name = {name!r} is not another library's; use train.py, or {nearest(name, PEERS)}")
-    prepare(experiment, lambda step, metrics: None)
-    return experiment
-
-
 def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments``; the exit code."""
+    """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments)
     console = make_console()
     if options.list:
-        console.print(overview())
+        console.print(peers_table())
         return 0
-    try:
-        experiment = load(options, overrides)
-        run = Run.create(experiment, options.output or default_directory("runs", options.config, experiment))
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    with exit_on_error(ValueError):
+        experiment = load_peer_experiment(options.config, overrides)
+        run = new_run(options, experiment)
     print(f"run {run.path}", flush=True)
     torch.set_num_threads(experiment.training.threads)
     seed_everything(experiment.training.seed)
-    try:
-        run_peer(run, console)
-    except KeyboardInterrupt:
-        run.set_status("interrupted", 0)
-        print("interrupted; other libraries' algorithms cannot go on from here", file=sys.stderr)
-        return 130
-    except BaseException:
-        run.set_status("failed", 0)
-        raise
+    with exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
+        try:
+            run_peer(run, console)
+        except BaseException as error:
+            run.set_status("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", 0)
+            raise
     print(f"finished: {run.path}")
     return 0
 
 
 if __name__ == "__main__":
+    prepare_process(os.environ, sys.path)
     sys.exit(main(sys.argv[1:]))

@@ -13,27 +13,23 @@ exceed the harmful g-force, which ends the episode.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from contextlib import nullcontext
-from pathlib import Path
-
-sys.path.append(str(Path.cwd()))  # so that a utility of the user's own can be imported
+from typing import TYPE_CHECKING
 
 import torch
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from algorithms.agent import Agent
 from algorithms.evaluation.policy_driver import PolicyDriver
+from algorithms.experiments.build import load_policy
+from algorithms.experiments.cli import check_parent, exit_on_error, make_parser
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 from algorithms.reporting.videos import writing
-from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.play import (
     EpisodeOutcome,
@@ -45,6 +41,12 @@ from mo_deepdrive.play import (
 )
 from mo_deepdrive.quiet_pygame import pygame
 
+if TYPE_CHECKING:
+    import argparse
+
+    from algorithms.agent import Agent
+    from mo_deepdrive.envs.vector import DrivingVectorEnv
+
 MAX_FPS = 1000
 MAX_SEED = 2**31 - 1
 
@@ -55,9 +57,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     Raises:
         ValueError: for a value out of range, or a video in a directory that does not exist.
     """
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: random)")
     parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: real time)")
@@ -70,10 +70,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         raise ValueError(f"--seed {options.seed} must be between 0 and {MAX_SEED}")
     if options.fps is not None and not 1 <= options.fps <= MAX_FPS:
         raise ValueError(f"--fps {options.fps} must be between 1 and {MAX_FPS}")
-    if options.record and not Path(options.record).absolute().parent.is_dir():
-        raise ValueError(
-            f"--record {options.record}: {str(Path(options.record).absolute().parent)!r} is not a directory"
-        )
+    check_parent("--record", options.record)
     return options
 
 
@@ -95,10 +92,9 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
         raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {spec.id}")
-    agent = build(run.experiment, num_envs=1)
+    agent = load_policy(run)
     if agent.env.vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
-    agent.load(run.checkpoint, policy_only=True)
     return make_play_env(theirs.id, **theirs.arguments), agent
 
 
@@ -119,7 +115,7 @@ def print_outcome(console: Console, objectives: tuple[str, ...], outcome: Episod
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     console = make_console()
-    try:
+    with exit_on_error(ValueError, OSError, pygame.error):
         options = parse_arguments(arguments)
         env, agent = open_environment(options)
         # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
@@ -136,17 +132,11 @@ def main(arguments: list[str]) -> int:
                 play_in_window(
                     human_env, options.fps or rate, lambda outcome: print_outcome(console, env.objectives, outcome)
                 )
-            except KeyboardInterrupt:
-                return 130
             finally:
                 human_env.close()
-    except (ValueError, OSError, pygame.error) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
     return 0
 
 
 if __name__ == "__main__":
+    sys.path.append(os.getcwd())  # where a user's own utility may be
     sys.exit(main(sys.argv[1:]))

@@ -23,9 +23,9 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 from rich.console import Console
 
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import Interrupts, Stopped
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import Interrupts, Stopped
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.reproduction.claims import CLAIMS, utility_metric
 from algorithms.reproduction.figures import FIGURES

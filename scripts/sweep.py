@@ -29,10 +29,10 @@ sys.path.append(os.getcwd())  # where a user's own utility lives
 from rich.console import Console
 
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import Interrupts, Stopped, no_space
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import read_status
-from algorithms.experiments.training import Interrupts, Stopped, no_space
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.manifest import Row, expand, is_sweep, read_manifest, write_manifest
 from algorithms.sweeps.scores import read_scores

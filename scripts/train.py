@@ -1,101 +1,81 @@
-"""Train an agent from a YAML file, or go on with a run that was interrupted.
+"""Train an agent from a YAML file, or resume a run that was interrupted.
 
     python scripts/train.py --config configs/one_waypoint/mo_a2c_linear.yaml --seed 3
     python scripts/train.py --config FILE --algorithm.learning_rate=3e-4 --training.total_timesteps=1e6
     python scripts/train.py --resume runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000
 
-Every key of the YAML file is an option of its own: --section.key=value.
+Every key of the YAML file is an option: --section.key=value.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
+from argparse import Namespace
+from typing import Any
 
-os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # videos are drawn in memory
-os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
-sys.path.append(os.getcwd())  # where a user's own utility lives
-
-from algorithms.agent import Agent
-from algorithms.common.checkpoints import read_checkpoint
+from algorithms.experiments.build import build
+from algorithms.experiments.cli import (
+    add_training_arguments,
+    exit_on_error,
+    make_parser,
+    new_run,
+    parse_training_arguments,
+    prepare_process,
+)
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.progress_bar import make_console
-from algorithms.experiments.run_directory import Run, default_directory
-from algorithms.experiments.training import Stopped, build, finish, resume, train
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.training import reopen, train_and_finish
 
 
-def parse_arguments(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
+def parse_arguments(arguments: list[str]) -> tuple[Namespace, list[str]]:
     """The options of this script, and the overrides of the experiment."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
-    )
+    parser = make_parser(__doc__)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--config", metavar="FILE", help="the experiment")
-    source.add_argument("--resume", metavar="RUN", help="directory of a run to go on with")
-    parser.add_argument("--seed", metavar="N", help="short for --training.seed")
-    parser.add_argument("--device", metavar="D", help="short for --training.device")
-    parser.add_argument("--output", metavar="DIR", help="the run's directory (default: runs/CONFIG/NAME)")
-    options, overrides = parser.parse_known_args(arguments)
-    overrides += [f"--{key}={value}" for key in ("seed", "device") if (value := getattr(options, key)) is not None]
-    return options, overrides
+    source.add_argument("--config", metavar="FILE", help="YAML file of the experiment")
+    source.add_argument("--resume", metavar="RUN", help="directory of a run to resume")
+    add_training_arguments(parser)
+    return parse_training_arguments(parser, arguments)
 
 
-def prepare(options: argparse.Namespace, overrides: list[str]) -> tuple[Run, Agent]:
-    """The run that the options ask for, and its agent: a new one, or as the last checkpoint left it.
+def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
+    """The new or resumed run of the command line, and its agent.
 
     Raises:
-        ValueError: for anything wrong with the options, the experiment, the directory or the checkpoint.
+        ValueError: if the options, the experiment, the directory or the checkpoint are not valid.
     """
     if options.resume is None:
         experiment = load_experiment(options.config, overrides)
-        agent = build(experiment)
-        directory = options.output or default_directory("runs", options.config, experiment)
-        return Run.create(experiment, directory), agent
+        agent = build(experiment)  # before the directory is created: it may fail
+        return new_run(options, experiment), agent
     if overrides or options.output:
         given = [*overrides, *(["--output"] if options.output else [])]
-        raise ValueError(f"--resume goes on with the run as it began; it cannot take {' '.join(given)}")
-    run = Run.open(options.resume)
-    if run.checkpoint.exists():
-        read_checkpoint(run.checkpoint, {}, whole=True)  # before anything is written beside a policy of the zoo
-    run.lock()
-    agent = resume(run)
-    for change in run.changed_versions():
-        print(f"warning: since the run began, {change}")
-    return run, agent
+        raise ValueError(f"--resume continues the run with its own settings; it cannot take {' '.join(given)}")
+    return reopen(options.resume)
 
 
 def main(arguments: list[str]) -> int:
-    """Run the command line ``arguments``; the exit code."""
+    """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments)
-    try:
-        run, agent = prepare(options, overrides)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    console = make_console()
-    again = f"go on with: python scripts/train.py --resume {run.path}"
-    try:
+    with exit_on_error(ValueError):
+        run, agent = open_run(options, overrides)
         if run.status.get("state") == "finished":
             print(f"{run.path} is finished; there is nothing to resume")
             return 0
+    resume_with = f"resume with: python scripts/train.py --resume {run.path}"
+    with exit_on_error(hint=resume_with):
+        for change in run.changed_versions():
+            print(f"warning: since the run was started, {change}")
         print(f"run {run.path}", flush=True)
-        received = train(run, agent, console, resumed=options.resume is not None)
+        received = train_and_finish(run, agent, make_console(), resumed=options.resume is not None)
         if received is not None:
-            print(f"interrupted at step {agent.step:,}; {again}")
+            print(f"interrupted at step {agent.step:,}; {resume_with}")
             return 128 + received
-        finish(run, agent, console)
-    except Stopped as error:
-        print(f"error: {error}\n{again}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print(f"interrupted; {again}", file=sys.stderr)
-        return 130
     print(f"finished: {run.path}")
     return 0
 
 
 if __name__ == "__main__":
+    prepare_process(os.environ, sys.path)
     sys.exit(main(sys.argv[1:]))

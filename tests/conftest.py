@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import gymnasium
@@ -90,6 +92,27 @@ def run_python() -> Callable[[str], str]:
         return done.stdout
 
     return run
+
+
+@pytest.fixture(scope="session")
+def load_script() -> Callable[[str], ModuleType]:
+    """Import a script by its name: ``main`` is what its command line runs. Each is imported once."""
+
+    def load(name: str) -> ModuleType:
+        module_name = f"scripts_{name}"
+        if module_name not in sys.modules:
+            spec = importlib.util.spec_from_file_location(module_name, REPOSITORY / "scripts" / f"{name}.py")
+            assert spec is not None
+            assert spec.loader is not None
+            sys.modules[module_name] = importlib.util.module_from_spec(spec)
+            try:
+                spec.loader.exec_module(sys.modules[module_name])
+            except BaseException:
+                del sys.modules[module_name]
+                raise
+        return sys.modules[module_name]
+
+    return load
 
 
 WIDTH, LENGTH = 2.300675555555556, 5.17652

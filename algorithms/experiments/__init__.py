@@ -1,1 +1,1 @@
-"""What is run: configs, run directories, loggers, training, jobs and worker processes."""
+"""Running experiments: configurations, run directories, logging, training, jobs and worker processes."""

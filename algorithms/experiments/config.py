@@ -1,4 +1,4 @@
-"""An experiment as data: typed YAML, overrides in the form that sweep agents emit, errors before anything starts."""
+"""An experiment as data: typed YAML, command-line overrides, and every mistake reported before anything starts."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from gymnasium.envs.registration import EnvSpec
 from pydantic import BeforeValidator, Field
 
 import mo_deepdrive
-from algorithms import ALGORITHMS
 from algorithms.common.yaml_io import read_mapping, read_value
-from algorithms.peers import PEERS
+from algorithms.experiments.registry import algorithm_names, find_algorithm
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 
 
-def _whole(value: Any) -> Any:
-    """1e6 is how people write a million; 1.5 steps stay an error."""
+def _integer(value: Any) -> Any:
+    """A float without a fraction as an integer, so that a million may be written as 1e6; 1.5 remains an error."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Count = Annotated[int, BeforeValidator(_whole), Field(ge=1)]
+Count = Annotated[int, BeforeValidator(_integer), Field(ge=1)]
 
 
 class EnvironmentSettings(Settings):
-    """Where to learn.
+    """The environment of an experiment.
 
     Attributes:
         id: a registered Gymnasium id with vector rewards; "module:id" imports the module first.
@@ -43,11 +42,11 @@ class EnvironmentSettings(Settings):
 
 
 class UtilitySettings(UtilityChoice):
-    """What to maximise.
+    """The utility that is maximised.
 
     Attributes:
         name, arguments: the utility of every vehicle.
-        vehicles: vehicles that have another one, as "vehicle_0" or "vehicle_1".
+        vehicles: utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1".
     """
 
     vehicles: dict[str, UtilityChoice] = {}
@@ -58,14 +57,14 @@ class UtilitySettings(UtilityChoice):
 
 
 class TrainingSettings(Settings):
-    """How long and on what.
+    """Length, seed and hardware of the training.
 
     Attributes:
-        total_timesteps: environment steps, over all parallel environments together.
-        num_envs: parallel environments.
-        seed: determines everything random in training.
-        device: where the networks live, as torch names it.
-        threads: threads of torch; more than one rarely pays for networks of this size.
+        total_timesteps: environment steps, summed over the parallel environments.
+        num_envs: number of parallel environments.
+        seed: seed of everything random in training.
+        device: the device of the networks, in PyTorch's notation.
+        threads: threads of PyTorch; more than one rarely pays off for networks of this size.
     """
 
     total_timesteps: Count
@@ -76,16 +75,16 @@ class TrainingSettings(Settings):
 
 
 class EvaluationSettings(Settings):
-    """How the policy is measured, apart from how it learns.
+    """How the policy is evaluated, independent of how it learns.
 
     Attributes:
         interval: environment steps between evaluations during training; None for a twentieth of the training.
-        episodes: episodes of each of these evaluations.
+        episodes: episodes per evaluation during training.
         final_episodes: episodes of the evaluation at the end.
-        seed: of the first evaluation episode; training draws its own seeds from 2**32 on.
-        gamma: discount of the discounted returns reported.
-        reference_point: of a front's hypervolume, one number per objective; None for the agreed one of our
-            environments, and for none elsewhere.
+        seed: seed of the first evaluation episode; training draws its seeds from 2**32 onwards.
+        gamma: discount of the reported discounted returns.
+        reference_point: reference point of a front's hypervolume, one number per objective; None for the default of
+            this package's environments, and for no hypervolume on others.
     """
 
     interval: Count | None = None
@@ -97,11 +96,11 @@ class EvaluationSettings(Settings):
 
 
 class WandbSettings(Settings):
-    """Weights & Biases, for those who ask.
+    """Logging to Weights & Biases.
 
     Attributes:
-        project, entity, group, tags: where the run goes and how it is filed.
-        mode: "online", which falls back to offline where there is no key or network; or "offline".
+        project, entity, group, tags: as in ``wandb.init``.
+        mode: "online", which falls back to offline without an API key or network; or "offline".
     """
 
     project: str
@@ -112,13 +111,13 @@ class WandbSettings(Settings):
 
 
 class LoggingSettings(Settings):
-    """What is written while training; metrics.csv and TensorBoard always are.
+    """What is written during training, besides metrics.csv and TensorBoard's event files.
 
     Attributes:
         interval: updates between two rows of training metrics.
         checkpoint_interval: environment steps between checkpoints; None for a twentieth of the training.
-        save_figures: draw the curves and film the policy at the end.
-        wandb: Weights & Biases too; None for not.
+        save_figures: draw the learning curves and film the policy at the end.
+        wandb: log to Weights & Biases too; None to leave it out.
     """
 
     renamed = {"pictures": "save_figures"}
@@ -133,9 +132,13 @@ class Experiment(Settings):
     """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default.
 
     Attributes:
-        utility: for algorithms that learn for a known utility; None for those that learn a front.
+        environment: the environment to learn in.
+        utility: the utility to maximise; None for algorithms that learn a front.
         algorithm: "name" (a key of ``algorithms.ALGORITHMS`` or ``algorithms.peers.PEERS``) and that algorithm's
             hyperparameters.
+        training: length, seed and hardware of the training.
+        evaluation: how the policy is evaluated.
+        logging: what is written during and after the training.
     """
 
     environment: EnvironmentSettings
@@ -147,8 +150,8 @@ class Experiment(Settings):
 
     @property
     def known_utility(self) -> bool:
-        """Whether the algorithm learns for a known utility, or a front for every utility."""
-        return bool(_known(self.algorithm["name"]).known_utility)
+        """Whether the algorithm learns for a known utility, rather than a front for every utility."""
+        return find_algorithm(self.algorithm["name"]).known_utility
 
     @property
     def hyperparameters(self) -> dict[str, Any]:
@@ -156,7 +159,7 @@ class Experiment(Settings):
         return {key: value for key, value in self.algorithm.items() if key != "name"}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values that :func:`make_experiment` turns into an equal experiment."""
+        """Plain values, from which :func:`make_experiment` makes an equal experiment."""
         return self.model_dump(mode="json")
 
 
@@ -166,12 +169,12 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     Args:
         path: the file.
         overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
-            ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into what
-            is there. The last of several for the same key counts.
+            ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
+            existing one. If a key is given more than once, the last value is used.
 
     Raises:
-        ValueError: naming every unknown key with the nearest known one, every value of a wrong type or out of range;
-            or what is wrong with the file or an override.
+        ValueError: for unknown keys (with the nearest known ones), values of a wrong type or out of range, and a file
+            or an override that cannot be read; all of them are named.
     """
     values = read_mapping(path)
     for key, value in parse_overrides(overrides):
@@ -180,11 +183,12 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
 
 
 def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here: bool = True) -> Experiment:
-    """Validate ``values`` and fill in every default, also the environment's and the algorithm's.
+    """Validate ``values`` and fill in every default, including those of the environment and the algorithm.
 
     Args:
-        what: the name of ``values`` in messages.
-        here: whether it is for this machine, which must then have the device.
+        values: the sections of the experiment.
+        what: the name of ``values`` in error messages.
+        here: whether the experiment will run on this machine, which must then have its device.
 
     Raises:
         ValueError: as :func:`load_experiment`.
@@ -224,8 +228,14 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
 def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
     """``["--a.b=1", "--seed", "3"]`` as ``[("a.b", 1), ("training.seed", 3)]``.
 
+    Args:
+        arguments: ``--key=value`` or ``--key value``, values as in YAML; see :data:`SHORT_FORMS`.
+
+    Returns:
+        Pairs of a dotted key and its value, in the given order.
+
     Raises:
-        ValueError: for an argument of another form.
+        ValueError: for an argument that has another form.
     """
     pairs: list[tuple[str, Any]] = []
     rest = list(arguments)
@@ -247,10 +257,15 @@ def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
 
 
 def override(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set ``section.key`` in ``values``; a mapping is merged into what is there.
+    """Set ``section.key`` in ``values``; a mapping is merged into the existing one.
+
+    Args:
+        values: nested sections, changed in place.
+        key: dotted path of the key.
+        value: its new value.
 
     Raises:
-        ValueError: if the way to the key leads through something that is not a section.
+        ValueError: if a part of the path is not a section.
     """
     *sections, last = key.split(".")
     for depth, name in enumerate(sections):
@@ -267,10 +282,10 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
 
 
 def find_environment(env_id: str) -> EnvSpec:
-    """The registered specification of ``env_id``, which may be of the form "module:id".
+    """The registered specification of ``env_id``, which may have the form "module:id".
 
     Raises:
-        ValueError: if the module cannot be imported, or naming the nearest id.
+        ValueError: if the module cannot be imported, or the id is not registered (with the nearest id).
     """
     module, _, name = env_id.rpartition(":")
     if module:
@@ -290,7 +305,7 @@ def find_environment(env_id: str) -> EnvSpec:
 
 
 def is_ours(spec: EnvSpec) -> bool:
-    """Whether an environment is one of this package's, configured by EnvConfig."""
+    """Whether an environment belongs to this package, so that EnvConfig is its configuration."""
     return str(spec.vector_entry_point).startswith("mo_deepdrive.")
 
 
@@ -305,20 +320,12 @@ def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"scenario"})
 
 
-def _known(name: Any) -> Any:
-    """The class of an algorithm, or the row of another library's."""
-    known: dict[str, Any] = {**ALGORITHMS, **PEERS}
-    if not isinstance(name, str) or name not in known:
-        raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, known)}")
-    return known[name]
-
-
 def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
     if "name" not in values:
-        raise ValueError(f"'algorithm.name' is missing; known: {', '.join(sorted(ALGORITHMS))}")
+        raise ValueError(f"'algorithm.name' is missing; known: {', '.join(algorithm_names())}")
     name = values["name"]
     rest = {key: value for key, value in values.items() if key != "name"}
-    config = parse(_known(name).Config, rest, f"hyperparameters of algorithm {name!r}")
+    config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
     return {"name": name, **config.model_dump(mode="json")}
 
 
@@ -335,7 +342,7 @@ def _check_utility(experiment: Experiment) -> dict[str, Any]:
 
 
 def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The reference point of a front's hypervolume: the one given, else the agreed one of our environments."""
+    """The reference point of a front's hypervolume: the given one, or the default of this package's environments."""
     spec = find_environment(experiment.environment.id)
     given = experiment.evaluation.reference_point
     if not is_ours(spec):
@@ -358,10 +365,10 @@ def _check_device(name: str, here: bool) -> dict[str, Any]:
     try:
         device = torch.device(name)
     except RuntimeError:
-        raise ValueError(f"training.device = {name!r} is no device; write cpu, cuda or cuda:0") from None
+        raise ValueError(f"training.device = {name!r} is not a valid device; write cpu, cuda or cuda:0") from None
     count = torch.cuda.device_count()
     if here and device.type == "cuda" and (device.index or 0) >= count:
-        raise ValueError(f"training.device = {name!r} is not there; torch sees {count} CUDA devices")
+        raise ValueError(f"training.device = {name!r} does not exist; PyTorch finds {count} CUDA devices")
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"training.device = {name!r} is not supported; write cpu, cuda or cuda:0")
     return {}

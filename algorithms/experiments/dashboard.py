@@ -1,4 +1,4 @@
-"""How far many runs are, read from their directories: a live table on a terminal, an occasional line elsewhere."""
+"""The progress of many runs, read from their directories: a live table on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from algorithms.experiments.jobs import Job
 from algorithms.experiments.progress_bar import LINE_INTERVAL
 from algorithms.experiments.run_directory import read_status
 
-# What a run's state is called in the table.
+# The name of each state in the table.
 SHOWN = {
     "finished": "done",
     "pruned": "pruned",
@@ -31,19 +31,19 @@ SHOWN = {
     None: "waiting",
 }
 ENDED = ("finished", "pruned")
-BUSY_PART = 0.05  # of the time that may go into reading directories
-MOST_ROWS = 12
+READING_SHARE = 0.05  # largest share of the time that is spent reading directories
+MOST_ROWS = 12  # running jobs that are listed
 
 
 class Dashboard:
-    """Shows how many runs are done, running, failed and waiting, those that are running, and the time left.
+    """Shows how many runs are done, running, failed and waiting, the running ones, and the time left.
 
-    Use it as a context manager and call :meth:`update` often: it reads the directories once in a while.
+    Use it as a context manager and call :meth:`update` often; it reads the directories at longer intervals.
 
     Args:
         jobs: the runs.
-        console: where to write.
-        title: what they are.
+        console: where to print.
+        title: heading of the table.
     """
 
     def __init__(self, jobs: Sequence[Job], console: Console, title: str = "runs"):
@@ -53,37 +53,37 @@ class Dashboard:
         self._status: dict[Path, dict[str, Any]] = {}
         self._failed: dict[Path, str] = {}
         self._live: Live | None = None
-        self._began = self._told = monotonic()
-        self._next = 0.0
+        self._start_time = self._print_time = monotonic()
+        self._next_update = 0.0
         self._read()
-        self._first = self._made()
+        self._steps_at_start = self._steps_done()
 
     @property
     def counts(self) -> Counter[str]:
-        """How many runs are in each state, by the name that the table has for it."""
+        """The number of runs in each state, by the names in the table."""
         return Counter(SHOWN[self._state(job)] for job in self._jobs)
 
     @property
     def seconds_left(self) -> float | None:
-        """Until all is done, if it goes on as it went since the monitor began; None while that is not known."""
-        made = self._made() - self._first
-        return self._to_be_made() * (monotonic() - self._began) / made if made > 0 else None
+        """Seconds until all runs are done, at the mean speed since the start; None before the first new step."""
+        done = self._steps_done() - self._steps_at_start
+        return self._steps_left() * (monotonic() - self._start_time) / done if done > 0 else None
 
     def failed(self, job: Job, reason: str) -> None:
-        """Note that a run is given up, and say so."""
+        """Mark a run as failed and print the reason."""
         self._failed[job.path] = reason
         self._print(f"FAILED {job.name}: {reason}")
 
     def update(self, now: bool = False) -> None:
-        """Read how far the runs are and show it, if it is time again, or ``now``."""
-        began = monotonic()
-        if not now and began < self._next:
+        """Read and show the progress if the last update is long enough ago, or if ``now`` is true."""
+        started = monotonic()
+        if not now and started < self._next_update:
             return
         self._read()
-        self._next = monotonic() + max(1.0, (monotonic() - began) / BUSY_PART)
+        self._next_update = monotonic() + max(1.0, (monotonic() - started) / READING_SHARE)
         if self._live is not None:
             self._live.update(self._table(), refresh=True)
-        elif began - self._told >= LINE_INTERVAL:
+        elif started - self._print_time >= LINE_INTERVAL:
             self._line()
 
     def _state(self, job: Job) -> Any:
@@ -95,12 +95,12 @@ class Dashboard:
             if before not in ENDED:
                 self._status[job.path] = read_status(job.path)
 
-    def _made(self) -> int:
-        """Steps made, as far as they are saved."""
+    def _steps_done(self) -> int:
+        """Steps up to the last checkpoints, over all runs."""
         return sum(self._step(job) for job in self._jobs)
 
-    def _to_be_made(self) -> int:
-        """Steps that are still to be made."""
+    def _steps_left(self) -> int:
+        """Steps until all runs are done, without those that have ended or failed."""
         return sum(
             job.experiment.training.total_timesteps - self._step(job)
             for job in self._jobs
@@ -108,10 +108,10 @@ class Dashboard:
         )
 
     def _step(self, job: Job) -> int:
-        return min(job.experiment.training.total_timesteps, self._status.get(job.path, {}).get("step", 0))
+        return min(job.experiment.training.total_timesteps, int(self._status.get(job.path, {}).get("step", 0)))
 
     def summary(self) -> str:
-        """One line: how many runs are in each state, and the time left."""
+        """One line: the number of runs in each state, and the time left."""
         counts = self.counts
         always = ("done", "running", "failed", "waiting")
         parts = [f"{counts[name]} {name}" for name in always]
@@ -121,7 +121,7 @@ class Dashboard:
         return f"{', '.join(parts)} of {len(self._jobs)}{time_left}"
 
     def _line(self) -> None:
-        self._told = monotonic()
+        self._print_time = monotonic()
         self._print(f"{self._title}: {self.summary()}")
 
     def _print(self, text: str) -> None:
@@ -129,17 +129,17 @@ class Dashboard:
 
     def _table(self) -> Group:
         head = Table.grid(padding=(0, 2))
-        made, left = self._made(), self._to_be_made()
+        done, left = self._steps_done(), self._steps_left()
         head.add_row(
             Text(self._title, style="bold"),
-            ProgressBar(max(1, made + left), made if left else max(1, made), width=30),
+            ProgressBar(max(1, done + left), done if left else max(1, done), width=30),
             Text(self.summary()),
         )
         running = [job for job in self._jobs if SHOWN[self._state(job)] == "running"]
         rows = Table.grid(padding=(0, 2))
         for job in running[:MOST_ROWS]:
-            steps, of = self._status[job.path].get("step", 0), job.experiment.training.total_timesteps
-            rows.add_row(ProgressBar(of, steps, width=16), Text(f"{steps / of:.0%}"), Text(job.name))
+            steps, total = self._status[job.path].get("step", 0), job.experiment.training.total_timesteps
+            rows.add_row(ProgressBar(total, steps, width=16), Text(f"{steps / total:.0%}"), Text(job.name))
         more = len(running) - MOST_ROWS
         return Group(head, rows, *([Text(f"and {more} more")] if more > 0 else []))
 

@@ -1,4 +1,4 @@
-"""Runs to be made: each is trained, gone on with, or left alone where it is finished."""
+"""Jobs: each is a run that is trained, resumed, or skipped if it is finished."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from rich.console import Console
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.experiments.config import Experiment, make_experiment
+from algorithms.experiments.interrupts import Stopped, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, read_status
-from algorithms.experiments.training import Stopped, finish, resume, stopped, train
+from algorithms.experiments.training import Watch, resume, train_and_finish
 
-# Of a config: they say where and how loudly a run is made, not what comes out of it.
-FREE = ("training.device", "training.threads", "logging")
+# Keys of an experiment that do not affect its results: where a run is trained and what it logs.
+NOT_COMPARED = ("training.device", "training.threads", "logging")
 
-Outcome = Literal["trained", "already there", "stopped"]
-Watch = Callable[[int, Mapping[str, float]], None]
+JobOutcome = Literal["trained", "already there", "stopped"]
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run that is wanted.
+    """A run to be made.
 
     Attributes:
-        name: for messages.
-        experiment: resolved.
+        name: its name in messages.
+        experiment: with every default filled in.
         path: the run's directory.
-        id: of a run whose directory is named by what determines it, so that no other can be there; also its id in
+        id: hash of the experiment, if the directory is named by it and cannot hold another run; also the run's id in
             Weights & Biases.
     """
 
@@ -41,20 +41,20 @@ class Job:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to do: trained and evaluated, or pruned.
+        """Whether the run is finished (trained and evaluated) or pruned.
 
         Raises:
-            ValueError: if another experiment has the directory, naming what differs.
+            ValueError: if the directory holds another experiment, with the keys that differ.
         """
         if self.id is None:
             self.check()
         return read_status(self.path).get("state") in ("finished", "pruned")
 
     def check(self) -> None:
-        """Refuse a directory that holds another experiment.
+        """Check that the directory does not hold another experiment.
 
         Raises:
-            ValueError: naming what differs.
+            ValueError: if it does, with the keys that differ.
         """
         if not (self.path / "config.yaml").is_file():
             return
@@ -66,23 +66,32 @@ class Job:
             )
 
     def packed(self) -> dict[str, Any]:
-        """Plain values that travel to other processes, for :meth:`unpack`."""
+        """Plain values to send to another process, for :meth:`unpack`."""
         return {"name": self.name, "experiment": self.experiment.to_dict(), "path": str(self.path), "id": self.id}
 
     @classmethod
     def unpack(cls, values: Mapping[str, Any]) -> Job:
-        """The job that :meth:`packed` gave."""
+        """The job from the values of :meth:`packed`."""
         experiment = make_experiment(values["experiment"])
         return cls(values["name"], experiment, Path(values["path"]), values["id"])
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The keys whose values differ between two resolved experiments, and both values; not those of FREE."""
+    """The keys that differ between two experiments, with both values, apart from :data:`NOT_COMPARED`.
+
+    Args:
+        first: an experiment as nested plain values.
+        second: the wanted one.
+        prefix: dotted path of both in their experiments.
+
+    Returns:
+        One line per key.
+    """
     found: list[str] = []
     for key in dict.fromkeys([*first, *second]):
         name = prefix + key
         one, other = first.get(key), second.get(key)
-        if name in FREE or one == other:
+        if name in NOT_COMPARED or one == other:
             continue
         if isinstance(one, Mapping) and isinstance(other, Mapping):
             found += differences(one, other, f"{name}.")
@@ -91,41 +100,41 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str
     return found
 
 
-def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> Outcome:
-    """Make a run, or go on with it from its checkpoint; what it says goes to train.log in its directory.
+def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | None = None) -> JobOutcome:
+    """Train a run from the beginning or its checkpoint, and evaluate it; its output goes to its train.log.
 
     Args:
         job: the run.
-        watch, stop: as for :func:`algorithms.experiments.training.train`.
+        watch: called with the step and the metrics of every logged row.
+        stop: called after every update; True saves and stops as a signal does.
 
     Returns:
-        "stopped" if a signal or ``stop`` ended it early; it is saved then.
+        "already there" if it was finished before; "stopped" if a signal or ``stop`` ended it early, after saving.
 
     Raises:
         InUse: if another process trains in the directory.
-        ValueError: for a directory that holds something else, or an experiment that cannot be built.
+        ValueError: if the directory holds something else, or the experiment cannot be built.
         Stopped: if something could not be written.
     """
     if job.done:
         return "already there"
     try:
-        run, begun = _take(job)
+        run, resumed = _lock(job)
     except OSError as error:
-        raise stopped(f"the run cannot be written: {error}", error) from error
+        raise stopped_by(error, f"the run cannot be written: {error}") from error
     try:
-        if job.done:  # by the process that held it until now
+        if job.done:  # finished by the process that held the lock until now
             return "already there"
         _keep_wandb_id(job)
         agent = resume(run)
         with (job.path / "train.log").open("a") as log:
             console = Console(file=log, width=120)
-            if train(run, agent, console, resumed=begun, watch=watch, stop=stop) is not None:
+            if train_and_finish(run, agent, console, resumed=resumed, watch=watch, stop=stop) is not None:
                 return "stopped"
-            finish(run, agent, console)
     except OSError as error:
-        raise stopped(f"the run cannot be written: {error}", error) from error
+        raise stopped_by(error, f"the run cannot be written: {error}") from error
     except Exception as error:
-        with contextlib.suppress(OSError):  # the disk may be what failed; the error itself is on its way
+        with contextlib.suppress(OSError):  # the disk may be the reason; the original error is raised in any case
             run.set_status("failed", run.status.get("step", 0), describe(error))
         raise
     finally:
@@ -133,8 +142,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     return "trained"
 
 
-def _take(job: Job) -> tuple[Run, bool]:
-    """The run, locked, and whether it had been begun."""
+def _lock(job: Job) -> tuple[Run, bool]:
+    """The run, locked, and whether it was started before."""
     config = job.path / "config.yaml"
     if not config.is_file():
         try:
@@ -142,7 +151,7 @@ def _take(job: Job) -> tuple[Run, bool]:
         except InUse:
             raise
         except ValueError:
-            if not config.is_file():  # otherwise another process has made it meanwhile
+            if not config.is_file():  # otherwise another process has created it in the meantime
                 raise
     job.check()
     run = Run.open(job.path)
@@ -150,17 +159,17 @@ def _take(job: Job) -> tuple[Run, bool]:
     return run, True
 
 
-class Failed(Exception):
-    """What a run raised, in words: other processes may not know its type."""
+class JobFailed(Exception):
+    """The error of a run as text: other processes may not be able to import its type."""
 
 
 def describe(error: BaseException) -> str:
-    """An error in one line; of those that are not meant for users, with its type."""
+    """An error in one line, with its type unless its message is meant for users."""
     text = " ".join(str(error).split())
-    return text if isinstance(error, (ValueError, Stopped, OSError, Failed)) else f"{type(error).__name__}: {text}"
+    return text if isinstance(error, (ValueError, Stopped, OSError, JobFailed)) else f"{type(error).__name__}: {text}"
 
 
 def _keep_wandb_id(job: Job) -> None:
-    """Let W&B know the run by its id, wherever and however often it is made."""
+    """Make W&B use the job's id, so that repeated attempts continue one W&B run."""
     if job.id is not None and job.experiment.logging.wandb is not None:
         atomic_write(job.path / "wandb_id", f"{job.id}\n".encode())

@@ -1,146 +1,32 @@
-"""Metrics on disk: metrics.csv and TensorBoard always, Weights & Biases when asked."""
+"""Logging of metrics to metrics.csv, TensorBoard and, optionally, Weights & Biases."""
 
 from __future__ import annotations
 
-import csv
 import math
 import urllib.error
 import urllib.request
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.evaluation.front import Front
+from algorithms.common.atomic_io import atomic_write
+from algorithms.common.metrics_file import MetricsFile
 from algorithms.experiments.config import WandbSettings
 
-CONNECTION_TIMEOUT = 20.0  # s, after which W&B's online mode gives way to offline
-
-
-def _cell(value: float) -> str:
-    return repr(float(value))
-
-
-def _line(cells: Sequence[str]) -> str:
-    return csv_bytes([cells]).decode()
-
-
-def _whole_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows; the torn row that a crash may leave at the end is dropped."""
-    text = path.read_text() if path.exists() else ""
-    lines = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-    if not lines:
-        return ["step"], []
-    header, *rows = lines
-    return header, [row for row in rows if len(row) == len(header)]
-
-
-def read_metrics(path: str | Path) -> dict[str, NDArray[np.float64]]:
-    """The columns of a metrics.csv, "step" among them; NaN where a row has no value.
-
-    Raises:
-        ValueError: if the file is missing or not a metrics file.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"metrics file {str(path)!r} does not exist")
-    header, rows = _whole_rows(path)
-    if header[0] != "step":
-        raise ValueError(f"metrics file {str(path)!r} has no column 'step' at its beginning")
-    try:
-        table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(len(rows), len(header))
-    except ValueError as error:
-        raise ValueError(f"metrics file {str(path)!r} is broken: {error}") from None
-    return {name: table[:, i] for i, name in enumerate(header)}
-
-
-class MetricsFile:
-    """A CSV with one row per call; a new column rewrites the file.
-
-    Args:
-        path: the file.
-        after: drop rows of later steps, which a resumed run writes again; None begins a new file.
-    """
-
-    def __init__(self, path: Path, after: int | None = None):
-        self.path = path
-        self._columns, self._rows = ["step"], []
-        if after is not None:
-            columns, rows = _whole_rows(path)
-            self._columns, self._rows = columns, [row for row in rows if int(row[0]) <= after]
-        self._rewrite()
-
-    def _rewrite(self) -> None:
-        empty = len(self._columns)
-        lines = [_line(self._columns), *(_line(row + [""] * (empty - len(row))) for row in self._rows)]
-        atomic_write(self.path, "".join(lines).encode())
-
-    def write(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Append a row.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        new = [name for name in metrics if name not in self._columns]
-        self._columns += new
-        cells = {"step": str(step), **{name: _cell(value) for name, value in metrics.items()}}
-        row = [cells.get(name, "") for name in self._columns]
-        self._rows.append(row)
-        if new:
-            self._rewrite()
-        else:
-            with self.path.open("a") as file:
-                file.write(_line(row))
-
-
-class FrontsFile:
-    """A CSV of every front in the making: one row per policy, with its step and its discounted returns.
-
-    Args:
-        path: the file.
-        after: as for :class:`MetricsFile`.
-    """
-
-    def __init__(self, path: Path, after: int | None = None):
-        self.path = path
-        header, rows = _whole_rows(path) if after is not None else (["step"], [])
-        self._begun = len(header) > 1
-        if self._begun and after is not None:
-            kept = [_line(row) for row in rows if int(row[0]) <= after]
-            atomic_write(path, "".join([_line(header), *kept]).encode())
-
-    def write(self, step: int, front: Front) -> None:
-        """Append a front.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        lines = [
-            _line([str(step), str(policy), *map(_cell, returns)]) for policy, returns in enumerate(front.discounted)
-        ]
-        if self._begun:
-            with self.path.open("a") as file:
-                file.write("".join(lines))
-        else:
-            names = [f"discounted_return/{name}" for name in front.objectives]
-            atomic_write(self.path, "".join([_line(["step", "policy", *names]), *lines]).encode())
-            self._begun = True
+CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 
 
 class WandbRun:
-    """A Weights & Biases run that never stops training: what fails is said once and left out from there.
+    """A Weights & Biases run that never stops training: after the first error, which is printed, it is disabled.
 
     Args:
-        directory: where offline data, the run's id and its project go; a resumed run continues those that it finds.
-        settings: project and so on.
-        config: shown beside the run.
-        name: of the run.
-        say: takes messages.
+        directory: for offline data, the run's id and its project; a resumed run continues with the stored id.
+        settings: project, group and so on.
+        config: the configuration shown with the run.
+        name: name of the run.
+        say: prints messages.
     """
 
     def __init__(
@@ -150,8 +36,8 @@ class WandbRun:
         self._run: Any = None
         try:
             self._run = self._start(directory, settings, config, name)
-        except Exception as error:  # whatever a foreign service does, training goes on
-            say(f"warning: Weights & Biases is left out: {type(error).__name__}: {error}")
+        except Exception as error:  # training does not depend on an external service
+            say(f"warning: Weights & Biases is disabled: {type(error).__name__}: {error}")
 
     def _start(self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str) -> Any:
         import wandb
@@ -174,27 +60,27 @@ class WandbRun:
         # WANDB_MODE, which wandb reads itself, may say offline or disabled.
         mode: Any = "offline" if settings.mode == "offline" else wandb.setup().settings.mode
         if mode == "online":
-            obstacle = self._obstacle(wandb)
-            if obstacle is None:
+            offline_reason = self._offline_reason(wandb)
+            if offline_reason is None:
                 try:
                     run = wandb.init(mode=mode, **options)
                 except wandb.Error as error:
                     wandb.teardown()  # frees the run's id
-                    obstacle = str(error)
-            if obstacle is not None:
-                self._say(f"Weights & Biases: {obstacle}; the run is kept offline, `wandb sync` uploads it later")
+                    offline_reason = str(error)
+            if offline_reason is not None:
+                self._say(f"Weights & Biases: {offline_reason}; logging offline, `wandb sync` uploads the run later")
                 run = wandb.init(mode="offline", **options)
         else:
             run = wandb.init(mode=mode, **options)
         run.define_metric("step")
         run.define_metric("*", step_metric="step")
-        if mode != "disabled":  # where entity and project are dummies
+        if mode != "disabled":  # then entity and project are placeholders
             atomic_write(project_file, f"{run.entity}/{run.project}\n".encode())
             atomic_write(id_file, f"{run.id}\n".encode())
         return run
 
     def _place(self, wandb: Any, settings: WandbSettings, project_file: Path) -> tuple[str | None, str | None]:
-        """Entity and project; None for what W&B knows itself, as it does under a sweep's agent."""
+        """Entity and project; None if W&B chooses them, as under the agent of a sweep."""
         if wandb.setup().settings.sweep_id:
             return None, None
         if project_file.exists():
@@ -202,26 +88,26 @@ class WandbRun:
             return entity or None, project
         return settings.entity, settings.project
 
-    def _obstacle(self, wandb: Any) -> str | None:
-        """Why a run cannot be online, if so."""
+    def _offline_reason(self, wandb: Any) -> str | None:
+        """Why a run cannot be online; None if it can."""
         if not wandb.login(prompt=False, verify=False):
             return "no API key"
         try:
             urllib.request.urlopen(wandb.setup().settings.base_url, timeout=CONNECTION_TIMEOUT).close()
         except urllib.error.HTTPError:
-            return None  # somebody answered
+            return None  # there is a connection
         except OSError as error:
             return f"no connection ({error})"
         return None
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Send a row."""
+        """Log a row."""
         if self._run is None:
             return
         try:
             self._run.log({**metrics, "step": step})
         except Exception as error:
-            self._say(f"warning: Weights & Biases is left out from here: {type(error).__name__}: {error}")
+            self._say(f"warning: Weights & Biases is disabled from here on: {type(error).__name__}: {error}")
             self._run = None
 
     def close(self, failed: bool) -> None:
@@ -231,22 +117,23 @@ class WandbRun:
         try:
             self._run.finish(exit_code=int(failed))
         except Exception as error:
-            self._say(f"warning: Weights & Biases did not finish: {type(error).__name__}: {error}")
+            self._say(f"warning: Weights & Biases could not finish the run: {type(error).__name__}: {error}")
         self._run = None
 
 
 class Logger:
-    """Writes each row of metrics to metrics.csv, TensorBoard and, when asked, Weights & Biases.
+    """Writes each row of metrics to metrics.csv, TensorBoard and, if ``wandb`` is given, Weights & Biases.
 
     Use it as a context manager. Its files are metrics.csv and tensorboard/ in ``directory``.
 
     Args:
-        directory: the run's.
-        after: step of the checkpoint that a run resumes from: later rows are dropped, since it writes them again.
+        directory: the run's directory.
+        after: step of the checkpoint that a run resumes from: later rows are dropped, since they are written again.
             None for a new run.
-        wandb: settings; None for without.
-        config, name: shown in W&B.
-        say: takes messages.
+        wandb: settings of Weights & Biases; None to leave it out.
+        config: the configuration shown in W&B.
+        name: the run's name in W&B.
+        say: prints messages.
 
     Raises:
         OSError: if the files cannot be written.
@@ -265,14 +152,14 @@ class Logger:
         directory = Path(directory)
         self._file = MetricsFile(directory / "metrics.csv", after)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of TensorBoard's dependencies
+            warnings.simplefilter("ignore")  # from TensorBoard's dependencies
             from torch.utils.tensorboard import SummaryWriter
         purge = None if after is None else after + 1
         self._board = SummaryWriter(str(directory / "tensorboard"), purge_step=purge)
         self._wandb = None if wandb is None else WandbRun(directory, wandb, config or {}, name, say)
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Write a row.
+        """Log a row.
 
         Raises:
             OSError: if it cannot be written.
@@ -285,7 +172,7 @@ class Logger:
             self._wandb.log(step, metrics)
 
     def close(self, failed: bool = False) -> None:
-        """Flush and close everything."""
+        """Flush and close all outputs; ``failed`` marks the W&B run as failed."""
         self._board.close()
         if self._wandb is not None:
             self._wandb.close(failed)

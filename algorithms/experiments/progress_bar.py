@@ -1,4 +1,4 @@
-"""How far training is: a bar on a terminal, an occasional line elsewhere."""
+"""The progress of a training run: a bar on a terminal, an occasional line elsewhere."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-LINE_INTERVAL, LINE_WIDTH = 15.0, 120  # s between lines, and columns, where there is no terminal
+LINE_INTERVAL, LINE_WIDTH = 15.0, 120  # without a terminal: s between lines, and columns
 
 
 def make_console() -> Console:
-    """Standard output; where it is no terminal, wide enough for tables."""
+    """A console on standard output; if that is not a terminal, it is wide enough for tables."""
     console = Console()
     return console if console.is_terminal else Console(width=LINE_WIDTH)
 
@@ -23,24 +23,24 @@ class ProgressReporter:
 
     Args:
         total: environment steps of the whole training.
-        step: where it begins.
-        console: where to write.
-        arrivals: whether the environment says who arrives.
-        front: whether a front is learnt, of which the hypervolume is shown instead of a utility.
+        step: environment steps taken so far.
+        console: where to print.
+        arrivals: whether the environment reports arrivals.
+        front: whether a front is learnt, so that its hypervolume is shown instead of a utility.
     """
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
-        what = (
+        performance = (
             [("hypervolume", "hypervolume {:,.1f}"), ("cardinality", "{:.0f} policies")]
             if front
             else [("utility", "utility {:.2f}")]
         )
-        self._shown = (*what, *([("success", "arrivals {:.0%}")] if arrivals else []))
+        self._shown = (*performance, *([("success", "arrivals {:.0%}")] if arrivals else []))
         self._total = total
         self._step = self._first = step
-        self._told_step: int | None = None
+        self._printed_step: int | None = None
         self._console = console
-        self._began = self._told = perf_counter()
+        self._start_time = self._print_time = perf_counter()
         self._metrics: dict[str, float] = {}
         self._bar: Progress | None = None
         if console.is_terminal:
@@ -54,7 +54,7 @@ class ProgressReporter:
             self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
 
     def note(self, metrics: Mapping[str, float]) -> None:
-        """Keep the newest of the metrics that are shown."""
+        """Keep the newest values of the metrics that are shown."""
         for name, value in metrics.items():
             if name in ("time/steps_per_second", "eval/front/hypervolume", "eval/front/cardinality") or (
                 name.startswith("train/") and name.endswith(("/utility", "/success"))
@@ -62,19 +62,19 @@ class ProgressReporter:
                 self._metrics[name] = value
 
     def update(self, step: int) -> None:
-        """Show that training has come to ``step``."""
+        """Show that ``step`` environment steps have been taken."""
         self._step = step
         if self._bar is not None:
             self._bar.update(self._task, completed=min(step, self._total), numbers=self._numbers())
-        elif perf_counter() - self._told >= LINE_INTERVAL:
+        elif perf_counter() - self._print_time >= LINE_INTERVAL:
             self._line()
 
     def say(self, message: str) -> None:
-        """Print a message without spoiling the bar."""
+        """Print a message above the bar."""
         self._console.print(message, markup=False, highlight=False, soft_wrap=True)
 
     def _numbers(self) -> str:
-        """The metrics in words; with several vehicles the mean over them."""
+        """The metrics as text; with several vehicles their mean."""
         parts = []
         for suffix, unit in self._shown:
             values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
@@ -86,16 +86,16 @@ class ProgressReporter:
         return "  ".join(parts)
 
     def _line(self) -> None:
-        self._told, self._told_step = perf_counter(), self._step
+        self._print_time, self._printed_step = perf_counter(), self._step
         done = self._step - self._first
         left = ""
         if done > 0 and self._step < self._total:
-            seconds = round((self._told - self._began) / done * (self._total - self._step))
+            seconds = round((self._print_time - self._start_time) / done * (self._total - self._step))
             left = f"  {seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} left"
         self.say(f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})  {self._numbers()}{left}")
 
     def __enter__(self) -> ProgressReporter:
-        self._began = self._told = perf_counter()
+        self._start_time = self._print_time = perf_counter()
         if self._bar is not None:
             self._bar.start()
         return self
@@ -105,5 +105,5 @@ class ProgressReporter:
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
-        elif self._step != self._told_step:
+        elif self._step != self._printed_step:
             self._line()

@@ -1,4 +1,4 @@
-"""A run's directory: what was asked, on which versions, how far it is, and everything that came of it."""
+"""The directory of a run: its experiment, the versions it ran on, its progress and its results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any, Literal
 from algorithms.common.atomic_io import atomic_write, leftovers, write_json
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.zoo import find
+from algorithms.experiments.registry import find_trained_policy
 
 if os.name == "posix":
     import fcntl
@@ -40,17 +40,17 @@ PACKAGES = (
 
 
 class InUse(ValueError):
-    """Another process trains in the run's directory."""
+    """Another process is training in the run's directory."""
 
 
 class Run:
     """One training run and the directory that holds it.
 
-    Made by :meth:`create` or :meth:`open`; a process that trains in it holds a lock until it ends.
+    Made by :meth:`create` or :meth:`open`. A process that trains in it holds its lock until the process ends.
 
     Attributes:
         path: the directory.
-        experiment: what runs there.
+        experiment: the experiment of the run.
     """
 
     def __init__(self, path: Path, experiment: Experiment):
@@ -62,16 +62,20 @@ class Run:
 
     @property
     def checkpoint(self) -> Path:
-        """The latest checkpoint; training writes it, resuming and evaluating read it."""
+        """The file of the latest checkpoint."""
         return self.path / "checkpoint.safetensors"
 
     @classmethod
     def create(cls, experiment: Experiment, path: str | Path) -> Run:
-        """Make the directory, lock it, and write what determines the run.
+        """Create and lock the directory of a new run, with its config.yaml.
+
+        Args:
+            experiment: the experiment of the run.
+            path: the directory; it may exist if it is empty.
 
         Raises:
             InUse: if another process is doing the same.
-            ValueError: if the directory is there and not empty, or cannot be written.
+            ValueError: if the directory is not empty or cannot be written.
         """
         try:
             return cls.make(experiment, Path(path))
@@ -80,37 +84,37 @@ class Run:
 
     @classmethod
     def make(cls, experiment: Experiment, path: Path) -> Run:
-        """As :meth:`create`, but OSError if the directory cannot be written."""
+        """As :meth:`create`, but raises OSError if the directory cannot be written."""
         path.mkdir(parents=True, exist_ok=True)
         refusal = ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
         if _contents(path):
             raise refusal
         run = cls(path, experiment)
         run.lock()
-        if _contents(path):  # another process was there first, and has left
+        if _contents(path):  # another process created a run before this one had the lock
             run.unlock()
             raise refusal
         write_json(path / "versions.json", versions())
         run.set_status("running", 0)
-        # The last: a directory that has it is whole.
+        # Written last: a directory with a config.yaml is complete.
         atomic_write(path / "config.yaml", dump(experiment.to_dict()).encode())
         return run
 
     @classmethod
     def open(cls, path: str | Path, *, device: str | None = None) -> Run:
-        """The run in an existing directory, or else a policy of the zoo, which has a run's config and its policy.
+        """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
 
         Args:
-            path: the directory, or the policy's name.
-            device: instead of the one that it was trained on.
+            path: the directory, or the name of the policy.
+            device: replaces the device of the experiment if it is not None.
 
         Raises:
-            ValueError: if there is neither, or its config.yaml is not valid.
+            ValueError: if neither exists, or its config.yaml is not valid.
         """
         path = Path(path)
         if not path.is_dir():
             try:
-                path = find(str(path))
+                path = find_trained_policy(str(path))
             except ValueError as error:
                 raise ValueError(f"{str(path)!r} is not a run directory, and {error}") from None
         config = path / "config.yaml"
@@ -122,9 +126,9 @@ class Run:
         return cls(path, make_experiment(values, f"experiment {str(config)!r}"))
 
     def lock(self) -> None:
-        """Hold the directory until this process ends, so that no two processes train in it.
+        """Lock the directory until this process ends, so that no two processes train in it.
 
-        What an earlier process was writing when it was killed is removed.
+        Temporary files of processes that were killed are removed.
 
         Raises:
             InUse: if another process holds it.
@@ -148,11 +152,11 @@ class Run:
 
     @property
     def status(self) -> dict[str, Any]:
-        """As :func:`read_status`."""
+        """The contents of status.json; see :func:`read_status`."""
         return read_status(self.path)
 
     def set_status(self, state: State, step: int, reason: str | None = None) -> None:
-        """Write how far the run is; ``reason`` is why it failed."""
+        """Write status.json with the state of the run, its step, and the reason if it failed."""
         write_json(
             self.path / "status.json",
             {
@@ -167,17 +171,16 @@ class Run:
 
     @property
     def versions(self) -> dict[str, Any]:
-        """What the run began with; empty where that is not known."""
+        """The versions that the run was started with; empty if they are not known."""
         try:
-            return json.loads((self.path / "versions.json").read_text())
+            found: dict[str, Any] = json.loads((self.path / "versions.json").read_text())
         except (OSError, json.JSONDecodeError):
             return {}
+        return found
 
     def changed_versions(self) -> list[str]:
-        """What differs between the versions that the run began with and those of now, one line each."""
-        then = self.versions
-        now = versions()
-        flat_then, flat_now = ({**each, **each.get("packages", {})} for each in (then, now))
+        """The differences between the versions that the run was started with and the current ones, one line each."""
+        flat_then, flat_now = ({**each, **each.get("packages", {})} for each in (self.versions, versions()))
         names = [name for name in flat_now if name not in ("packages", "dirty")]
         return [
             f"{name}: {flat_then.get(name)} then, {flat_now[name]} now"
@@ -187,8 +190,11 @@ class Run:
 
 
 def read_status(path: Path) -> dict[str, Any]:
-    """Of a run's directory: state, step, total_timesteps, seconds (of work in all), updated, and reason where it
-    failed; empty where there is none."""
+    """The contents of a run's status.json; empty if it is missing or broken.
+
+    Its keys are state, step, total_timesteps, seconds (of work, over all processes), updated, and reason if the run
+    failed.
+    """
     try:
         status = json.loads((path / "status.json").read_bytes())
     except (OSError, ValueError):
@@ -197,7 +203,7 @@ def read_status(path: Path) -> dict[str, Any]:
 
 
 def _contents(path: Path) -> list[str]:
-    """What is in a run's directory, apart from what a process that was killed while it made one leaves behind."""
+    """The names in a run's directory, without those that a process leaves if it is killed while it creates a run."""
     found = {entry.name for entry in path.iterdir()}
     if "config.yaml" not in found:
         found -= {".lock", "versions.json", "status.json", *(leftover.name for leftover in leftovers(path))}
@@ -205,7 +211,12 @@ def _contents(path: Path) -> list[str]:
 
 
 def default_directory(root: str | Path, config: str | Path, experiment: Experiment) -> Path:
-    """Make an empty directory of its own: ``root/<config's stem>/<algorithm>-seed<N>-<time>``.
+    """Make a new, empty directory: ``root/<config's stem>/<algorithm>-seed<N>-<time>``.
+
+    Args:
+        root: the directory of all runs.
+        config: the file that the experiment comes from.
+        experiment: its algorithm and seed are part of the name.
 
     Raises:
         ValueError: if it cannot be made.
@@ -226,7 +237,7 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
 
 
 def versions() -> dict[str, Any]:
-    """Python, platform, packages, and the commit of the checkout that the code runs from (None outside of one)."""
+    """Versions of Python, platform and packages, and the commit of the repository (None outside of a checkout)."""
     packages: dict[str, str | None] = {}
     for name in PACKAGES:
         try:

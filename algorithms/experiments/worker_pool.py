@@ -1,4 +1,4 @@
-"""Worker processes for many runs on one machine; the death of one costs nothing but its time since the checkpoint."""
+"""Worker processes for many runs on one machine; a worker that dies costs only the steps since its checkpoint."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from pathlib import Path
 from typing import Any
 
 from algorithms.experiments.dashboard import Dashboard
-from algorithms.experiments.jobs import Failed, Job, Outcome, describe, perform
+from algorithms.experiments.interrupts import DiskFull, Stopped
+from algorithms.experiments.jobs import Job, JobFailed, JobOutcome, describe, perform
 from algorithms.experiments.run_directory import InUse, Run
-from algorithms.experiments.training import DiskFull, Stopped
 
-POLL = 0.25  # s
+POLL = 0.25  # s between checks for finished jobs
 BUSY = 2.0  # s after which a run that another process holds is tried again
 DIED = "its worker process died (out of memory, or killed)"
 
 
-def _perform(packed: dict[str, Any]) -> Outcome:
-    """:func:`perform` in a worker process; its errors travel."""
+def _perform(packed: dict[str, Any]) -> JobOutcome:
+    """:func:`perform` in a worker process; its errors can be sent to the parent."""
     try:
         outcome = perform(Job.unpack(packed))
     except (InUse, Stopped):
         raise
     except Exception as error:
-        raise Failed(describe(error)) from None
+        raise JobFailed(describe(error)) from None
     if outcome == "stopped":
-        os._exit(130)  # everything is saved; a worker that lived on would take the next job
+        os._exit(130)  # everything is saved; otherwise this worker would take the next job
     return outcome
 
 
 def _begin_worker() -> None:
-    """Make a worker obey its parent alone: SIGTERM stops it, and so does the parent's end.
+    """Leave the handling of signals to the parent: a worker stops at SIGTERM and when the parent ends.
 
     Batch systems send their signals to every process of a job.
     """
@@ -60,7 +60,7 @@ def _end_with_parent() -> None:
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Processes that begin in the context never see Ctrl-C; this one sees it afterwards."""
+    """Hold back Ctrl-C in the context: processes started in it never receive it, this one receives it afterwards."""
     if os.name != "posix":
         yield
         return
@@ -72,11 +72,11 @@ def _interrupts_held() -> Iterator[None]:
 
 
 class _Workers:
-    """Worker processes that each take one job at a time; the death of one leaves the others alone."""
+    """Worker processes that each take one job at a time; if one dies, the others continue."""
 
     def __init__(self, count: int):
         self._idle = [self._executor() for _ in range(count)]
-        self._busy: dict[Future[Outcome], tuple[ProcessPoolExecutor, Job]] = {}
+        self._busy: dict[Future[JobOutcome], tuple[ProcessPoolExecutor, Job]] = {}
 
     @staticmethod
     def _executor() -> ProcessPoolExecutor:
@@ -84,22 +84,22 @@ class _Workers:
 
     @property
     def free(self) -> bool:
-        """Whether a worker waits for a job."""
+        """Whether a worker is idle."""
         return bool(self._idle)
 
     @property
     def busy(self) -> bool:
-        """Whether a job is going on."""
+        """Whether a job is running."""
         return bool(self._busy)
 
     def start(self, job: Job) -> None:
-        """Give a job to a free worker."""
+        """Give a job to an idle worker."""
         executor = self._idle.pop()
         with _interrupts_held():
             self._busy[executor.submit(_perform, job.packed())] = executor, job
 
     def ended(self, timeout: float) -> list[tuple[Job, BaseException | None]]:
-        """The jobs that end within ``timeout`` seconds, each with its error."""
+        """The jobs that end within ``timeout`` seconds, each with its error or None."""
         done, _ = wait(self._busy, timeout, FIRST_COMPLETED)
         found = []
         for future in done:
@@ -113,7 +113,7 @@ class _Workers:
         return found
 
     def close(self) -> None:
-        """Stop what is going on, which saves it, and end the workers."""
+        """Stop the running jobs, which save their checkpoints, and end the workers."""
         if self._busy:
             for process in multiprocessing.active_children():
                 process.terminate()  # SIGTERM, at which training saves
@@ -124,28 +124,28 @@ class _Workers:
 def perform_all(
     jobs: Sequence[Job],
     workers: int,
-    monitor: Dashboard,
+    dashboard: Dashboard,
     *,
     retries: int = 0,
     stop: Callable[[], bool] = lambda: False,
 ) -> dict[Job, str]:
-    """Make the runs that are missing, ``workers`` at a time, each in a worker process.
+    """Make all runs that are not finished, ``workers`` at a time, each in a worker process.
 
     Runs that other processes are making are waited for.
 
     Args:
-        jobs: those that are done are passed over.
-        workers: processes.
-        monitor: shows the progress.
-        retries: how often a run is tried again whose worker died or could not write; other errors would only repeat.
-        stop: asked several times a second; True saves what is going on and returns.
+        jobs: the runs; finished ones are skipped.
+        workers: number of processes.
+        dashboard: shows the progress.
+        retries: how often a run is repeated if its worker dies or cannot write; other errors are not retried.
+        stop: called several times a second; True saves the running jobs and returns.
 
     Returns:
         The jobs that failed, each with its error.
 
     Raises:
         ValueError: before anything starts, if a directory holds another experiment.
-        DiskFull: when there is no space left; what is going on is stopped.
+        DiskFull: if there is no space left; the running jobs are stopped first.
     """
     queue = deque(job for job in jobs if not job.done)
     failed: dict[Job, str] = {}
@@ -172,19 +172,19 @@ def perform_all(
                     queue.append(job)
                 elif error is not None:
                     died = isinstance(error, BrokenProcessPool)
-                    failed[job] = _given_up(job, attempts[job.path] + 1) if died else describe(error)
-                    monitor.failed(job, failed[job])
-            monitor.update()
+                    failed[job] = _worker_died(job, attempts[job.path] + 1) if died else describe(error)
+                    dashboard.failed(job, failed[job])
+            dashboard.update()
     finally:
         pool.close()
-        monitor.update(now=True)
+        dashboard.update(now=True)
     return failed
 
 
-def _given_up(job: Job, attempts: int) -> str:
-    """Note in its directory that a run's worker died; the reason."""
+def _worker_died(job: Job, attempts: int) -> str:
+    """Write to a run's directory that its worker died; returns the reason."""
     reason = DIED + (f", {attempts} times" if attempts > 1 else "")
-    with contextlib.suppress(ValueError, OSError):  # it may have died before there was a directory
+    with contextlib.suppress(ValueError, OSError):  # it may have died before the directory existed
         run = Run.open(job.path)
         run.set_status("failed", run.status.get("step", 0), reason)
     return reason

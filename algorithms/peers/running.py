@@ -13,24 +13,19 @@ from rich.console import Console
 
 from algorithms.agent import Log
 from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front
+from algorithms.experiments.agent_report import attempt_film, film
+from algorithms.experiments.build import check_reference_point, make_environment
 from algorithms.experiments.config import Experiment
-from algorithms.experiments.loggers import FrontsFile, Logger
+from algorithms.experiments.loggers import Logger
+from algorithms.experiments.policy_evaluation import FRONT_EPISODES, POLICIES, evaluate_policies, evaluation_env
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import (
-    FRONT_EPISODES,
-    POLICIES,
-    attempt_film,
-    evaluate_policies,
-    evaluation_env,
-    film,
-    make,
-)
 from algorithms.peers import PEERS
 from algorithms.peers.environment import Recorder
 from algorithms.peers.task import Policies, Task
-from algorithms.reporting.front_report import check_reference_point, film_front, report_front
+from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.learning_curves import load_groups, plot
 from algorithms.reporting.tables import table, write
 from mo_deepdrive.config import parse
@@ -54,10 +49,10 @@ def prepare(experiment: Experiment, log: Log) -> Task:
     obstacle = peer.obstacle()
     if obstacle is not None:
         raise ValueError(f"algorithm {name!r} cannot run here: {obstacle}; see docs/peers.md")
-    worlds = EnvAdapter(make(settings, 1))
+    worlds = EnvAdapter(make_environment(settings, 1))
     utility = None
     if experiment.utility is None:
-        check_reference_point(experiment, worlds.objectives)
+        check_reference_point(experiment.evaluation.reference_point, worlds.objectives)
     else:
         chosen = experiment.utility
         utility = make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments)

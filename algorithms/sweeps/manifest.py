@@ -13,9 +13,9 @@ from typing import Any
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment, override
-from algorithms.experiments.jobs import FREE, Job
-from algorithms.experiments.training import build
+from algorithms.experiments.jobs import NOT_COMPARED, Job
 from algorithms.sweeps.search import Scores, propose
 from algorithms.sweeps.settings import SweepSettings
 
@@ -68,7 +68,7 @@ def run_id(config: Mapping[str, Any]) -> str:
     Where it runs (device, threads) and what it logs are left out, for they do not change what comes out.
     """
     counted = copy.deepcopy(dict(config))
-    for key in FREE:
+    for key in NOT_COMPARED:
         *sections, last = key.split(".")
         place = counted
         for section in sections:

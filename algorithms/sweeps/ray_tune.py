@@ -16,11 +16,11 @@ import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
+from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, describe, perform
-from algorithms.experiments.loggers import read_metrics
 from algorithms.experiments.run_directory import InUse, Run, read_status
-from algorithms.experiments.training import DiskFull, Stopped
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.scores import final_metrics

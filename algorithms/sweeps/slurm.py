@@ -20,9 +20,9 @@ from rich.console import Console
 
 from algorithms.common.atomic_io import write_json
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import read_status
-from algorithms.experiments.training import Stopped
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.settings import SweepSettings

@@ -14,9 +14,9 @@ from algorithms.common.atomic_io import atomic_write, write_json
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.yaml_io import dump
 from algorithms.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
+from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 
 ABOUT = "about.json"
 FILES = {zoo.CONFIG, zoo.CHECKPOINT, ABOUT, FRONT_FILE, EVALUATION_FILE}

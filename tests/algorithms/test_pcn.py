@@ -25,8 +25,8 @@ from algorithms.common.episode_buffer import Episode
 from algorithms.common.pareto import hypervolume, indicators, non_dominated
 from algorithms.evaluation.evaluate import evaluate
 from algorithms.evaluation.front import Front
+from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.training import build
 from algorithms.pcn import CommandPolicy
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded
 

@@ -19,14 +19,9 @@ SEED = 1_000_000
 
 
 @pytest.fixture(scope="module")
-def ceiling(repository: Path) -> ModuleType:
+def ceiling(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    spec = importlib.util.spec_from_file_location("ceiling", repository / "scripts" / "ceiling.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("ceiling")
 
 
 def test_every_solution_arrives_and_two_runs_agree(

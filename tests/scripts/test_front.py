@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -24,14 +25,9 @@ RUN = "one_waypoint_linear-a2c-printed"  # in the zoo
 
 
 @pytest.fixture(scope="module")
-def front(repository: Path) -> ModuleType:
+def front(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    spec = importlib.util.spec_from_file_location("front", repository / "scripts" / "front.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("front")
 
 
 @pytest.fixture

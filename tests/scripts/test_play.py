@@ -14,7 +14,7 @@ import pytest
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
+from algorithms.experiments.build import build
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
@@ -48,13 +48,8 @@ PRESS, RELEASE = pygame.KEYDOWN, pygame.KEYUP
 
 
 @pytest.fixture(scope="module")
-def play(repository: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("play", repository / "scripts" / "play.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def play(load_script: Callable[[str], ModuleType]) -> ModuleType:
+    return load_script("play")
 
 
 @pytest.fixture

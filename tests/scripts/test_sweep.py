@@ -25,7 +25,6 @@ from tests.helpers.sweep_files import (
     eventually,
     forked_workers,
     interrupt,
-    load_script,
     run_sweep,
     runs,
     small_disk,
@@ -45,11 +44,11 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
 
 @pytest.fixture(scope="module")
-def script(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def script(load_script: Callable[[str], Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The command line, whose workers are forks: this process has done what they do, so that they begin at once."""
     perform(job(tmp_path_factory.mktemp("warm")))
     with forked_workers():
-        yield load_script()
+        yield load_script("sweep")
 
 
 @pytest.fixture
@@ -287,7 +286,7 @@ def test_a_device_that_is_not_here_fails_the_runs_and_says_so(call: Call, tmp_pa
     file = write_sweep(tmp_path, grid={}, overrides={"training.device": "cuda:99"})
     code, out, _ = call(file, "--output", "sweep")
     assert code == 1
-    assert "training.device = 'cuda:99' is not there" in failures(out)
+    assert "training.device = 'cuda:99' does not exist" in failures(out)
     assert not (tmp_path / "sweep" / "runs").exists()
 
 

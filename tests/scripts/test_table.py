@@ -5,20 +5,25 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.run_directory import Run
 from tests.helpers.paths import REPOSITORY
 
 ROOT = REPOSITORY
-sys.path.insert(0, str(ROOT / "scripts"))
+table: Any = None  # the script
 
-import table  # noqa: E402  (a script)
 
-from algorithms.experiments.config import load_experiment  # noqa: E402
-from algorithms.experiments.run_directory import Run  # noqa: E402
+@pytest.fixture(autouse=True, scope="module")
+def _load_table(load_script: Callable[[str], Any]) -> None:
+    global table
+    table = load_script("table")
 
 
 def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> Path:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import mo_deepdrive
-from algorithms.common.yaml_io import dump, read_mapping, read_value
+from algorithms.common.yaml_io import dump
+from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment, make_experiment, parse_overrides
-from algorithms.experiments.training import build
 from algorithms.peers import PEERS
 
 TEXT = """
@@ -63,7 +62,7 @@ def test_every_default_is_filled_in(write: Write) -> None:
     assert experiment.hyperparameters["gamma"] == 0.99
 
 
-def test_a_vehicle_may_have_a_utility_of_its_own(write: Write) -> None:
+def test_a_vehicle_can_have_a_different_utility(write: Write) -> None:
     override = "--utility.vehicles.vehicle_1={name: linear, arguments: {weights: [1, 0, 0, 0]}}"
     utility = load_experiment(write(TEXT), [override]).utility
     assert utility.of_vehicle(0) is utility
@@ -90,31 +89,7 @@ def test_the_committed_configs_are_valid(repository: Path) -> None:
         load_experiment(path)
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("3e-4", 3e-4),
-        ("1e6", 1e6),
-        ("-2.5E+3", -2500.0),
-        (".5", 0.5),
-        ("1_000", 1000),
-        ("7", 7),
-        ("true", True),
-        ("None", None),
-        ("null", None),
-        ("[1, 2e-1]", [1, 0.2]),
-        ("{'a': 1}", {"a": 1}),
-        ("'3e-4'", "3e-4"),
-        ("e5", "e5"),
-    ],
-)
-def test_values_are_read_as_people_and_sweep_agents_write_them(text: str, value: Any) -> None:
-    found = read_value(text)
-    assert found == value
-    assert type(found) is type(value)
-
-
-def test_overrides_take_every_form() -> None:
+def test_overrides_are_parsed_in_every_form() -> None:
     arguments = ["--algorithm.learning_rate=3e-4", "--seed", "3", "--device=cpu", "--environment.arguments.a", "-1"]
     assert parse_overrides(arguments) == [
         ("algorithm.learning_rate", 3e-4),
@@ -155,7 +130,7 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
         ("--training.seed=-1", ["training.seed", "greater than or equal to 0"]),
         ("--training.seed=true", ["training.seed", "True", "integer"]),
         ("--training.device=abacus", ["training.device", "abacus", "cpu, cuda"]),
-        ("--training.device=cuda:99", ["training.device", "cuda:99", "not there"]),
+        ("--training.device=cuda:99", ["training.device", "cuda:99", "does not exist"]),
         ("--evaluation.gamma=1.1", ["evaluation.gamma", "less than or equal to 1"]),
         ("--utility=linear", ["utility", "'linear'"]),
         ("--logging.wandb.projct=x", ["projct", "did you mean 'project'"]),
@@ -165,7 +140,7 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
         ("--training.seed.x.y=1", ["training.seed"]),
     ],
 )
-def test_what_is_wrong_is_named_with_what_is_allowed(write: Write, override: str, messages: list[str]) -> None:
+def test_invalid_values_are_named_with_what_is_allowed(write: Write, override: str, messages: list[str]) -> None:
     path = write(TEXT + "  seed: 1\n")
     with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
         load_experiment(path, [override])
@@ -184,7 +159,7 @@ def test_what_is_wrong_is_named_with_what_is_allowed(write: Write, override: str
         (["--algorithm=[1,"], "--algorithm: '[1,' is not a valid value"),
     ],
 )
-def test_arguments_of_another_form_are_refused(arguments: list[str], message: str) -> None:
+def test_malformed_arguments_are_refused(arguments: list[str], message: str) -> None:
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         parse_overrides(arguments)
     assert message in str(caught.value)
@@ -228,17 +203,10 @@ def test_missing_and_unreadable_files_are_refused_by_name(tmp_path: Path) -> Non
         load_experiment(tmp_path / "binary.yaml")
 
 
-def test_a_written_mapping_reads_back_equal(tmp_path: Path) -> None:
-    values = {"a": "3e-4", "b": 3e-4, "c": [1, 2.5, "1e3"], "d": {"e": None, "f": {}}, "g": 1e22, "h": "yes", "i": "é"}
-    path = tmp_path / "values.yaml"
-    path.write_text(dump(values))
-    assert read_mapping(path) == values
-
-
 # Algorithms that learn a front.
 
 
-def test_an_algorithm_has_a_utility_where_it_needs_one_and_none_where_it_does_not(write: Write) -> None:
+def test_a_utility_is_required_or_refused_depending_on_the_algorithm(write: Write) -> None:
     assert load_experiment(write(TEXT)).known_utility is True
     found = load_experiment(write(FRONT))
     assert found.known_utility is False
@@ -253,7 +221,7 @@ def test_an_algorithm_has_a_utility_where_it_needs_one_and_none_where_it_does_no
 @pytest.mark.parametrize("gamma", [0.99, 1.0])
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "intersection"])
-def test_our_environments_have_an_agreed_reference_point(
+def test_our_environments_have_a_default_reference_point(
     write: Write, scenario: str, action_type: str, gamma: float
 ) -> None:
     overrides = [
@@ -275,9 +243,9 @@ def test_the_reference_point_has_the_chosen_objectives_in_their_order(write: Wri
     assert found == [by_name["jerk"], by_name["distance"]]
 
 
-def test_a_reference_point_that_is_given_is_kept(write: Write) -> None:
+def test_a_given_reference_point_is_used(write: Write) -> None:
     point = [-3.0, -0.5, -20.0, -900.0]
-    for gamma in (0.99, 0.5):  # for the second none is agreed
+    for gamma in (0.99, 0.5):  # there is no default for the second
         overrides = [f"--evaluation.reference_point={point}", f"--evaluation.gamma={gamma}"]
         experiment = load_experiment(write(FRONT), overrides)
         assert experiment.evaluation.reference_point == point
@@ -318,9 +286,7 @@ def test_a_reference_point_of_another_length_is_refused_before_training(
         ("--algorithm.crowdin=1", ["did you mean 'crowding'?"]),
     ],
 )
-def test_what_is_wrong_with_the_experiment_of_a_front_is_named(
-    write: Write, override: str, messages: list[str]
-) -> None:
+def test_invalid_settings_of_a_front_are_named(write: Write, override: str, messages: list[str]) -> None:
     with pytest.raises(ValueError) as caught:  # noqa: PT011  (the message is looked at below)
         load_experiment(write(FRONT), [override])
     for message in messages:
@@ -334,7 +300,7 @@ def test_a_front_of_costs_as_magnitudes_is_refused_whatever_the_reference_point(
 
 
 @pytest.mark.parametrize("name", sorted(PEERS))
-def test_the_peers_are_known_by_name_but_none_of_our_agents(write: Write, name: str) -> None:
+def test_peers_are_known_by_name_but_cannot_be_built(write: Write, name: str) -> None:
     known = PEERS[name].known_utility
     overrides = [f"--algorithm.name={name}", *(["--utility.name=one_waypoint_linear"] if known else [])]
     experiment = load_experiment(write(FRONT), overrides)

@@ -1,4 +1,4 @@
-"""The monitor of many runs: what it counts, how long it thinks it takes, and how seldom it says so."""
+"""The dashboard: the counts of runs by state, the time left, and how often it prints."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEPS = 960  # of each run
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """A clock that is advanced by hand."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -34,19 +34,19 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """The monitor's clock."""
+    """The dashboard's clock."""
     made = Clock()
     monkeypatch.setattr(module, "monotonic", made)
     return made
 
 
 def jobs(folder: Path, count: int) -> list[Job]:
-    """Runs that have not begun."""
+    """Runs that have not been started."""
     return [job(folder, seed) for seed in range(count)]
 
 
 def put(wanted: Job, state: str, step: int = 0) -> None:
-    """Say in a run's directory how far it is."""
+    """Write the status of a run to its directory."""
     wanted.path.mkdir(parents=True, exist_ok=True)
     (wanted.path / "status.json").write_text(json.dumps({"state": state, "step": step}))
 
@@ -57,12 +57,12 @@ def counts(wanted: list[Job]) -> dict[str, int]:
 
 
 def terminal() -> Console:
-    """A terminal that keeps what is printed."""
+    """A terminal that stores what is printed."""
     return Console(force_terminal=True, file=io.StringIO(), width=100)
 
 
 def shown(console: Console) -> list[str]:
-    """The lines that a console was told, without colours and movements of the cursor."""
+    """The lines printed to a console, without colours and cursor movements."""
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", printed(console)).replace("\r", "\n").splitlines()
 
 
@@ -74,59 +74,59 @@ def test_runs_are_counted_by_their_states(tmp_path: Path) -> None:
     states = ["finished", "finished", "pruned", "failed", "running", "trained", "interrupted"]
     for each, state in zip(wanted, states, strict=False):
         put(each, state)
-    wanted[8].path.mkdir()  # begun, but without a status
+    wanted[8].path.mkdir()  # started, but without a status
     expected = {"done": 2, "pruned": 1, "failed": 1, "running": 2, "interrupted": 1, "waiting": 2}
     assert counts(wanted) == expected
     summary = Dashboard(wanted, quiet()).summary()
     assert summary == "2 done, 2 running, 1 failed, 2 waiting, 1 interrupted, 1 pruned of 9"
 
 
-def test_states_that_are_rare_are_only_named_where_they_are(tmp_path: Path) -> None:
+def test_rare_states_are_only_listed_where_they_occur(tmp_path: Path) -> None:
     assert Dashboard(jobs(tmp_path, 3), quiet()).summary() == "0 done, 0 running, 0 failed, 3 waiting of 3"
 
 
-def test_a_run_that_was_given_up_counts_as_failed_whatever_its_directory_says(tmp_path: Path) -> None:
+def test_a_run_reported_as_failed_counts_as_failed_whatever_its_directory_says(tmp_path: Path) -> None:
     wanted = jobs(tmp_path, 2)
     put(wanted[0], "running", 96)
-    monitor = Dashboard(wanted, quiet())
-    monitor.failed(wanted[0], "the reason")
-    assert monitor.counts == {"failed": 1, "waiting": 1}
+    dashboard = Dashboard(wanted, quiet())
+    dashboard.failed(wanted[0], "the reason")
+    assert dashboard.counts == {"failed": 1, "waiting": 1}
 
 
-def test_what_changes_is_seen_at_the_next_update(tmp_path: Path, clock: Clock) -> None:
+def test_changes_are_shown_at_the_next_update(tmp_path: Path, clock: Clock) -> None:
     wanted = jobs(tmp_path, 2)
-    monitor = Dashboard(wanted, quiet())
+    dashboard = Dashboard(wanted, quiet())
     put(wanted[0], "running", 96)
-    assert monitor.counts == {"waiting": 2}
-    monitor.update()
-    assert monitor.counts == {"running": 1, "waiting": 1}
+    assert dashboard.counts == {"waiting": 2}
+    dashboard.update()
+    assert dashboard.counts == {"running": 1, "waiting": 1}
     put(wanted[0], "finished", STEPS)
     clock.now += 0.9
-    monitor.update()
-    assert monitor.counts == {"running": 1, "waiting": 1}
+    dashboard.update()
+    assert dashboard.counts == {"running": 1, "waiting": 1}
     clock.now += 0.2
-    monitor.update()
-    assert monitor.counts == {"done": 1, "waiting": 1}
+    dashboard.update()
+    assert dashboard.counts == {"done": 1, "waiting": 1}
     put(wanted[1], "pruned", 96)
-    monitor.update(now=True)
-    assert monitor.counts == {"done": 1, "pruned": 1}
+    dashboard.update(now=True)
+    assert dashboard.counts == {"done": 1, "pruned": 1}
 
 
-def test_what_has_ended_is_not_read_again(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_that_have_ended_are_not_read_again(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = jobs(tmp_path, 4)
     for each, state in zip(wanted, ("finished", "pruned", "interrupted"), strict=False):
         put(each, state, 96)
-    monitor = Dashboard(wanted, quiet())
+    dashboard = Dashboard(wanted, quiet())
     read: list[Path] = []
     monkeypatch.setattr(module, "read_status", lambda path: read.append(path) or {})
-    monitor.update(now=True)
+    dashboard.update(now=True)
     assert read == [wanted[2].path, wanted[3].path]
 
 
 def test_reading_many_directories_takes_little_of_the_time(
     tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monitor = Dashboard(jobs(tmp_path, 4), quiet())
+    dashboard = Dashboard(jobs(tmp_path, 4), quiet())
     read: list[Path] = []
 
     def slowly(path: Path) -> dict[str, Any]:
@@ -138,42 +138,42 @@ def test_reading_many_directories_takes_little_of_the_time(
     began = clock.now
     while clock.now < began + 400:
         clock.now += 0.25
-        monitor.update()
+        dashboard.update()
     assert 0.02 < 0.5 * len(read) / 400 <= 0.06
 
 
-def test_the_time_left_goes_on_as_it_went(tmp_path: Path, clock: Clock) -> None:
+def test_the_time_left_is_extrapolated_from_the_steps_so_far(tmp_path: Path, clock: Clock) -> None:
     wanted = jobs(tmp_path, 4)
-    put(wanted[0], "interrupted", 480)  # before the monitor began
-    monitor = Dashboard(wanted, quiet())
-    assert monitor.seconds_left is None
+    put(wanted[0], "interrupted", 480)  # before the dashboard started
+    dashboard = Dashboard(wanted, quiet())
+    assert dashboard.seconds_left is None
     clock.now += 10
-    monitor.update()
-    assert monitor.seconds_left is None
+    dashboard.update()
+    assert dashboard.seconds_left is None
     put(wanted[0], "finished", STEPS)
     put(wanted[1], "running", 480)
     clock.now += 10
-    monitor.update()
-    assert monitor.seconds_left == pytest.approx(20 * (4 * STEPS - STEPS - 480) / 960)
-    assert monitor.summary() == "1 done, 1 running, 0 failed, 2 waiting of 4, 0:00:50 left"
+    dashboard.update()
+    assert dashboard.seconds_left == pytest.approx(20 * (4 * STEPS - STEPS - 480) / 960)
+    assert dashboard.summary() == "1 done, 1 running, 0 failed, 2 waiting of 4, 0:00:50 left"
     for each in wanted:
         put(each, "finished", STEPS)
     clock.now += 3600
-    monitor.update()
-    assert monitor.seconds_left == 0
-    assert monitor.summary() == "4 done, 0 running, 0 failed, 0 waiting of 4"
+    dashboard.update()
+    assert dashboard.seconds_left == 0
+    assert dashboard.summary() == "4 done, 0 running, 0 failed, 0 waiting of 4"
 
 
 def test_a_run_that_ended_early_needs_no_more_time(tmp_path: Path, clock: Clock) -> None:
     wanted = jobs(tmp_path, 4)
-    monitor = Dashboard(wanted, quiet())
+    dashboard = Dashboard(wanted, quiet())
     put(wanted[0], "finished", STEPS)
     put(wanted[1], "pruned", 96)
     put(wanted[2], "running", 2 * STEPS)  # the last update may go beyond the end
-    monitor.failed(wanted[3], "the reason")
+    dashboard.failed(wanted[3], "the reason")
     clock.now += 10
-    monitor.update()
-    assert monitor.seconds_left == 0
+    dashboard.update()
+    assert dashboard.seconds_left == 0
 
 
 STATUS = json.dumps({"state": "running", "step": 96, "total_timesteps": STEPS, "seconds": 1.5}, indent=2) + "\n"
@@ -199,9 +199,9 @@ def test_a_torn_status_counts_as_waiting(torn: Job, length: int) -> None:
 @pytest.mark.parametrize("garbage", [b"\xff\xfe\x80", b"[]"], ids=["bytes", "list"])
 def test_a_status_that_is_something_else_counts_as_waiting(torn: Job, garbage: bytes) -> None:
     (torn.path / "status.json").write_bytes(garbage)
-    monitor = Dashboard([torn], quiet())
-    monitor.update(now=True)
-    assert monitor.counts == {"waiting": 1}
+    dashboard = Dashboard([torn], quiet())
+    dashboard.update(now=True)
+    assert dashboard.counts == {"waiting": 1}
 
 
 def test_a_status_that_is_a_directory_counts_as_waiting(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_a_status_that_is_a_directory_counts_as_waiting(tmp_path: Path) -> None:
 
 
 def lines_of(console: Console, title: str) -> list[str]:
-    """The lines that begin with the title."""
+    """The lines that start with the title."""
     return [line for line in printed(console).splitlines() if line.startswith(f"{title}: ")]
 
 
@@ -223,17 +223,17 @@ def test_without_a_terminal_there_is_a_line_every_fifteen_seconds_and_one_at_the
 ) -> None:
     wanted = jobs(tmp_path, 2)
     console = quiet()
-    with Dashboard(wanted, console, "sweep") as monitor:
+    with Dashboard(wanted, console, "sweep") as dashboard:
         began, times, said = clock.now, [], 0
         while clock.now < began + 62:
             clock.now += 0.25
-            monitor.update()
+            dashboard.update()
             if len(lines_of(console, "sweep")) > said:
                 said += 1
                 times.append(clock.now - began)
         for each in wanted:
             put(each, "finished", STEPS)
-        monitor.update(now=True)
+        dashboard.update(now=True)
     assert len(times) == said == 4
     assert all(15 <= later - earlier <= 16.5 for earlier, later in zip([0, *times], times, strict=False))
     assert printed(console).splitlines() == lines_of(console, "sweep")
@@ -241,10 +241,10 @@ def test_without_a_terminal_there_is_a_line_every_fifteen_seconds_and_one_at_the
     assert lines_of(console, "sweep")[-1] == "sweep: 2 done, 0 running, 0 failed, 0 waiting of 2"
 
 
-def test_without_runs_nothing_is_said(clock: Clock) -> None:
+def test_without_runs_nothing_is_printed(clock: Clock) -> None:
     console = quiet()
-    with Dashboard([], console) as monitor:
-        monitor.update(now=True)
+    with Dashboard([], console) as dashboard:
+        dashboard.update(now=True)
     assert printed(console) == ""
 
 
@@ -256,28 +256,26 @@ def test_a_failed_run_is_printed_once_with_its_reason(
     wanted = jobs(tmp_path, 3)
     console = make()
     reason = "a long reason with [brackets] and a number 3.14, " + "and more words " * 12 + "to the end"
-    with Dashboard(wanted, console) as monitor:
-        monitor.failed(wanted[1], reason)
+    with Dashboard(wanted, console) as dashboard:
+        dashboard.failed(wanted[1], reason)
         for _ in range(5):
             clock.now += 20
-            monitor.update()
+            dashboard.update()
     assert shown(console).count(f"FAILED seed 1: {reason}") == 1
     assert printed(console).count("FAILED") == 1
     assert any("0 done, 0 running, 1 failed, 2 waiting of 3" in line for line in shown(console)[-3:])
 
 
-def test_a_terminal_shows_the_runs_that_are_going_on(
-    tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_shows_the_running_runs(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     wanted = jobs(tmp_path, 4)
     put(wanted[0], "finished", STEPS)
     console = terminal()
-    with Dashboard(wanted, console, "my sweep") as monitor:
+    with Dashboard(wanted, console, "my sweep") as dashboard:
         put(wanted[1], "running", STEPS // 4)
         put(wanted[2], "trained", STEPS)
         clock.now += 2
-        monitor.update()
+        dashboard.update()
         seen = shown(console)
         put(wanted[1], "interrupted", STEPS // 2)
         put(wanted[2], "finished", STEPS)
@@ -299,8 +297,8 @@ def test_a_terminal_shows_a_dozen_runs_and_counts_the_others(
     for each in wanted:
         put(each, "running", 96)
     console = terminal()
-    with Dashboard(wanted, console) as monitor:
-        monitor.update()
+    with Dashboard(wanted, console) as dashboard:
+        dashboard.update()
         seen = shown(console)
     assert [line.split()[-1] for line in seen if "seed" in line] == [str(seed) for seed in range(MOST_ROWS)]
     assert [line for line in seen if "more" in line] == ([f"and {count - MOST_ROWS} more"] if count > MOST_ROWS else [])

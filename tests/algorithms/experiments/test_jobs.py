@@ -1,4 +1,4 @@
-"""Jobs: runs are made once, gone on with where they were stopped, and never mixed up."""
+"""Jobs: runs are made once, resumed where they were stopped, and never mixed up."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from algorithms.experiments.worker_pool import perform_all
 from tests.helpers.short_runs import job, quiet
 
 
-def test_a_job_is_trained_and_evaluated_without_pictures_and_then_left_alone(tmp_path: Path) -> None:
+def test_a_job_is_trained_and_evaluated_once_without_figures(tmp_path: Path) -> None:
     wanted = job(tmp_path)
     assert not wanted.done
     assert perform(wanted) == "trained"
@@ -36,7 +36,7 @@ def test_a_directory_with_another_experiment_is_refused_before_anything_starts(t
     assert not fresh.path.exists()
 
 
-def test_where_a_run_is_made_does_not_make_it_another(tmp_path: Path) -> None:
+def test_device_threads_and_logging_are_not_compared(tmp_path: Path) -> None:
     first, second = job(tmp_path, threads=1).experiment.to_dict(), job(tmp_path, threads=2).experiment.to_dict()
     second["logging"]["interval"] = 77
     assert differences(first, second) == []
@@ -44,7 +44,7 @@ def test_where_a_run_is_made_does_not_make_it_another(tmp_path: Path) -> None:
     assert differences(first, second) == ["algorithm.gamma = 0.99 there, 0.5 wanted"]
 
 
-def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_begun(
+def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WANDB_MODE", "offline")
@@ -61,7 +61,7 @@ def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_begun(
     assert (wanted.path / "wandb_id").read_text() == "0123456789ab\n"
 
 
-def test_what_a_killed_process_leaves_half_made_is_made_anew(tmp_path: Path) -> None:
+def test_what_a_killed_process_leaves_incomplete_is_made_again(tmp_path: Path) -> None:
     wanted = job(tmp_path)
     wanted.path.mkdir()
     for name in (".lock", ".config.yaml.abcdefgh.tmp", "versions.json", "status.json"):

@@ -1,4 +1,4 @@
-"""Several runs at a time: each once, gone on with after a death, an interrupt or a full disk, and never torn."""
+"""Several runs at a time: each is made once, resumed after a crash, an interrupt or a full disk, and never torn."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import pytest
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import DiskFull
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
-from algorithms.experiments.training import DiskFull
 from algorithms.experiments.worker_pool import DIED, perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
 
@@ -33,7 +33,7 @@ def make(jobs: list[Job], workers: int = 1, **options: object) -> dict[Job, str]
 def eventually(condition: Callable[[], bool], seconds: float = 120.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, "it did not come to that"
+        assert time.monotonic() < deadline, "the condition was never met"
         time.sleep(0.02)
 
 
@@ -41,7 +41,7 @@ def saved(wanted: Job) -> bool:
     return read_status(wanted.path).get("step", 0) > 0
 
 
-def test_several_jobs_give_what_each_alone_gives_and_are_left_alone_afterwards(tmp_path: Path) -> None:
+def test_jobs_in_parallel_give_the_same_runs_as_alone_and_are_not_repeated(tmp_path: Path) -> None:
     together = [job(tmp_path / "together", seed) for seed in (0, 1, 2)]
     assert make(together, 2) == {}
     alone = job(tmp_path / "alone", 1)
@@ -60,11 +60,11 @@ def test_a_job_that_fails_is_named_and_the_others_are_made(tmp_path: Path) -> No
     failed = perform_all([bad, good], 1, Dashboard([bad, good], console), retries=2)
     assert "is not empty" in failed.pop(bad)
     assert not failed
-    assert printed(console).count("FAILED seed 1: ") == 1  # an error that would only repeat itself is not tried again
+    assert printed(console).count("FAILED seed 1: ") == 1  # such an error is not retried
     assert good.done
 
 
-def test_a_stop_saves_what_is_going_on_and_begins_nothing_else(tmp_path: Path) -> None:
+def test_a_stop_saves_the_running_jobs_and_starts_no_others(tmp_path: Path) -> None:
     wanted = job(tmp_path / "stopped", **LONG)
     waiting = [job(tmp_path / "waiting", seed) for seed in (1, 2, 3)]
     assert make([wanted, *waiting], stop=lambda: saved(wanted)) == {}
@@ -77,7 +77,7 @@ def test_a_stop_saves_what_is_going_on_and_begins_nothing_else(tmp_path: Path) -
     assert_same_run(wanted.path, whole.path)
 
 
-def test_a_killed_worker_costs_the_others_nothing_and_its_run_goes_on(tmp_path: Path) -> None:
+def test_a_killed_worker_does_not_affect_the_others_and_its_run_is_resumed(tmp_path: Path) -> None:
     first, second = job(tmp_path, 0, **LONG), job(tmp_path, 1, **LONG)
     killed: list[int] = []
 
@@ -96,9 +96,7 @@ def test_a_killed_worker_costs_the_others_nothing_and_its_run_goes_on(tmp_path: 
         assert_whole(wanted.path)
 
 
-def test_a_run_whose_worker_always_dies_is_given_up_with_a_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_whose_worker_always_dies_fails_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "deadly.py").write_text(
         "import multiprocessing, os, signal\n"
         "def utility(returns):\n"
@@ -141,7 +139,7 @@ def test_a_full_disk_stops_everything(tmp_path: Path, monkeypatch: pytest.Monkey
     assert all(wanted.done for wanted in jobs)
 
 
-def test_a_run_that_another_process_makes_is_waited_for(tmp_path: Path) -> None:
+def test_a_run_that_another_process_holds_is_waited_for(tmp_path: Path) -> None:
     taken, free = job(tmp_path, 0), job(tmp_path, 1)
     holder = Run.create(taken.experiment, taken.path)
     seen: list[bool] = []
@@ -180,7 +178,7 @@ def lockable(run: Run) -> bool:
     return True
 
 
-def test_workers_killed_at_random_lose_nothing_and_make_nothing_twice(tmp_path: Path) -> None:
+def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path) -> None:
     jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(50)]
     generator = random.Random(0)
     kills = 0

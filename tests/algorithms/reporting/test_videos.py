@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
+from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.experiments.training import build
 from algorithms.reporting.videos import HOLD, record, writing
 from mo_deepdrive.actions import action_names
 

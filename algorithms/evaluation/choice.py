@@ -1,0 +1,81 @@
+"""Choosing a policy of a front by a preference: weights, a utility, or a target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.utilities import Utility
+
+
+@dataclass(frozen=True)
+class Preference:
+    """What to maximise over the policies of a front.
+
+    Attributes:
+        name: of the value, for tables.
+        values: from returns (K, E, d) of E episodes of each of K policies to the values (K,) of the policies.
+    """
+
+    name: str
+    values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> Preference:
+    """Prefer the greatest weighted sum of mean returns.
+
+    Args:
+        weights: weight per objective; objectives that are not named have weight 0.
+        objectives: names of the d objectives, in the order of the returns.
+
+    Raises:
+        ValueError: if a weight is negative.
+    """
+    if any(weight < 0.0 for weight in weights.values()):
+        raise ValueError(f"weights {dict(weights)}: returns are maximised, so weights must not be negative")
+    w = np.array([weights.get(name, 0.0) for name in objectives])
+    return Preference("weighted sum", lambda returns: (returns @ w).mean(axis=1))
+
+
+def expected_utility(utility: Utility) -> Preference:
+    """Prefer the greatest expected utility of the returns (the ESR criterion): the mean of the episodes' utilities."""
+    return Preference(f"expected {utility.name}", lambda returns: np.asarray(utility(returns)).mean(axis=1))
+
+
+def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> Preference:
+    """Prefer the smallest Euclidean distance by which the mean returns fall short of a target.
+
+    Args:
+        target: wanted return per objective; objectives that are not named, and returns above the target, do not count.
+        objectives: names of the d objectives, in the order of the returns.
+        scales: (d,) magnitudes by which the differences are divided.
+    """
+    wanted = np.array([target.get(name, -np.inf) for name in objectives])
+
+    def closeness(returns: NDArray[np.float64]) -> NDArray[np.float64]:
+        shortfall = np.maximum(wanted - returns.mean(axis=1), 0.0) / scales
+        return -np.asarray(np.linalg.norm(shortfall, axis=1))
+
+    return Preference("minus the distance to the target", closeness)
+
+
+def rank_policies(
+    values: NDArray[np.float64], mean_returns: NDArray[np.float64], scales: NDArray[Any]
+) -> NDArray[np.intp]:
+    """Order policies by their values, the greatest first.
+
+    Args:
+        values: (K,) values of the policies; those that differ only by rounding errors are considered equal.
+        mean_returns: (K, d); of equal values, the policy with the greater sum of mean returns comes first.
+        scales: (d,) magnitudes by which the returns are divided.
+
+    Returns:
+        (K,) indices of the policies.
+    """
+    largest = float(np.abs(values).max())
+    rounded = np.round(values / largest, 9) if largest > 0.0 else values
+    return np.lexsort((-(mean_returns / scales).sum(axis=1), -rounded))

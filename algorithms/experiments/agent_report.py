@@ -1,0 +1,118 @@
+"""Evaluate a trained agent and print, write and film the result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from algorithms.evaluation.evaluate import Policy
+from algorithms.evaluation.front import Front
+from algorithms.experiments.config import Experiment
+from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
+from algorithms.reporting.front_report import film_front, report_front
+from algorithms.reporting.tables import table, write
+from algorithms.reporting.videos import record
+
+
+def report_agent(
+    agent: Any,
+    experiment: Experiment,
+    console: Console,
+    *,
+    episodes: int,
+    seed: int,
+    title: str = "",
+    directory: Path | None = None,
+    video: Path | None = None,
+    greedy: bool = True,
+) -> bool:
+    """Evaluate an agent and print a table; write the numbers and film the policy where a path is given.
+
+    Args:
+        agent: trained; its ``step`` is reported.
+        experiment: what it was trained on.
+        console: where to print.
+        episodes: number of episodes of each policy.
+        seed: seed of the first episode.
+        title: beginning of the table's title.
+        directory: where to write evaluation.json and so on.
+        video: file of a video of the first episodes; of a front, four policies in the first episode.
+        greedy: film the greedy policy instead of the stochastic one; of a front the greedy policies are filmed.
+
+    Returns:
+        False if there should be a video and it could not be recorded, which is printed.
+
+    Raises:
+        OSError: if the numbers cannot be written.
+    """
+    if directory is not None:
+        directory.mkdir(exist_ok=True)
+    if not experiment.known_utility:
+        front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
+        report_front(experiment, front, console, directory=directory, step=agent.step)
+        return video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
+    evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
+    console.print(table(evaluations, f"{title}{episodes} episodes from seed {seed}"))
+    if directory is not None:
+        about = {"step": agent.step, "episodes": episodes, "seed": seed, "gamma": experiment.evaluation.gamma}
+        write(directory, evaluations, about)
+    return video is None or film(agent, experiment, video, console, seed=seed, greedy=greedy)
+
+
+def film(
+    policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool = True
+) -> bool:
+    """Record a video of a policy, or print why there is none.
+
+    Args:
+        policy: an agent, or anything that acts like one.
+        experiment: its environment.
+        path: the file.
+        console: where to print.
+        seed: seed of the first episode.
+        greedy: argmax or mean actions, instead of samples.
+
+    Returns:
+        Whether there is a video.
+    """
+    return attempt_film(lambda: record(policy, experiment.environment, path, seed=seed, greedy=greedy), console)
+
+
+def film_policies_of_front(
+    agent: Any,
+    front: Front,
+    experiment: Experiment,
+    path: str | Path,
+    console: Console,
+    *,
+    seed: int,
+    policies: Sequence[int] | None = None,
+) -> bool:
+    """Record a video of policies of a front side by side, or print why there is none.
+
+    Args:
+        agent: the agent that learnt the front.
+        front: its policies.
+        experiment: its environment.
+        path: the file.
+        console: where to print.
+        seed: seed of the episode.
+        policies: indices of the policies; four that cover the front if None.
+
+    Returns:
+        Whether there is a video.
+    """
+    return attempt_film(lambda: film_front(agent, front, experiment, path, seed=seed, policies=policies), console)
+
+
+def attempt_film(recording: Callable[[], object], console: Console) -> bool:
+    """Call a function that records a video, or print why it failed; returns whether there is a video."""
+    try:
+        recording()
+    except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
+        console.print(f"no video: {type(error).__name__}: {error}", markup=False, highlight=False, soft_wrap=True)
+        return False
+    return True

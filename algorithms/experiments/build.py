@@ -1,0 +1,130 @@
+"""From an experiment to its environment, its utilities and its agent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+
+from algorithms.common.checkpoints import read_checkpoint
+from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
+from algorithms.experiments.registry import agent_class
+from algorithms.experiments.run_directory import Run
+from mo_deepdrive.config import nearest
+from mo_deepdrive.utilities import Utility, make_utility
+
+
+def build(experiment: Experiment, num_envs: int | None = None) -> Any:
+    """The untrained agent of an experiment, with its training environment.
+
+    Args:
+        experiment: what to build.
+        num_envs: number of parallel environments; the experiment's if None.
+
+    Returns:
+        An instance of the algorithm's class, a subclass of :class:`algorithms.agent.Agent`.
+
+    Raises:
+        ValueError: if environment, utility and hyperparameters do not fit together.
+    """
+    algorithm = agent_class(experiment.algorithm["name"])
+    torch.set_num_threads(experiment.training.threads)
+    env = make_environment(experiment.environment, num_envs or experiment.training.num_envs)
+    adapter = EnvAdapter(env)
+    options: dict[str, Any] = {}
+    if experiment.utility is None:
+        check_reference_point(experiment.evaluation.reference_point, adapter.objectives)
+    else:
+        options["utility"] = _make_utilities(experiment.utility, adapter)
+    return algorithm(
+        env,
+        **options,
+        seed=experiment.training.seed,
+        device=experiment.training.device,
+        **experiment.hyperparameters,
+    )
+
+
+def load_policy(run: Run) -> Any:
+    """The agent of a run with its trained policy and the number of steps that it has learnt from; it cannot train.
+
+    Raises:
+        ValueError: if the agent cannot be built, or the checkpoint cannot be read or does not fit it.
+    """
+    agent = build(run.experiment, num_envs=1)
+    agent.load(run.checkpoint, policy_only=True)
+    agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
+    return agent
+
+
+def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
+    """The environment of an experiment.
+
+    Args:
+        settings: its id and arguments.
+        num_envs: number of parallel environments.
+
+    Raises:
+        ValueError: if it cannot be made with these arguments.
+    """
+    try:
+        return make_env(settings.id, num_envs, settings.arguments)
+    except ValueError:
+        raise
+    except Exception as error:
+        if is_ours(find_environment(settings.id)):
+            raise
+        # Other packages' environments may raise anything, mostly because of their arguments.
+        raise ValueError(
+            f"environment {settings.id!r} with arguments {settings.arguments} cannot be made: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+
+
+def check_reference_point(reference_point: list[float] | None, objectives: tuple[str, ...]) -> None:
+    """Check that the reference point of an experiment fits its environment.
+
+    Args:
+        reference_point: one number per objective; None for none.
+        objectives: names of the environment's objectives.
+
+    Raises:
+        ValueError: if it has another number of objectives.
+    """
+    if reference_point is not None and len(reference_point) != len(objectives):
+        raise ValueError(
+            f"evaluation.reference_point = {reference_point} needs {len(objectives)} numbers: {objectives}"
+        )
+
+
+def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
+    """One utility per vehicle, each called once for a check."""
+    vehicles = [f"vehicle_{v}" for v in range(adapter.vehicles)]
+    for name in settings.vehicles:
+        if name not in vehicles:
+            raise ValueError(f"utility.vehicles has {name!r}; {nearest(name, vehicles)}")
+    utilities = []
+    for v in range(adapter.vehicles):
+        choice = settings.of_vehicle(v)
+        utility = make_utility(choice.name, adapter.objectives, cost_sign=adapter.cost_sign, **choice.arguments)
+        _check_utility(utility)
+        utilities.append(utility)
+    return utilities
+
+
+def _check_utility(utility: Utility) -> None:
+    """Call a utility as the algorithms will, so that a user's function fails here and not after an hour."""
+    d = len(utility.objectives)
+    for returns in (np.zeros((2, d)), torch.zeros(2, d)):
+        try:
+            shape = tuple(utility(returns).shape)
+        except Exception as error:
+            raise ValueError(
+                f"utility {utility.name!r} fails on returns of shape (2, {d}) as {type(returns).__module__}: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        if shape != (2,):
+            raise ValueError(f"utility {utility.name!r} gives shape {shape} for returns of shape (2, {d}), not (2,)")

@@ -1,0 +1,185 @@
+"""What the scripts share: their arguments, the checks of these, and how they end.
+
+Nothing below ``scripts/`` reads the command line or the environment: a script passes what it has read to these
+functions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import sys
+from collections.abc import Iterator, MutableMapping, Sequence
+from pathlib import Path
+
+from algorithms.experiments.config import Experiment
+from algorithms.experiments.interrupts import Stopped
+from algorithms.experiments.run_directory import Run, default_directory
+from mo_deepdrive.config import nearest
+
+# Exit codes: an error while running, invalid input (as argparse), and Ctrl-C (as shells count it, 128 + SIGINT).
+FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
+SEEDS = range(2**31)  # of evaluation episodes
+
+
+def prepare_process(environment: MutableMapping[str, str], path: list[str]) -> None:
+    """Make a script ready: videos are rendered without a display, and modules of the user can be imported.
+
+    Args:
+        environment: ``os.environ``; SDL's drivers are set unless the user has chosen others.
+        path: ``sys.path``; the working directory, where a user's own utility may be, is added to its end.
+    """
+    environment.setdefault("SDL_VIDEODRIVER", "dummy")
+    environment.setdefault("SDL_AUDIODRIVER", "dummy")
+    path.append(str(Path.cwd()))
+
+
+def make_parser(description: str | None) -> argparse.ArgumentParser:
+    """A parser that prints ``description``, the docstring of a script, as it is, and accepts no abbreviations."""
+    return argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+
+
+def add_training_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add --seed, --device and --output, which :func:`parse_training_arguments` and :func:`new_run` understand."""
+    parser.add_argument("--seed", metavar="N", help="short for --training.seed")
+    parser.add_argument("--device", metavar="D", help="short for --training.device")
+    parser.add_argument("--output", metavar="DIR", help="directory of the run (default: runs/CONFIG/NAME)")
+
+
+def parse_training_arguments(
+    parser: argparse.ArgumentParser, arguments: Sequence[str]
+) -> tuple[argparse.Namespace, list[str]]:
+    """Parse a command line in which every key of the YAML file is an option.
+
+    Args:
+        parser: with the arguments of :func:`add_training_arguments`.
+        arguments: the command line without the name of the script.
+
+    Returns:
+        The parser's options, and the overrides for :func:`algorithms.experiments.config.load_experiment`.
+    """
+    options, overrides = parser.parse_known_args(arguments)
+    overrides += [f"--{key}={value}" for key in ("seed", "device") if (value := getattr(options, key)) is not None]
+    return options, overrides
+
+
+def new_run(options: argparse.Namespace, experiment: Experiment) -> Run:
+    """Create the run of ``--config`` in ``--output``, or in a new directory under ``runs/``.
+
+    Raises:
+        ValueError: if the directory is not empty or cannot be written.
+    """
+    return Run.create(experiment, options.output or default_directory("runs", options.config, experiment))
+
+
+def add_evaluation_arguments(
+    parser: argparse.ArgumentParser, *, default_episodes: int | None = None, video: str
+) -> None:
+    """Add --episodes, --seed and --video, which :func:`evaluation_arguments` checks.
+
+    Args:
+        parser: of the script.
+        default_episodes: episodes without the option; the config's if None.
+        video: help text of --video.
+    """
+    default = "as in the config" if default_episodes is None else str(default_episodes)
+    help_text = f"episodes per policy (default: {default})"
+    parser.add_argument("--episodes", type=int, default=default_episodes, metavar="N", help=help_text)
+    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: as in the config)")
+    parser.add_argument("--video", metavar="FILE", help=video)
+
+
+def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) -> tuple[int, int]:
+    """The number of episodes and the seed of an evaluation, from the command line or else the experiment.
+
+    Args:
+        options: with the arguments of :func:`add_evaluation_arguments`, whose --video is checked too.
+        experiment: the experiment to evaluate.
+
+    Returns:
+        Number of episodes per policy, and seed of the first episode.
+
+    Raises:
+        ValueError: if one is out of range, or the directory of --video does not exist.
+    """
+    settings = experiment.evaluation
+    episodes = settings.final_episodes if options.episodes is None else options.episodes
+    seed = settings.seed if options.seed is None else options.seed
+    if episodes < 1:
+        raise ValueError(f"--episodes {episodes} must be at least 1")
+    if seed not in SEEDS:
+        raise ValueError(f"--seed {seed} must be between {SEEDS.start} and {SEEDS.stop - 1}")
+    check_parent("--video", options.video)
+    return episodes, seed
+
+
+def check_parent(option: str, path: str | None) -> None:
+    """Check that the directory exists in which an option's file or directory is to be written.
+
+    Args:
+        option: its name, for the message.
+        path: its value; None if it was not given.
+
+    Raises:
+        ValueError: if the directory does not exist.
+    """
+    if path and not (parent := Path(path).absolute().parent).is_dir():
+        raise ValueError(f"{option} {path!r}: {str(parent)!r} is not a directory")
+
+
+def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> dict[str, float]:
+    """Parse ``["distance=1", "jerk=0.1"]`` as a mapping.
+
+    Args:
+        option: the option of these values, for messages.
+        pairs: its values.
+        names: the known names.
+
+    Raises:
+        ValueError: for an unknown or repeated name, or a value that is not a finite number.
+    """
+    numbers: dict[str, float] = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if name not in names:
+            raise ValueError(f"{option} {pair!r}: unknown objective {name!r}; {nearest(name, names)}")
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not equals or not math.isfinite(number):
+            raise ValueError(f"{option} {pair!r} must be of the form {name}=NUMBER")
+        if name in numbers:
+            raise ValueError(f"{option} names {name!r} twice")
+        numbers[name] = number
+    return numbers
+
+
+@contextlib.contextmanager
+def exit_on_error(*invalid_input: type[Exception], hint: str = "") -> Iterator[None]:
+    """End a script with a message on standard error and an exit code, instead of a traceback.
+
+    The code is 2 for the given exceptions, 1 for :class:`~algorithms.experiments.interrupts.Stopped` and 130 for
+    Ctrl-C. Other exceptions are errors of the program and are not caught.
+
+    Args:
+        invalid_input: exceptions that the user's input causes in this context, such as ValueError.
+        hint: a line to print after Ctrl-C and Stopped, such as how to resume.
+
+    Raises:
+        SystemExit: with the exit code.
+    """
+    try:
+        yield
+    except invalid_input as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(INVALID_INPUT) from None
+    except Stopped as error:
+        print(f"error: {error}", *([hint] if hint else []), sep="\n", file=sys.stderr)
+        raise SystemExit(FAILED) from None
+    except KeyboardInterrupt:
+        print("interrupted" + (f"; {hint}" if hint else ""), file=sys.stderr)
+        raise SystemExit(INTERRUPTED) from None

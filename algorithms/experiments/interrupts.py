@@ -1,0 +1,59 @@
+"""What stops a training run early: signals, requests, and disks that cannot be written to."""
+
+from __future__ import annotations
+
+import errno
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any
+
+
+class Stopped(Exception):
+    """Training had to stop for an external reason, such as a full disk; the message says what to do."""
+
+
+class DiskFull(Stopped):
+    """There is no space left on the disk."""
+
+
+def no_space(error: OSError) -> bool:
+    """Whether the disk, or a quota, is full."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def stopped_by(error: OSError, message: str) -> Stopped:
+    """The exception to raise, with ``message``, after an error of the operating system."""
+    return (DiskFull if no_space(error) else Stopped)(message)
+
+
+class Interrupts:
+    """Records SIGINT and SIGTERM while it is open, instead of acting on them; a second signal acts at once.
+
+    Use it as a context manager. Only the main thread receives signals; in others nothing is recorded.
+
+    Attributes:
+        received: the signal's number, 0 for a request to stop that is no signal, or None.
+    """
+
+    def __init__(self) -> None:
+        self.received: int | None = None
+        self._previous: dict[int, Any] = {}
+
+    def _record(self, number: int, _frame: FrameType | None) -> None:
+        self.received = number
+        self._restore()
+
+    def _restore(self) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def __enter__(self) -> Interrupts:
+        if threading.current_thread() is threading.main_thread():
+            self._previous = {number: signal.signal(number, self._record) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._restore()

@@ -1,0 +1,83 @@
+"""From experiments to agents: what does not fit together is refused before training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from algorithms import MOA2C
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.experiments.build import build, load_policy, make_environment
+from algorithms.experiments.config import EnvironmentSettings, make_experiment
+from algorithms.experiments.run_directory import Run
+from tests.helpers.short_runs import VALUES
+
+
+def experiment_with(**sections: Any) -> Any:
+    return make_experiment({**VALUES, **sections})
+
+
+def test_an_agent_has_the_environments_utilities_and_hyperparameters_of_its_experiment() -> None:
+    agent = build(experiment_with(training={"total_timesteps": 96, "num_envs": 3, "seed": 9}))
+    assert isinstance(agent, MOA2C)
+    assert (agent.env.num_envs, agent.seed, agent.config.steps) == (3, 9, 8)
+    assert [utility.name for utility in agent.utilities] == ["one_waypoint_linear"]
+    assert build(experiment_with(), num_envs=1).env.num_envs == 1
+
+
+def test_vehicles_have_their_own_utilities() -> None:
+    environment = {"id": "mo-deepdrive-intersection-v0"}
+    weights = {"weights": [1, 0, 0, 0, 0, 0]}
+    utility: dict[str, Any] = {
+        "name": "intersection_linear",
+        "vehicles": {"vehicle_1": {"name": "linear", "arguments": weights}},
+    }
+    agent = build(experiment_with(environment=environment, utility=utility))
+    assert [each.name for each in agent.utilities] == ["intersection_linear", "linear"]
+    utility["vehicles"] = {"vehicle_2": {"name": "linear"}}
+    with pytest.raises(ValueError, match=r"utility\.vehicles has 'vehicle_2'; did you mean 'vehicle_1'"):
+        build(experiment_with(environment=environment, utility=utility))
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("return returns", r"gives shape \(2, 4\) for returns of shape \(2, 4\), not \(2,\)"),
+        ("raise RuntimeError('broken')", r"fails on returns of shape \(2, 4\) as numpy: RuntimeError: broken"),
+        ("return returns.numpy()[..., 0]", "fails on returns .* as numpy: AttributeError"),
+    ],
+)
+def test_a_users_utility_is_called_once_before_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, message: str
+) -> None:
+    name = f"own_utility_{abs(hash(body))}"
+    (tmp_path / f"{name}.py").write_text(f"def utility(returns):\n    {body}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        build(experiment_with(utility={"name": f"{name}:utility"}))
+
+
+def test_an_environment_that_cannot_be_made_is_named_with_its_arguments() -> None:
+    settings = EnvironmentSettings(id="deep-sea-treasure-v0", arguments={"depth": 3})
+    with pytest.raises(ValueError, match=r"'deep-sea-treasure-v0' with arguments \{'depth': 3\} cannot be made"):
+        make_environment(settings, 1)
+
+
+def test_a_loaded_policy_acts_like_the_trained_one_and_knows_its_steps(tmp_path: Path) -> None:
+    experiment = experiment_with()
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    with pytest.raises(ValueError, match="checkpoint"):
+        load_policy(run)
+    trained = build(experiment)
+    trained.train(96)
+    trained.save(run.checkpoint)
+    policy = load_policy(run)
+    assert policy.step == trained.step >= 96
+    observations = make_environment(experiment.environment, 5).reset(seed=3)[0][:, None]
+    accrued_reward = AccruedReward.begin(5, 1, 4)
+    actions = [agent.act(observations, accrued_reward, None) for agent in (trained, policy)]
+    np.testing.assert_array_equal(*actions)

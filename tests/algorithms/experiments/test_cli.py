@@ -1,0 +1,143 @@
+"""What the scripts share: arguments, their checks, and exit codes."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+
+import pytest
+
+from algorithms.experiments.cli import (
+    add_evaluation_arguments,
+    add_training_arguments,
+    check_parent,
+    evaluation_arguments,
+    exit_on_error,
+    make_parser,
+    named_numbers,
+    new_run,
+    parse_training_arguments,
+    prepare_process,
+)
+from algorithms.experiments.config import Experiment, make_experiment
+from algorithms.experiments.interrupts import DiskFull, Stopped
+from tests.helpers.short_runs import VALUES
+
+
+@pytest.fixture
+def experiment() -> Experiment:
+    return make_experiment(VALUES)
+
+
+def test_a_process_renders_without_a_display_unless_the_user_chose_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    environment, path = {"SDL_VIDEODRIVER": "x11"}, ["first"]
+    prepare_process(environment, path)
+    assert environment == {"SDL_VIDEODRIVER": "x11", "SDL_AUDIODRIVER": "dummy"}
+    assert path == ["first", str(tmp_path)]
+
+
+def test_short_forms_become_overrides_and_come_last() -> None:
+    parser = make_parser("Text\n  as it is.")
+    parser.add_argument("--config")
+    add_training_arguments(parser)
+    arguments = ["--config=a.yaml", "--training.seed=1", "--seed", "3", "--output", "run", "--device=cpu"]
+    options, overrides = parse_training_arguments(parser, arguments)
+    assert (options.config, options.output) == ("a.yaml", "run")
+    assert overrides == ["--training.seed=1", "--seed=3", "--device=cpu"]
+    assert "Text\n  as it is." in parser.format_help()
+    with pytest.raises(SystemExit):
+        make_parser(None).parse_args(["--surplus"])
+
+
+def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
+    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = new_run(Namespace(config="fast.yaml", output="given"), experiment)
+    default = new_run(Namespace(config="fast.yaml", output=None), experiment)
+    given.unlock()
+    default.unlock()
+    assert given.path == Path("given")
+    assert default.path.parent == Path("runs/fast")
+
+
+def evaluation_options(*arguments: str, default_episodes: int | None = None) -> Namespace:
+    parser = make_parser(None)
+    add_evaluation_arguments(parser, default_episodes=default_episodes, video="film it")
+    return parser.parse_args(list(arguments))
+
+
+def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(experiment: Experiment) -> None:
+    settings = experiment.evaluation
+    assert evaluation_arguments(evaluation_options(), experiment) == (settings.final_episodes, settings.seed)
+    assert evaluation_arguments(evaluation_options(default_episodes=20), experiment) == (20, settings.seed)
+    given = evaluation_options("--episodes=7", "--seed=0", default_episodes=20)
+    assert evaluation_arguments(given, experiment) == (7, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--episodes=0"], "--episodes 0 must be at least 1"),
+        (["--seed=-1"], "--seed -1 must be between 0 and 2147483647"),
+        (["--seed=2147483648"], "--seed 2147483648"),
+        (["--video=nowhere/a.mp4"], "--video 'nowhere/a.mp4': .*nowhere' is not a directory"),
+    ],
+)
+def test_arguments_of_an_evaluation_are_checked(experiment: Experiment, arguments: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        evaluation_arguments(evaluation_options(*arguments), experiment)
+
+
+def test_only_the_directory_of_an_output_must_exist(tmp_path: Path) -> None:
+    check_parent("--output", str(tmp_path / "new"))
+    check_parent("--output", None)
+    with pytest.raises(ValueError, match=r"--output .*is not a directory"):
+        check_parent("--output", str(tmp_path / "nowhere" / "new"))
+
+
+def test_named_numbers_are_read() -> None:
+    assert named_numbers("--w", ["b=2", "a=-1e3"], ("a", "b", "c")) == {"b": 2.0, "a": -1000.0}
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        (["d=1"], "--w 'd=1': unknown objective 'd'; known: a, b"),
+        (["a"], "--w 'a' must be of the form a=NUMBER"),
+        (["a=inf"], "must be of the form a=NUMBER"),
+        (["a=x"], "must be of the form a=NUMBER"),
+        (["a=1", "a=1"], "--w names 'a' twice"),
+    ],
+)
+def test_what_is_not_a_named_number_is_refused(pairs: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        named_numbers("--w", pairs, ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (ValueError("wrong"), 2, "error: wrong\n"),
+        (Stopped("no permission"), 1, "error: no permission\nresume with: X\n"),
+        (DiskFull("disk full"), 1, "error: disk full\nresume with: X\n"),
+        (KeyboardInterrupt(), 130, "interrupted; resume with: X\n"),
+    ],
+)
+def test_errors_end_a_script_with_a_message_and_a_code(
+    capsys: pytest.CaptureFixture[str], error: BaseException, code: int, message: str
+) -> None:
+    with pytest.raises(SystemExit) as caught, exit_on_error(ValueError, hint="resume with: X"):
+        raise error
+    assert caught.value.code == code
+    assert capsys.readouterr().err == message
+
+
+def test_errors_of_the_program_keep_their_traceback() -> None:
+    with pytest.raises(ValueError, match="bug"), exit_on_error():
+        raise ValueError("bug")
+    with exit_on_error(ValueError):
+        pass

@@ -1,0 +1,56 @@
+"""Signals are recorded once and then act as before; a full disk is distinguished from other errors."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import threading
+
+import pytest
+
+from algorithms.experiments.interrupts import DiskFull, Interrupts, Stopped, no_space, stopped_by
+
+needs_signals = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+
+
+@needs_signals
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_is_recorded(number: signal.Signals) -> None:
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    with Interrupts() as interrupts:
+        assert interrupts.received is None
+        signal.raise_signal(number)
+        assert interrupts.received == number
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+@needs_signals
+def test_the_second_signal_acts_at_once() -> None:
+    with Interrupts():
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_outside_the_main_thread_nothing_is_recorded() -> None:
+    received = []
+
+    def work() -> None:
+        with Interrupts() as interrupts:
+            received.append(interrupts.received)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert received == [None]
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"), [(errno.ENOSPC, DiskFull), (errno.EDQUOT, DiskFull), (errno.EACCES, Stopped)]
+)
+def test_only_a_full_disk_raises_disk_full(number: int, kind: type[Stopped]) -> None:
+    error = OSError(number, "reason")
+    assert no_space(error) is (kind is DiskFull)
+    assert type(stopped_by(error, "message")) is kind
+    assert str(stopped_by(error, "message")) == "message"

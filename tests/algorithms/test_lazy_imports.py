@@ -1,0 +1,48 @@
+"""``import algorithms`` imports nothing but names; a name imports what it stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+import algorithms
+from algorithms import ALGORITHMS
+
+
+def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
+    run_python: Callable[[str], str],
+) -> None:
+    loaded = run_python(
+        "import sys, algorithms\n"
+        "assert sorted(algorithms.ALGORITHMS) == ['a2c', 'mo_a2c', 'mo_ppo', 'pcn', 'ppo']\n"
+        "assert 'pcn' in algorithms.ALGORITHMS and 'dqn' not in algorithms.ALGORITHMS and dir(algorithms)\n"
+        "print(sorted(name for name in sys.modules if name.split('.')[0] in ('torch', 'numpy', 'mo_deepdrive', "
+        "'gymnasium') or name.startswith('algorithms.')))"
+    )
+    assert loaded == "[]\n"
+
+
+def test_importing_one_algorithm_does_not_import_the_others(run_python: Callable[[str], str]) -> None:
+    loaded = run_python(
+        "import sys\n"
+        "from algorithms import PCN\n"
+        "print([name for name in ('algorithms.pcn', 'algorithms.a2c', 'algorithms.ppo') if name in sys.modules])"
+    )
+    assert loaded == "['algorithms.pcn']\n"
+
+
+def test_every_public_name_can_be_imported_and_is_listed() -> None:
+    for name in algorithms.__all__:
+        assert getattr(algorithms, name) is not None
+        assert name in dir(algorithms)
+    with pytest.raises(AttributeError, match="module 'algorithms' has no attribute 'DQN'"):
+        algorithms.DQN  # noqa: B018  (the access itself raises)
+
+
+def test_algorithms_are_found_by_their_own_names() -> None:
+    assert len(ALGORITHMS) == 5
+    for name, algorithm in ALGORITHMS.items():
+        assert algorithm.name == name
+    with pytest.raises(KeyError):
+        ALGORITHMS["dqn"]

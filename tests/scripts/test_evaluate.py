@@ -1,0 +1,103 @@
+"""Evaluating runs and fronts through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from algorithms.evaluation.front import Front
+from tests.helpers.script_runs import (
+    PICTURES,
+    SEA_FRONT,
+    TREASURE,
+    Call,
+    copied,
+    refused,
+)
+
+
+def test_evaluate_prints_and_writes_its_numbers(finished: Path, tmp_path: Path, call: Call) -> None:
+    options = ["--episodes", 5, "--seed", 9, "--video", "drive.mp4", "--stochastic", "--output", "numbers"]
+    code, out, error = call("evaluate", finished, *options)
+    assert code == 0, out + error
+    for name in (
+        "utility_esr",
+        "utility_ser",
+        "success",
+        "discounted_return/jerk",
+        "mean_g_force",
+        "greedy",
+        "stochastic",
+    ):
+        assert name in out
+    assert (tmp_path / "drive.mp4").stat().st_size > 1000
+    numbers = json.loads((tmp_path / "numbers" / "evaluation.json").read_text())
+    assert (numbers["episodes"], numbers["seed"], numbers["step"]) == (5, 9, 2016)
+    refused(call("evaluate", finished, "--episodes", 0), "--episodes 0")
+    refused(call("evaluate", finished, "--video", "nowhere/drive.mp4"), "nowhere")
+
+
+def test_evaluate_repeats_the_evaluation_at_the_end_of_training(finished: Path, tmp_path: Path, call: Call) -> None:
+    code, out, error = call("evaluate", finished, "--output", "numbers")
+    assert code == 0, out + error
+    again = (tmp_path / "numbers" / "evaluation.json").read_text()
+    assert again == (finished / "evaluation.json").read_text()
+
+
+def test_evaluate_repeats_the_front_at_the_end_of_training(finished_front: Path, tmp_path: Path, call: Call) -> None:
+    code, out, error = call("evaluate", finished_front, "--output", "numbers")
+    assert code == 0, out + error
+    for name in ("front.csv", "evaluation.json"):
+        assert (tmp_path / "numbers" / name).read_bytes() == (finished_front / name).read_bytes(), name
+    assert {path.name for path in (tmp_path / "numbers").iterdir()} == PICTURES | {"front.csv", "evaluation.json"}
+    assert "hypervolume" in out
+    for name in ("distance", "destination", "g_force", "jerk", "arrivals", "decisions"):
+        assert name in out
+
+
+def test_evaluate_shows_a_front_on_other_episodes_and_films_it(
+    finished_front: Path, tmp_path: Path, call: Call
+) -> None:
+    before = sorted((path.name, path.stat().st_mtime_ns) for path in finished_front.iterdir())
+    options = ["--episodes", 3, "--seed", 9, "--video", "drive.mp4", "--output", "numbers"]
+    code, out, error = call("evaluate", finished_front, *options)
+    assert code == 0, out + error
+    front = Front.read(tmp_path / "numbers")
+    assert (front.episodes, front.seed) == (3, 9)
+    np.testing.assert_array_equal(front.low, front.returns)  # every episode is the same
+    assert (tmp_path / "drive.mp4").stat().st_size > 1000
+    assert sorted((path.name, path.stat().st_mtime_ns) for path in finished_front.iterdir()) == before
+    refused(call("evaluate", finished_front, "--episodes", 0), "--episodes 0")
+
+
+@pytest.mark.parametrize("algorithm", ["mo_a2c", "pcn"])
+def test_runs_on_other_environments_are_evaluated(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, algorithm: str
+) -> None:
+    monkeypatch.setattr("algorithms.experiments.agent_report.film_front", lambda *arguments, **options: None)
+    monkeypatch.setattr("algorithms.experiments.agent_report.record", lambda *arguments, **options: None)
+    (tmp_path / "other.yaml").write_text(SEA_FRONT if algorithm == "pcn" else TREASURE)
+    run = tmp_path / "run"
+    assert call("train", "--config", "other.yaml", "--output", run, "--training.total_timesteps=600")[0] == 0
+    code, out, error = call("evaluate", run, "--output", "numbers")
+    assert code == 0, out + error
+    assert (tmp_path / "numbers" / "evaluation.json").read_text() == (run / "evaluation.json").read_text()
+
+
+def test_missing_runs_and_checkpoints_of_other_environments_are_refused(
+    finished: Path, tmp_path: Path, call: Call
+) -> None:
+    refused(call("evaluate", "nowhere"), "'nowhere' is not a run directory")
+    run = copied(finished, tmp_path, "interrupted")
+    checkpoint, config = run / "checkpoint.safetensors", run / "config.yaml"
+    whole, text = checkpoint.read_bytes(), config.read_text()
+    checkpoint.write_bytes(whole[: len(whole) // 2])
+    refused(call("evaluate", run), "checkpoint.safetensors", "cannot be read")
+    checkpoint.write_bytes(whole)
+    config.write_text(text.replace("one-waypoint", "static-obstacle").replace("one_waypoint", "static_obstacle"))
+    refused(call("evaluate", run), "environment", "mo-deepdrive-one-waypoint-v0")
+    checkpoint.unlink()
+    refused(call("evaluate", run), "checkpoint.safetensors")
