@@ -2,134 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import urllib.error
 import urllib.request
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.evaluation.front import Front
+from algorithms.common.atomic_io import atomic_write
+from algorithms.common.metrics_file import MetricsFile
 from algorithms.experiments.config import WandbSettings
 
 CONNECTION_TIMEOUT = 20.0  # s, after which W&B's online mode gives way to offline
-
-
-def _cell(value: float) -> str:
-    return repr(float(value))
-
-
-def _line(cells: Sequence[str]) -> str:
-    return csv_bytes([cells]).decode()
-
-
-def _whole_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows; the torn row that a crash may leave at the end is dropped."""
-    text = path.read_text() if path.exists() else ""
-    lines = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-    if not lines:
-        return ["step"], []
-    header, *rows = lines
-    return header, [row for row in rows if len(row) == len(header)]
-
-
-def read_metrics(path: str | Path) -> dict[str, NDArray[np.float64]]:
-    """The columns of a metrics.csv, "step" among them; NaN where a row has no value.
-
-    Raises:
-        ValueError: if the file is missing or not a metrics file.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"metrics file {str(path)!r} does not exist")
-    header, rows = _whole_rows(path)
-    if header[0] != "step":
-        raise ValueError(f"metrics file {str(path)!r} has no column 'step' at its beginning")
-    try:
-        table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(len(rows), len(header))
-    except ValueError as error:
-        raise ValueError(f"metrics file {str(path)!r} is broken: {error}") from None
-    return {name: table[:, i] for i, name in enumerate(header)}
-
-
-class MetricsFile:
-    """A CSV with one row per call; a new column rewrites the file.
-
-    Args:
-        path: the file.
-        after: drop rows of later steps, which a resumed run writes again; None begins a new file.
-    """
-
-    def __init__(self, path: Path, after: int | None = None):
-        self.path = path
-        self._columns, self._rows = ["step"], []
-        if after is not None:
-            columns, rows = _whole_rows(path)
-            self._columns, self._rows = columns, [row for row in rows if int(row[0]) <= after]
-        self._rewrite()
-
-    def _rewrite(self) -> None:
-        empty = len(self._columns)
-        lines = [_line(self._columns), *(_line(row + [""] * (empty - len(row))) for row in self._rows)]
-        atomic_write(self.path, "".join(lines).encode())
-
-    def write(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Append a row.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        new = [name for name in metrics if name not in self._columns]
-        self._columns += new
-        cells = {"step": str(step), **{name: _cell(value) for name, value in metrics.items()}}
-        row = [cells.get(name, "") for name in self._columns]
-        self._rows.append(row)
-        if new:
-            self._rewrite()
-        else:
-            with self.path.open("a") as file:
-                file.write(_line(row))
-
-
-class FrontsFile:
-    """A CSV of every front in the making: one row per policy, with its step and its discounted returns.
-
-    Args:
-        path: the file.
-        after: as for :class:`MetricsFile`.
-    """
-
-    def __init__(self, path: Path, after: int | None = None):
-        self.path = path
-        header, rows = _whole_rows(path) if after is not None else (["step"], [])
-        self._begun = len(header) > 1
-        if self._begun and after is not None:
-            kept = [_line(row) for row in rows if int(row[0]) <= after]
-            atomic_write(path, "".join([_line(header), *kept]).encode())
-
-    def write(self, step: int, front: Front) -> None:
-        """Append a front.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        lines = [
-            _line([str(step), str(policy), *map(_cell, returns)]) for policy, returns in enumerate(front.discounted)
-        ]
-        if self._begun:
-            with self.path.open("a") as file:
-                file.write("".join(lines))
-        else:
-            names = [f"discounted_return/{name}" for name in front.objectives]
-            atomic_write(self.path, "".join([_line(["step", "policy", *names]), *lines]).encode())
-            self._begun = True
 
 
 class WandbRun:

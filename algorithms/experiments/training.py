@@ -18,10 +18,11 @@ from rich.console import Console
 from algorithms import ALGORITHMS
 from algorithms.agent import Agent
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import Evaluation, Policy, evaluate
 from algorithms.evaluation.front import Front
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
-from algorithms.experiments.loggers import FrontsFile, Logger
+from algorithms.experiments.loggers import Logger
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import Run
 from algorithms.pcn import PCN

@@ -13,10 +13,11 @@ from rich.console import Console
 
 from algorithms.agent import Log
 from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front
 from algorithms.experiments.config import Experiment
-from algorithms.experiments.loggers import FrontsFile, Logger
+from algorithms.experiments.loggers import Logger
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import (
     FRONT_EPISODES,

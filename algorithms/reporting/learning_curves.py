@@ -19,9 +19,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
+from algorithms.common.metrics_file import read_metrics
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.statistics import Estimate, bootstrap, mean
-from algorithms.experiments.loggers import read_metrics
 from algorithms.reporting.front_view import label
 from mo_deepdrive.objectives import INDEX
 

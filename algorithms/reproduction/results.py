@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.common.metrics_file import read_metrics
 from algorithms.evaluation.front import Front
-from algorithms.experiments.loggers import read_metrics
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.learning_curves import Columns
 from algorithms.reproduction.plan import Entry

@@ -144,7 +144,7 @@ class Collection:
             points: at most so many per run and metric.
 
         Returns:
-            Columns by run, as :func:`algorithms.experiments.loggers.read_metrics` gives them.
+            Columns by run, as :func:`algorithms.common.metrics_file.read_metrics` gives them.
         """
         if not names:
             return {}

@@ -14,7 +14,7 @@ from pathlib import Path
 import polars as pl
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.experiments.loggers import read_metrics
+from algorithms.common.metrics_file import read_metrics
 
 # A part is full with so many runs, or so many bytes of metrics.csv.
 PART_RUNS, PART_BYTES = 100, 64 * 2**20

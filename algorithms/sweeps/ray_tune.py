@@ -16,9 +16,9 @@ import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
+from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, describe, perform
-from algorithms.experiments.loggers import read_metrics
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from algorithms.experiments.training import DiskFull, Stopped
 from algorithms.experiments.worker_pool import BUSY, DIED

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.jobs import Job
-from algorithms.experiments.loggers import read_metrics
 from algorithms.experiments.run_directory import read_status
 from mo_deepdrive.config import nearest
 

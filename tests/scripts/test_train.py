@@ -20,9 +20,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
+from algorithms.common.metrics_file import FrontsFile, read_metrics
 from algorithms.common.pareto import hypervolume, non_dominated
 from algorithms.evaluation.front import Front
-from algorithms.experiments.loggers import FrontsFile, read_metrics
 from tests.helpers.paths import REPOSITORY
 
 TIMEOUT = 240

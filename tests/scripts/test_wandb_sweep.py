@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 import yaml
 
+from algorithms.common.metrics_file import read_metrics
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.loggers import read_metrics
 from tests.helpers.paths import REPOSITORY
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the sweep's command and the signals are of POSIX")

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from algorithms.common.metrics_file import FrontsFile, read_metrics
 from algorithms.evaluation.front import Front
 from algorithms.experiments.config import WandbSettings
-from algorithms.experiments.loggers import FrontsFile, Logger, read_metrics
+from algorithms.experiments.loggers import Logger
 
 
 def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:

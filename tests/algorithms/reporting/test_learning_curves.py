@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from algorithms.common.metrics_file import MetricsFile
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
-from algorithms.experiments.loggers import MetricsFile
 from algorithms.reporting.learning_curves import (
     MAX_POINTS,
     Scores,

@@ -25,8 +25,8 @@ sys.path.insert(0, str(ROOT / "scripts"))
 import plot as plot_script  # noqa: E402  (a script)
 import table as table_script  # noqa: E402  (a script)
 
+from algorithms.common.metrics_file import MetricsFile, read_metrics  # noqa: E402
 from algorithms.experiments.config import load_experiment  # noqa: E402
-from algorithms.experiments.loggers import MetricsFile, read_metrics  # noqa: E402
 from algorithms.sweeps import metric_parts  # noqa: E402
 from algorithms.sweeps.collection import collect  # noqa: E402
 from algorithms.sweeps.manifest import Row, run_id, write_manifest  # noqa: E402
