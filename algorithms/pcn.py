@@ -27,7 +27,7 @@ from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.networks import CommandNetwork
 from algorithms.common.optimisers import linear, optimiser_state, set_optimiser_state
-from algorithms.common.pareto import indicators, spread
+from algorithms.common.pareto import farthest_point_subset, indicators
 from algorithms.evaluation.evaluate import Evaluation, evaluate_each
 from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings
@@ -257,7 +257,7 @@ class PCN(Agent):
             ValueError: if the store is empty and no policy was loaded.
         """
         returns, lengths = self._best()
-        chosen = spread(returns, self.config.max_policies, self.scales)
+        chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
         return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
 
     def _best(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

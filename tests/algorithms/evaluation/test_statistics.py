@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference, spread_ratio
+from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement, spread_ratio
 
 
 def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter() -> None:
@@ -18,15 +18,15 @@ def test_one_run_has_no_interval() -> None:
     one, two = np.array([3.0]), np.array([1.0, 2.0])
     assert iqm(one) == Estimate(3.0)
     assert iqm_difference(one, two) == Estimate(1.5)
-    assert improvement(one, two) == Estimate(1.0)
+    assert probability_of_improvement(one, two) == Estimate(1.0)
 
 
 def test_the_probability_of_improvement_counts_pairs_and_half_of_the_equal_ones() -> None:
     first, second = np.array([1.0, 2.0, 5.0]), np.array([1.0, 3.0])
     pairs = [1.0 if x > y else 0.5 if x == y else 0.0 for x in first for y in second]
-    found = improvement(first, second)
+    found = probability_of_improvement(first, second)
     assert found.value == pytest.approx(np.mean(pairs))
-    assert improvement(second, first).value == pytest.approx(1.0 - found.value)
+    assert probability_of_improvement(second, first).value == pytest.approx(1.0 - found.value)
     assert found.low is not None
     assert found.high is not None
     assert 0.0 <= found.low <= found.value <= found.high <= 1.0

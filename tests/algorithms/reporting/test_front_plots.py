@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from algorithms.common.pareto import spread
+from algorithms.common.pareto import farthest_point_subset
 from algorithms.evaluation.front import Front
 from algorithms.reporting import front_plots
 from algorithms.reporting.front_plots import BARS, DPI, draw_front
@@ -124,7 +124,7 @@ def test_representatives_are_those_that_cover_the_front_by_distance() -> None:
     view = View(front)
     shown = view.representatives()
     assert len(shown) == REPRESENTATIVES
-    assert set(shown) == set(spread(np.nan_to_num(view.importance), REPRESENTATIVES))
+    assert set(shown) == set(farthest_point_subset(np.nan_to_num(view.importance), REPRESENTATIVES))
     assert (np.diff(front.returns[shown, 0]) >= 0).all()
     for i in range(4):
         assert front.returns[shown, i].max() == front.returns[:, i].max()
