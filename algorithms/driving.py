@@ -97,7 +97,8 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     seeded one after the other from ``reset(seed=...)`` on; one that was started again has the same seed.
 
     Args:
-        env: one world of ours that can be drawn and is not reset by itself (`algorithms.reporting.videos.make_world`).
+        env: one world of ours that can be drawn and is not reset by itself
+            (`algorithms.reporting.videos.make_render_env`).
         seats: the vehicles that people drive.
         agent: drives the other ones.
         generator: of the agent's samples; None for greedy actions.

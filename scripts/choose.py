@@ -184,7 +184,16 @@ def main(arguments: list[str]) -> int:
         show(console, front, evaluations, worth, order, what)
         console.print(f"policy {order[0]} of {run.path / 'front.csv'}")
         if options.video and not attempt_film(
-            lambda: film_front(agent, front, experiment, options.video, seed=seed, policies=order[:1]), console
+            lambda: film_front(
+                agent,
+                front,
+                experiment.environment.id,
+                experiment.environment.arguments,
+                options.video,
+                seed=seed,
+                policies=order[:1],
+            ),
+            console,
         ):
             return 1
     except (ValueError, OSError) as error:

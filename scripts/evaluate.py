@@ -28,7 +28,7 @@ from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import attempt_film, build, evaluate_front, evaluate_policies, film
 from algorithms.reporting.front_report import film_front, report_front
-from algorithms.reporting.tables import table, write
+from algorithms.reporting.tables import evaluation_table, write_evaluation
 from algorithms.zoo import find, names
 
 
@@ -58,9 +58,19 @@ def show_front(
     if options.output:
         directory = Path(options.output)
         directory.mkdir(exist_ok=True)
-    report_front(run.experiment, front, console, directory=directory, step=step)
+    environment = run.experiment.environment
+    report_front(
+        front,
+        console,
+        algorithm=run.experiment.algorithm["name"],
+        env_id=environment.id,
+        env_arguments=environment.arguments,
+        reference_point=run.experiment.evaluation.reference_point,
+        directory=directory,
+        about={"step": step},
+    )
     return not options.video or attempt_film(
-        lambda: film_front(agent, front, run.experiment, options.video, seed=seed), console
+        lambda: film_front(agent, front, environment.id, environment.arguments, options.video, seed=seed), console
     )
 
 
@@ -109,11 +119,15 @@ def main(arguments: list[str]) -> int:
         if not run.experiment.known_utility:
             return 0 if show_front(run, agent, options, console, episodes, seed, step) else 1
         evaluations = evaluate_policies(agent, run.experiment, episodes=episodes, seed=seed)
-        console.print(table(evaluations, f"{options.run} at step {step:,}: {episodes} episodes from seed {seed}"))
+        console.print(
+            evaluation_table(evaluations, f"{options.run} at step {step:,}: {episodes} episodes from seed {seed}")
+        )
         if options.output:
             directory = Path(options.output)
             directory.mkdir(exist_ok=True)
-            write(directory, evaluations, {"step": step, "episodes": episodes, "seed": seed, "gamma": settings.gamma})
+            write_evaluation(
+                directory, evaluations, {"step": step, "episodes": episodes, "seed": seed, "gamma": settings.gamma}
+            )
         if options.video and not film(
             agent, run.experiment, options.video, console, seed=seed, greedy=not options.stochastic
         ):

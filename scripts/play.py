@@ -34,11 +34,11 @@ from rich.table import Table
 
 from algorithms.agent import Agent
 from algorithms.driving import PICTURES, HumanPlayEnv, Outcome
-from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
+from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
-from algorithms.reporting.videos import make_world, writing
+from algorithms.reporting.videos import make_render_env, video_writer
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
@@ -80,7 +80,7 @@ def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | N
         for name, given in (("--vehicle", options.vehicle is not None), ("--stochastic", options.stochastic)):
             if given:
                 raise ValueError(f"{name} goes with --against RUN, which is missing")
-        return make_world(EnvironmentSettings(id=options.env)).unwrapped, None  # type: ignore[return-value]
+        return make_render_env(options.env).unwrapped, None  # type: ignore[return-value]
     run = Run.open(options.against, device="cpu")
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
@@ -89,7 +89,7 @@ def open_world(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | N
     if agent.env.vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
     agent.load(run.checkpoint, policy_only=True)
-    return make_world(theirs).unwrapped, agent  # type: ignore[return-value]
+    return make_render_env(theirs.id, theirs.arguments).unwrapped, agent  # type: ignore[return-value]
 
 
 def key_table(codes: list[int]) -> dict[tuple[int, ...], NDArray[np.int8]]:
@@ -165,7 +165,7 @@ def main(arguments: list[str]) -> int:
         rate = world.config.decision_frequency
         seats = list(range(world.vehicles)) if agent is None else [options.vehicle or 0]
         generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
-        with writing(options.record, rate) if options.record else nullcontext() as film:
+        with video_writer(options.record, rate) if options.record else nullcontext() as film:
             cockpit = HumanPlayEnv(world, seats, agent=agent, generator=generator, film=film)
             cockpit.reset(seed=options.seed)
             try:

@@ -186,7 +186,7 @@ def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:
 
 
 def farthest_point_subset(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> NDArray[np.intp]:
-    """Indices of ``count`` of the points ``returns`` (n, d) that cover them, by farthest-point sampling (Gonzalez 1985).
+    """Indices of ``count`` of the points ``returns`` (n, d), which cover them: farthest-point sampling (Gonzalez 1985).
 
     The best point of every objective comes first, then always the point farthest from those chosen before. All indices,
     in their order, if there are no more than ``count`` points.

@@ -19,26 +19,23 @@ from mo_deepdrive.utilities import Utility
 
 
 class Policy(Protocol):
-    """What can be evaluated: an agent, a policy of a front, or another library's policy behind an adapter.
-
-    Attributes:
-        env: the environment that it was trained on.
-        utilities: one per vehicle; empty if no utility is known.
-        gamma: discount factor of the accrued reward that it observes.
-        device: where its generator draws random numbers.
-    """
+    """What can be evaluated: an agent, a policy of a front, or another library's policy behind an adapter."""
 
     @property
-    def env(self) -> EnvAdapter: ...
+    def env(self) -> EnvAdapter:
+        """The environment that it was trained on."""
 
     @property
-    def utilities(self) -> Sequence[Utility]: ...
+    def utilities(self) -> Sequence[Utility]:
+        """One per vehicle; empty if no utility is known."""
 
     @property
-    def gamma(self) -> float: ...
+    def gamma(self) -> float:
+        """Discount factor of the accrued reward that it observes."""
 
     @property
-    def device(self) -> torch.device: ...
+    def device(self) -> torch.device:
+        """Where its generator draws random numbers."""
 
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
@@ -146,7 +143,10 @@ def evaluate_each(
     Args:
         policy_of: gives, for N indices, the policy that acts in environment n as the policy at the n-th index does.
         count: number of policies.
-        env, episodes, seed, gamma: as for :func:`evaluate`.
+        env: a raw environment, as for :func:`evaluate`.
+        episodes: of every policy.
+        seed: of the first episode of every policy.
+        gamma: discount factor of the discounted returns.
 
     Returns:
         An evaluation per policy, without utilities.

@@ -76,11 +76,14 @@ class Front:
 
         Args:
             objectives: d names.
-            returns, discounted: (K, E, d).
+            returns: (K, E, d) undiscounted returns.
+            discounted: (K, E, d) discounted returns.
             lengths: (K, E) decisions.
-            succeeded: (K, E), or None where the environment does not say.
-            conditions, condition_names: (K, m) and m names; None if there are none.
-            gamma, seed: discount factor and first seed of the evaluation.
+            succeeded: (K, E) whether the goal was reached; None where the environment does not say.
+            conditions: (K, m) what each policy is conditioned on; None if there is nothing.
+            condition_names: m names.
+            gamma: discount factor of ``discounted``.
+            seed: of the first episode.
 
         Raises:
             ValueError: if there is no policy or no episode, or the shapes do not match.
@@ -89,7 +92,8 @@ class Front:
         discounted, lengths = np.asarray(discounted, dtype=np.float64), np.asarray(lengths, dtype=np.float64)
         if returns.ndim != 3 or not returns.size or returns.shape[2] != len(objectives):
             raise ValueError(
-                f"returns have shape {returns.shape}; expected (policies, episodes, {len(objectives)}) with at least one of each"
+                f"returns have shape {returns.shape}; expected (policies, episodes, {len(objectives)}), at least one "
+                "of each"
             )
         k, e, _ = returns.shape
         arrived = np.full((k, e), np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64)
@@ -243,7 +247,9 @@ def measure_front(
 
     Args:
         front: K policies.
-        reference_point, reference_front, scales: as for :func:`algorithms.common.pareto.indicators`.
+        reference_point: (d,) of the hypervolume; None for no hypervolume.
+        reference_front: (k, d) best-known discounted returns; None if there are none.
+        scales: (d,) nominal size of each objective's return; 1 if None.
 
     Raises:
         ValueError: as :func:`algorithms.common.pareto.indicators`.

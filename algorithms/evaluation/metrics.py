@@ -116,7 +116,7 @@ class MetricName(NamedTuple):
     metric: str
 
 
-def split(name: str) -> MetricName:
+def split_name(name: str) -> MetricName:
     """``greedy/vehicle_0/return/jerk`` as ``("greedy", "vehicle_0", "return/jerk")``, with or without ``eval/``."""
     policy, slash, rest = name.removeprefix(EVALUATION).partition("/")
     if not slash or policy not in POLICIES:
@@ -136,7 +136,7 @@ def known_metric(name: str, available: Iterable[str]) -> str:
     names = list(available)
     if name in names:
         return name
-    metric = split(name).metric
+    metric = split_name(name).metric
     if metric in RENAMED:
         raise ValueError(f"metric {name!r} was renamed; write {name.removesuffix(metric) + RENAMED[metric]!r}")
     raise ValueError(f"metric {name!r} is not among those of the runs; {nearest(name, names)}")
@@ -167,15 +167,15 @@ _TITLES = {
 
 def lower_is_better(name: str) -> bool:
     """Whether less of a metric is better; returns are rewards, of which more is better, costs included."""
-    metric = split(name).metric
+    metric = split_name(name).metric
     if metric.startswith(END):
         return metric != end_by(ARRIVED)
     return metric in _LOWER_IS_BETTER or metric.startswith("loss/")
 
 
-def title(name: str) -> str:
+def title_of(name: str) -> str:
     """What a figure calls a metric: "arrival rate", "jerk (sum, m/s³)"."""
-    metric = split(name).metric
+    metric = split_name(name).metric
     if metric.startswith(RETURN):
         objective = metric.removeprefix(RETURN)
         return label(objective) if objective in INDEX else objective.replace("_", " ")
@@ -183,7 +183,7 @@ def title(name: str) -> str:
 
 
 def name_and_unit(objective: str) -> tuple[str, str]:
-    """The plain name of an objective and the unit of its return; an unknown objective keeps its name and has no unit."""
+    """The plain name of an objective and the unit of its return; an unknown objective has no unit ("")."""
     if objective not in INDEX:
         return objective, ""
     unit = OBJECTIVES[INDEX[objective]].unit

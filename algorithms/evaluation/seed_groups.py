@@ -1,7 +1,7 @@
 """Which runs differ in their seed alone: the one rule by which curves, tables and sweeps put runs together.
 
-Two runs belong together if their resolved experiments are the same apart from the seed, where they ran (device, threads)
-and what they logged, none of which changes what is learnt or how it is measured.
+Two runs belong together if their resolved experiments are the same apart from the seed, from where they ran (device,
+threads) and from what they logged; device, threads and logging change neither what is learnt nor how it is measured.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
 
 
 def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
-    """Standard deviation of ``first`` (n,) divided by that of ``second`` (m,); infinite where the second is 0."""
+    """Standard deviation of ``first`` (n,) divided by that of ``second`` (m,); infinite if the latter is 0."""
 
     def ratio(x: Any, y: Any) -> Any:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -159,14 +159,15 @@ def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
 
 
 def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any, Any], Any]) -> Estimate:
-    """``statistic`` of two independent samples, each resampled on its own; no interval if one has a single element."""
+    """``statistic`` of two independent samples, which are resampled independently; no interval if one has size 1."""
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     value = float(statistic(first, second))
     if min(len(first), len(second)) < 2:
         return Estimate(value)
     generator = np.random.default_rng(0)
     resampled = statistic(
-        generator.choice(first, (COMPARISON_RESAMPLES, len(first))), generator.choice(second, (COMPARISON_RESAMPLES, len(second)))
+        generator.choice(first, (COMPARISON_RESAMPLES, len(first))),
+        generator.choice(second, (COMPARISON_RESAMPLES, len(second))),
     )
     tail = (1.0 - LEVEL) / 2.0
     # Interpolating between two infinite values would give NaN.

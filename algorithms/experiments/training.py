@@ -20,15 +20,15 @@ from algorithms.agent import Agent
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import Evaluation, Policy, evaluate
-from algorithms.evaluation.front import Front
+from algorithms.evaluation.front import Front, best_known_front, check_reference_point
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import Run
 from algorithms.pcn import PCN
-from algorithms.reporting.front_report import best_known_front, check_reference_point, film_front, report_front
+from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.learning_curves import load_groups, plot
-from algorithms.reporting.tables import table, write
+from algorithms.reporting.tables import evaluation_table, write_evaluation
 from algorithms.reporting.videos import record
 from mo_deepdrive.config import nearest
 from mo_deepdrive.utilities import Utility, make_utility
@@ -75,7 +75,7 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     worlds = EnvAdapter(env)
     given: dict[str, Any] = {}
     if experiment.utility is None:
-        check_reference_point(experiment, worlds.objectives)
+        check_reference_point(experiment.evaluation.reference_point, worlds.objectives)
     else:
         given["utility"] = _utilities(experiment.utility, worlds)
     return ALGORITHMS[name](
@@ -339,8 +339,8 @@ def _finish_policy(run: Run, agent: Agent, console: Console) -> None:
         "seed": settings.seed,
         "gamma": settings.gamma,
     }
-    console.print(table(evaluations, f"{settings.final_episodes} episodes from seed {settings.seed}"))
-    write(run.path, evaluations, about)
+    console.print(evaluation_table(evaluations, f"{settings.final_episodes} episodes from seed {settings.seed}"))
+    write_evaluation(run.path, evaluations, about)
     if experiment.logging.save_figures:
         plot(load_groups([run.path]), run.path / "curves.png")
         film(agent, experiment, run.path / "video.mp4", console, seed=settings.seed)
@@ -368,18 +368,33 @@ def evaluate_policies_of(
 
 
 def _finish_front(run: Run, agent: Any, console: Console) -> None:
-    settings = run.experiment.evaluation
+    environment, settings = run.experiment.environment, run.experiment.evaluation
     front = evaluate_front(agent, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
-    report_front(run.experiment, front, console, directory=run.path, step=agent.step)
+    report_front(
+        front,
+        console,
+        algorithm=run.experiment.algorithm["name"],
+        env_id=environment.id,
+        env_arguments=environment.arguments,
+        reference_point=settings.reference_point,
+        directory=run.path,
+        about={"step": agent.step},
+    )
     if not run.experiment.logging.save_figures:
         return
     plot(load_groups([run.path]), run.path / "curves.png")
-    attempt_film(lambda: film_front(agent, front, run.experiment, run.path / "video.mp4", seed=settings.seed), console)
+    path = run.path / "video.mp4"
+    attempt_film(
+        lambda: film_front(agent, front, environment.id, environment.arguments, path, seed=settings.seed), console
+    )
 
 
-def film(agent: Agent, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True) -> bool:
+def film(
+    policy: Policy, experiment: Experiment, path: Any, console: Console, *, seed: int, greedy: bool = True
+) -> bool:
     """Record a video, or say why there is none; whether there is one."""
-    return attempt_film(lambda: record(agent, experiment.environment, path, seed=seed, greedy=greedy), console)
+    env = experiment.environment
+    return attempt_film(lambda: record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy), console)
 
 
 def attempt_film(recording: Callable[[], Any], console: Console) -> bool:

@@ -15,7 +15,7 @@ from algorithms.agent import Log
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import evaluate_each
-from algorithms.evaluation.front import Front
+from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.experiments.config import Experiment
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.run_directory import Run
@@ -31,9 +31,9 @@ from algorithms.experiments.training import (
 from algorithms.peers import PEERS
 from algorithms.peers.environment import Recorder
 from algorithms.peers.task import Policies, Task
-from algorithms.reporting.front_report import check_reference_point, film_front, report_front
+from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.learning_curves import load_groups, plot
-from algorithms.reporting.tables import table, write
+from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import make_utility
 
@@ -58,7 +58,7 @@ def prepare(experiment: Experiment, log: Log) -> Task:
     worlds = EnvAdapter(make(settings, 1))
     utility = None
     if experiment.utility is None:
-        check_reference_point(experiment, worlds.objectives)
+        check_reference_point(experiment.evaluation.reference_point, worlds.objectives)
     else:
         chosen = experiment.utility
         utility = make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments)
@@ -123,10 +123,10 @@ def _finish_policy(
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
     found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
-    console.print(table(found, f"{settings.final_episodes} episodes from seed {settings.seed}"))
+    console.print(evaluation_table(found, f"{settings.final_episodes} episodes from seed {settings.seed}"))
     measured = {"episodes": settings.final_episodes, "seed": settings.seed, "gamma": settings.gamma}
-    write(run.path, found, {"step": steps, **about, **measured})
-    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.seed)  # type: ignore[arg-type]
+    write_evaluation(run.path, found, {"step": steps, **about, **measured})
+    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.seed)
     return {f"eval/{each}/{name}": value for each in POLICIES for name, value in found[each].metrics().items()}
 
 
@@ -136,17 +136,21 @@ def _finish_front(
     """Evaluate all policies, report and film the non-dominated ones; the indicators by name."""
     front = evaluate_front(policies, run.experiment)
     FrontsFile(run.path / "fronts.csv").write(steps, front)
+    environment, settings = run.experiment.environment, run.experiment.evaluation
     measured = report_front(
-        run.experiment,
         front,
         console,
+        algorithm=run.experiment.algorithm["name"],
+        env_id=environment.id,
+        env_arguments=environment.arguments,
+        reference_point=settings.reference_point,
         directory=run.path,
-        step=steps,
-        about={**about, "evaluated_policies": len(policies)},
+        about={"step": steps, **about, "evaluated_policies": len(policies)},
     )
-    seed = run.experiment.evaluation.seed
     path = run.path / "video.mp4"
-    attempt_film(lambda: film_front(policies, front, run.experiment, path, seed=seed), console)  # type: ignore[arg-type]
+    attempt_film(
+        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=settings.seed), console
+    )
     return {f"eval/front/{name}": value for name, value in measured.items()}
 
 

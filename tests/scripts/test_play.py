@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.driving import HOLD, PICTURES, HumanPlayEnv, Keys, Outcome, choose_action
-from algorithms.experiments.config import EnvironmentSettings, make_experiment
+from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import build
-from algorithms.reporting.videos import make_world
+from algorithms.reporting.videos import make_render_env
 from mo_deepdrive.actions import DISCRETE, MICRO_STEER, action_names
 from mo_deepdrive.simulation.state import VEHICLE
 
@@ -79,7 +79,7 @@ def test_both_keys_of_a_pair_brake_and_go_straight() -> None:
 def make_human_env(
     env_id: str = ONE, *, seats: tuple[int, ...] = (0,), film: Any = None, **arguments: Any
 ) -> HumanPlayEnv:
-    world = make_world(EnvironmentSettings(id=env_id, arguments=arguments))
+    world = make_render_env(env_id, arguments)
     human_env = HumanPlayEnv(world.unwrapped, seats, film=film)
     human_env.reset(seed=1)
     return human_env

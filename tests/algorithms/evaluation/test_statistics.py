@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement, spread_ratio
+from algorithms.evaluation.statistics import (
+    Estimate,
+    iqm,
+    iqm_difference,
+    mann_whitney_p,
+    mean,
+    mean_difference,
+    means,
+    probability_of_improvement,
+    spread_ratio,
+)
 
 
 def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter() -> None:
@@ -67,3 +77,23 @@ def test_the_ratio_of_spreads_is_that_of_the_standard_deviations() -> None:
     for found in (spread_ratio(first, np.ones(4)), spread_ratio(first, np.array([1.0, 1.0, 1.0, 1.1]))):
         assert not np.isnan([found.value, found.low, found.high]).any()
         assert found.text()
+
+
+def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
+    sample = np.array([1.0, 2.0, 3.0, 4.0])
+    found = mean_difference(sample, sample)
+    assert found.value == 0.0
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < 0.0 < found.high
+    assert mann_whitney_p(sample, sample) > 0.9
+
+
+def test_means_of_many_samples_are_those_of_each() -> None:
+    samples = [[1.0, 2.0, 6.0], [5.0], [3.0, 3.5, 8.0], [0.0, 1.0]]
+    for found, sample in zip(means(samples), samples, strict=True):
+        expected = mean(np.array(sample))
+        assert found.value == pytest.approx(expected.value)
+        assert (found.low is None) == (expected.low is None) == (len(sample) == 1)
+        if found.low is not None and found.high is not None:
+            assert min(sample) <= found.low <= found.value <= found.high <= max(sample)

@@ -17,20 +17,21 @@ from matplotlib.figure import Figure
 
 from algorithms.common.pareto import farthest_point_subset
 from algorithms.evaluation.front import Front
+from algorithms.evaluation.metrics import label
 from algorithms.reporting import front_plots
-from algorithms.reporting.front_plots import BARS, DPI, draw_front
+from algorithms.reporting.front_plots import BARS, draw_front
 from algorithms.reporting.front_view import (
     REPRESENTATIVES,
-    View,
-    apart,
-    beside,
+    FrontView,
     importance,
-    label,
+    number_formatter,
+    place_labels,
     principal_components,
-    writer,
+    separate,
 )
+from algorithms.reporting.style import DPI
 
-PICTURES = ("importance", "reduction", "parallel", "scatter", "bars")
+FIGURES = ("importance", "reduction", "parallel", "scatter", "bars")
 OURS = ("distance", "destination", "g_force", "jerk", "collision", "lane_violation")
 MINUS = "\N{MINUS SIGN}"
 
@@ -121,7 +122,7 @@ def test_components_of_points_on_a_line_in_one_place_or_turned_round_are_no_acci
 
 def test_representatives_are_those_that_cover_the_front_by_distance() -> None:
     front = driving(60, 4).take(np.random.default_rng(4).permutation(60))
-    view = View(front)
+    view = FrontView(front)
     shown = view.representatives()
     assert len(shown) == REPRESENTATIVES
     assert set(shown) == set(farthest_point_subset(np.nan_to_num(view.importance), REPRESENTATIVES))
@@ -129,20 +130,20 @@ def test_representatives_are_those_that_cover_the_front_by_distance() -> None:
     for i in range(4):
         assert front.returns[shown, i].max() == front.returns[:, i].max()
     assert set(view.representatives(BARS)) < set(shown), "all pictures show the same ones"
-    few = View(front.take(range(5)))
+    few = FrontView(front.take(range(5)))
     assert sorted(few.representatives()) == list(range(5))
 
 
 def test_distance_orders_wherever_it_stands_and_else_the_first_objective() -> None:
     front = front_of([[1.0, 5.0], [2.0, 3.0]], ("jerk", "distance"))
-    np.testing.assert_array_equal(View(front).representatives(), [1, 0])
+    np.testing.assert_array_equal(FrontView(front).representatives(), [1, 0])
     other = front_of([[2.0, 5.0], [1.0, 6.0]], ("speed", "fuel"))
-    np.testing.assert_array_equal(View(other).representatives(), [1, 0])
-    assert (View(other).colours[0] != View(other).colours[1]).any()
+    np.testing.assert_array_equal(FrontView(other).representatives(), [1, 0])
+    assert (FrontView(other).colours[0] != FrontView(other).colours[1]).any()
 
 
 def test_one_objective_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"\['distance'\]; pictures of one need at least two"):
+    with pytest.raises(ValueError, match=r"\['distance'\]; figures of a front need at least two"):
         draw_front(front_of([[1.0]]), Path("nowhere"))
 
 
@@ -158,8 +159,8 @@ def test_one_objective_is_refused() -> None:
     ],
 )
 def test_numbers_are_written_with_the_digits_that_matter(values: tuple[float, ...], value: float, text: str) -> None:
-    assert writer(values, "m")(value) == text
-    assert writer(values)(value) == text.removesuffix(" m")
+    assert number_formatter(values, "m")(value) == text
+    assert number_formatter(values)(value) == text.removesuffix(" m")
 
 
 def test_labels_say_what_is_summed() -> None:
@@ -171,19 +172,19 @@ def test_labels_say_what_is_summed() -> None:
 
 def test_what_is_moved_apart_moves_as_little_as_it_can() -> None:
     free = np.array([0.9, 0.1, 0.5])
-    np.testing.assert_allclose(apart(free, 0.2, (0.0, 1.0)), free)
-    np.testing.assert_allclose(apart([0.5, 0.5], 0.2, (0.0, 1.0)), [0.4, 0.6])
-    np.testing.assert_allclose(apart([0.0, 0.0, 0.9], 0.2, (0.0, 1.0)), [0.0, 0.2, 0.9])
-    np.testing.assert_allclose(apart([1.0, 0.9, 1.0], 0.2, (0.0, 1.0)), [0.8, 0.6, 1.0])
-    np.testing.assert_allclose(apart(np.zeros(11), 0.2, (0.0, 1.0)), np.linspace(0.0, 1.0, 11))
-    np.testing.assert_allclose(apart([0.3], 0.2, (0.0, 1.0)), [0.3])
+    np.testing.assert_allclose(separate(free, 0.2, (0.0, 1.0)), free)
+    np.testing.assert_allclose(separate([0.5, 0.5], 0.2, (0.0, 1.0)), [0.4, 0.6])
+    np.testing.assert_allclose(separate([0.0, 0.0, 0.9], 0.2, (0.0, 1.0)), [0.0, 0.2, 0.9])
+    np.testing.assert_allclose(separate([1.0, 0.9, 1.0], 0.2, (0.0, 1.0)), [0.8, 0.6, 1.0])
+    np.testing.assert_allclose(separate(np.zeros(11), 0.2, (0.0, 1.0)), np.linspace(0.0, 1.0, 11))
+    np.testing.assert_allclose(separate([0.3], 0.2, (0.0, 1.0)), [0.3])
 
 
 def test_labels_keep_off_points_each_other_and_the_edge() -> None:
     rng = np.random.default_rng(5)
     points = rng.random((60, 2)) * (400, 250)
     size = np.tile((14.0, 9.0), (10, 1))
-    centres = beside(points[:10], size, points, (0.0, 0.0, 400.0, 250.0))
+    centres = place_labels(points[:10], size, points, (0.0, 0.0, 400.0, 250.0))
     for i, centre in enumerate(centres):
         assert np.linalg.norm(centre - points[i]) < 60.0
         assert (centre >= (7.0, 4.5)).all()
@@ -200,7 +201,7 @@ def test_labels_keep_off_points_each_other_and_the_edge() -> None:
 def test_every_size_of_front_has_its_pictures(tmp_path: Path, k: int, d: int) -> None:
     front = driving(k, d)
     paths = draw_front(front, tmp_path, reference_front=driving(5, d, seed=1).discounted, title="pcn on somewhere")
-    assert paths == [tmp_path / f"{name}.png" for name in PICTURES]
+    assert paths == [tmp_path / f"{name}.png" for name in FIGURES]
     assert sorted(tmp_path.iterdir()) == sorted(paths), "nothing temporary is left"
     for path in paths:
         pixels = iio.imread(io.BytesIO(path.read_bytes()))[..., :3]
@@ -238,7 +239,7 @@ def test_a_reference_front_of_another_width_is_refused(tmp_path: Path) -> None:
 
 def test_importance_shows_every_number_between_its_ends_in_real_units() -> None:
     front = front_of([[0.0, 1.0, -10.0], [10.0, 1.0, -30.0], [4.0, 1.0, -15.0]], ("distance", "destination", "g_force"))
-    figure = front_plots._importance(View(front, "pcn"))
+    figure = front_plots._importance(FrontView(front, "pcn"))
     distance, destination, comfort = figure.axes
     assert [round(bar.get_height(), 2) for bar in distance.patches] == [0.0, 0.4, 1.0]
     assert [round(bar.get_height(), 2) for bar in comfort.patches] == [1.0, 0.75, 0.0]
@@ -252,7 +253,7 @@ def test_importance_shows_every_number_between_its_ends_in_real_units() -> None:
 
 def test_scatter_shows_discounted_returns_above_the_reference_front() -> None:
     front, reference = driving(6, 3), driving(4, 3, seed=1).discounted
-    figure = front_plots._scatter(View(front), reference)
+    figure = front_plots._scatter(FrontView(front), reference)
     panels = [axis for axis in figure.axes if axis.get_visible() and axis.get_label() != "<colorbar>"]
     for axis, pair in zip(panels, ((0, 1), (0, 2), (1, 2)), strict=True):
         below, above = axis.collections
@@ -267,21 +268,21 @@ def test_scatter_shows_discounted_returns_above_the_reference_front() -> None:
 
 def test_parallel_tells_apart_who_arrives_and_numbers_representatives() -> None:
     front = driving(30, 4)
-    figure = front_plots._parallel(View(front))
+    figure = front_plots._parallel(FrontView(front))
     lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 4]
     assert len(lines) == 30
     assert sum(line.get_linestyle() == "--" for line in lines) == (front.success < 0.5).sum()
-    shown = View(front).representatives()
+    shown = FrontView(front).representatives()
     assert sum(line.get_alpha() == 1.0 for line in lines) == len(shown)
     assert {str(policy) for policy in shown} <= set(texts(figure))
     unknown = replace(front, success=np.full(30, np.nan))
-    lines = front_plots._parallel(View(unknown)).axes[0].lines
+    lines = front_plots._parallel(FrontView(unknown)).axes[0].lines
     assert all(line.get_linestyle() == "-" for line in lines)
 
 
 def test_bars_show_means_intervals_and_who_arrives() -> None:
     front = driving(12, 4)
-    view = View(front)
+    view = FrontView(front)
     shown = view.representatives(BARS)
     figure = front_plots._bars(view)
     for i, axis in enumerate(figure.axes[:4]):
@@ -292,5 +293,5 @@ def test_bars_show_means_intervals_and_who_arrives() -> None:
     rates = figure.axes[4]
     np.testing.assert_array_equal([bar.get_width() for bar in rates.patches], front.success[shown])
     assert any("95% bootstrap intervals" in text for text in texts(figure))
-    alone = front_plots._bars(View(front_of([[1.0, -2.0]], episodes=1)))
+    alone = front_plots._bars(FrontView(front_of([[1.0, -2.0]], episodes=1)))
     assert not any("bootstrap" in text for text in texts(alone))

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from algorithms.evaluation.evaluate import Evaluation
 from algorithms.evaluation.statistics import Estimate, bootstrap, mean, rate, utility_of_mean
-from algorithms.reporting.tables import summarise, table, write
+from algorithms.reporting.tables import estimate_metrics, evaluation_table, write_evaluation
 from mo_deepdrive.utilities import Utility, make_utility
 
 OBJECTIVES = ("distance", "jerk")
@@ -86,7 +86,7 @@ def test_estimates_read_to_the_digits_that_mean_something(estimate: Estimate, te
 
 def test_a_summary_states_what_the_evaluation_holds() -> None:
     held = evaluation()
-    summary = summarise(held)
+    summary = estimate_metrics(held)
     metrics = held.metrics()
     for name in (
         "utility_esr",
@@ -107,18 +107,18 @@ def test_a_summary_states_what_the_evaluation_holds() -> None:
 def test_esr_and_ser_agree_for_a_linear_utility() -> None:
     held = evaluation()
     held.utilities = (make_utility("linear", OBJECTIVES, weights=[1.0, 0.01]),)
-    summary = summarise(held)
+    summary = estimate_metrics(held)
     assert summary["utility_esr"].value == pytest.approx(summary["utility_ser"].value)
 
 
 def test_an_environment_that_does_not_say_why_episodes_end_gets_no_rates() -> None:
-    summary = summarise(evaluation(ends=False))
+    summary = estimate_metrics(evaluation(ends=False))
     assert "success" not in summary
     assert not [name for name in summary if name.startswith("end/")]
 
 
 def test_every_vehicle_has_its_numbers() -> None:
-    names = set(summarise(evaluation(vehicles=2)))
+    names = set(estimate_metrics(evaluation(vehicles=2)))
     assert {"vehicle_0/utility_esr", "vehicle_1/utility_esr", "vehicle_1/end/circling"} <= names
 
 
@@ -126,19 +126,19 @@ def test_what_all_vehicles_do_together_is_counted_over_episodes() -> None:
     found = evaluation(episodes=4, vehicles=2)
     found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
     found.ends[:] = [["arrived", "arrived"], ["arrived", "collision"], ["collision", "arrived"], ["collision"] * 2]
-    summary = summarise(found)
+    summary = estimate_metrics(found)
     assert summary["success"].value == 0.25
     assert summary["end/collision"].value == 0.75
     assert summary["vehicle_1/end/collision"].value == 0.5
-    assert "success" in summarise(evaluation())
+    assert "success" in estimate_metrics(evaluation())
     assert {"utility_esr", "length"}.isdisjoint(summary)
 
 
 def test_numbers_are_written_and_shown_whole(tmp_path: Path) -> None:
     policies = {"greedy": evaluation(5), "stochastic": evaluation(5, ends=False)}
-    write(tmp_path, policies, {"seed": 7, "episodes": 5})
+    write_evaluation(tmp_path, policies, {"seed": 7, "episodes": 5})
     stored = json.loads((tmp_path / "evaluation.json").read_text())
-    expected = summarise(policies["greedy"])["utility_esr"]
+    expected = estimate_metrics(policies["greedy"])["utility_esr"]
     assert stored["seed"] == 7
     assert stored["policies"]["greedy"]["utility_esr"] == {
         "value": expected.value,
@@ -154,7 +154,7 @@ def test_numbers_are_written_and_shown_whole(tmp_path: Path) -> None:
     assert [int(row["seed"]) for row in episodes] == [7, 8, 9, 10, 11] * 2
     assert float(episodes[2]["return/jerk"]) == policies["greedy"].returns[2, 0, 1]
     console = Console(width=120, record=True)
-    console.print(table(policies, "a [title]"))
+    console.print(evaluation_table(policies, "a [title]"))
     text = console.export_text()
     assert "end/circling" in text
     assert expected.text() in text

@@ -16,7 +16,7 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.training import build
-from algorithms.reporting.videos import HOLD, record, writing
+from algorithms.reporting.videos import HOLD, record, video_writer
 from mo_deepdrive.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
@@ -76,7 +76,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     path = tmp_path_factory.mktemp("video") / "drive.mp4"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(agent, "act", act)
-        count = record(agent, experiment.environment, path, episodes=1)
+        count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
     accrued, discounts = (np.stack(each) for each in zip(*seen, strict=True))
     return Filmed(agent, count, iio.imread(path), accrued, discounts)
 
@@ -107,7 +107,9 @@ def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
 ) -> None:
     agent, experiment = make(ONE, time_limit=1)
     monkeypatch.setattr(agent, "act", policy(SPEED_UP))
-    count = record(agent, experiment.environment, tmp_path / "drive.mp4", episodes=2)
+    count = record(
+        agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "drive.mp4", episodes=2
+    )
     frames = iio.imread(tmp_path / "drive.mp4").astype(int)
     length = 1 + FPS + round(HOLD * FPS)
     assert len(frames) == count == 2 * length
@@ -125,11 +127,11 @@ def test_a_video_that_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(agent, "act", act)
     with pytest.raises(RuntimeError, match="no idea"):
-        record(agent, experiment.environment, tmp_path / "drive.mp4")
+        record(agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "drive.mp4")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_video_without_frames_is_no_file(tmp_path: Path) -> None:
-    with writing(tmp_path / "drive.mp4", FPS):
+    with video_writer(tmp_path / "drive.mp4", FPS):
         pass
     assert not list(tmp_path.iterdir())
