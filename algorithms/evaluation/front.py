@@ -231,7 +231,7 @@ class Front:
                 seed=int(about["seed"]),
             )
         except FileNotFoundError as error:
-            raise ValueError(f"{str(directory)!r} holds no front: it has no {Path(error.filename).name}") from None
+            raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -150,7 +151,7 @@ def caption_strip(text: str, width: int) -> Frame:
         figure = Figure(
             figsize=(width / VIDEO_DPI, CAPTION_PIXELS / VIDEO_DPI), dpi=VIDEO_DPI, facecolor=VIDEO_BACKGROUND
         )
-        canvas = FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)
         words = figure.text(10 / width, 0.5, line, color=VIDEO_INK, va="center_baseline", parse_math=False)
 
         def fits() -> bool:

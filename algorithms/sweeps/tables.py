@@ -60,7 +60,7 @@ def print_sweep(
         )
     scores = collection.scores.collect()
     if metric is not None:
-        _check_metric(metric, scores)
+        check_metric(metric, scores)
     every: list[ScoreGroup] = []
     to_compare: list[ScoreGroup] = []
     for setting in rank(collection.cells, scores, metric):
@@ -81,8 +81,16 @@ def print_sweep(
     return [scores_table(every), compared] if whole else []
 
 
-def _check_metric(metric: str, scores: pl.DataFrame) -> None:
-    """Refuse a metric that no run has; policy and vehicle may be omitted."""
+def check_metric(metric: str, scores: pl.DataFrame) -> None:
+    """Check that some run has a metric; its policy and vehicle may be omitted.
+
+    Args:
+        metric: as ``greedy/vehicle_0/success``.
+        scores: with the columns policy, vehicle and metric.
+
+    Raises:
+        ValueError: as :func:`algorithms.evaluation.metrics.known_metric`.
+    """
     places = scores.select(PLACE).unique().sort(PLACE).rows()
     names = ["/".join(filter(None, place)) for place in places]
     shortened = {

@@ -60,7 +60,7 @@ def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: 
     assert float(compared[8]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
 
 
-def test_vehicles_have_rows_of_their_own_and_one_for_all_together(tmp_path: Path) -> None:
+def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path) -> None:
     for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
         for seed in (0, 1):
             config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
@@ -126,7 +126,7 @@ def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, floa
     (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
 
 
-def test_fronts_have_their_indicators_and_are_compared_by_their_hypervolume(tmp_path: Path) -> None:
+def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path) -> None:
     for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
         for seed, more in enumerate((1.0, 2.0, 6.0)):
             numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}

@@ -54,7 +54,7 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     assert [group.label for group in groups] == ["mo_a2c, gamma 0.99", "a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
 
 
-def test_two_vehicles_have_panels_of_their_own_and_one_for_both(make: Make) -> None:
+def test_two_vehicles_have_separate_panels_and_one_for_both(make: Make) -> None:
     run = make("a")
     names = ["success", *(f"vehicle_{v}/{name}" for v in (0, 1) for name in ("success", "return/lane_violation"))]
     metrics = MetricsFile(run / "metrics.csv")
@@ -70,7 +70,7 @@ def test_two_vehicles_have_panels_of_their_own_and_one_for_both(make: Make) -> N
     plot(load_groups([run]), run / "curves.png")
 
 
-def test_algorithms_are_told_apart_by_their_names(make: Make) -> None:
+def test_algorithms_are_labelled_by_their_names(make: Make) -> None:
     groups = load_groups([make("a"), make("b", "a2c", steps=4)])
     assert [group.label for group in groups] == ["mo_a2c", "a2c"]
 
@@ -86,7 +86,7 @@ def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
         plot(load_groups([make("c")]), tmp_path / "curves.xyz")
 
 
-def test_a_curve_is_the_mean_with_an_interval_that_holds_it() -> None:
+def test_a_curve_is_the_mean_within_its_interval() -> None:
     steps = np.arange(5.0)
     runs = [{"step": steps, "a": steps + offset} for offset in (-1.0, 0.0, 1.0)]
     found = curve(runs, "a")
@@ -98,7 +98,7 @@ def test_a_curve_is_the_mean_with_an_interval_that_holds_it() -> None:
     assert (mean < high).all()
 
 
-def test_runs_of_different_length_are_compared_as_far_as_all_have_come() -> None:
+def test_runs_of_different_length_are_compared_up_to_the_shortest() -> None:
     runs = [
         {"step": np.array([0.0, 10.0, 20.0]), "a": np.zeros(3)},
         {"step": np.array([0.0, 5.0, 15.0]), "a": np.ones(3)},
@@ -108,7 +108,7 @@ def test_runs_of_different_length_are_compared_as_far_as_all_have_come() -> None
     np.testing.assert_array_equal(found[0], [0.0, 10.0])
 
 
-def test_rows_without_a_value_are_left_out_and_long_curves_averaged() -> None:
+def test_rows_without_a_value_are_skipped_and_long_curves_averaged() -> None:
     steps = np.arange(1000.0)
     values = np.where(steps % 2 == 0, steps, np.nan)
     found = curve([{"step": steps, "a": values}], "a")
@@ -127,7 +127,7 @@ def test_figures_are_drawn_of_one_group_and_of_several(make: Make, tmp_path: Pat
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_scores_that_cannot_be_compared_have_panels_of_their_own(make: Make) -> None:
+def test_scores_that_cannot_be_compared_have_separate_panels(make: Make) -> None:
     groups = load_groups([make("a"), make("b", utility="nonlinear"), make("c", "a2c")])
     panels = {panel.title: panel.groups for panel in curve_panels(groups)}
     assert panels == {
@@ -138,7 +138,7 @@ def test_scores_that_cannot_be_compared_have_panels_of_their_own(make: Make) -> 
     }
 
 
-def test_only_what_is_drawn_need_be_read(make: Make) -> None:
+def test_metrics_that_are_drawn_can_be_selected(make: Make) -> None:
     (group,) = load_groups([make("a")])
     names = ["step", "eval/greedy/success", "loss/policy", "train/utility", "eval/greedy/max_jerk"]
     assert drawn(names, group.config) == ["eval/greedy/success", "train/utility"]

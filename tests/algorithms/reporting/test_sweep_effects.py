@@ -35,7 +35,7 @@ def test_numbers_that_grow_by_factors_are_on_logarithmic_axes(numbers: Any, expe
     assert is_logarithmic(np.asarray(numbers, dtype=np.float64)) is expected
 
 
-def test_every_value_has_a_mean_and_neighbours_share_one_where_there_are_many() -> None:
+def test_every_value_has_a_mean_and_many_values_are_binned() -> None:
     scores = np.arange(60.0)
     few = effect_of_numbers(np.repeat([8.0, 16.0, 32.0], 20), scores)
     assert [each.value for each in few.means] == [9.5, 29.5, 49.5]
@@ -48,7 +48,7 @@ def test_every_value_has_a_mean_and_neighbours_share_one_where_there_are_many() 
     assert effect_of_words([f"a rather long word {i}" for i in range(60)], scores).slanted
 
 
-def test_a_few_bad_runs_do_not_flatten_the_others() -> None:
+def test_a_few_outliers_do_not_flatten_the_other_runs() -> None:
     words = ["a"] * 50 + ["b"] * 50
     scores = np.linspace(0.0, 1.0, 100)
     whole = score_limits(scores, [effect_of_words(words, scores)])

@@ -35,7 +35,7 @@ def assert_near(pixels: Frame, colour: NDArray[np.float64], tolerance: float = 1
     assert np.abs(pixels.astype(float) - colour).max() < tolerance
 
 
-def test_four_tracks_lie_in_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
+def test_four_tracks_form_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
     lengths = (3, 8, 5, 1)
 
     def track(k: int) -> Iterator[Frame]:
@@ -55,7 +55,7 @@ def test_four_tracks_lie_in_a_square_and_each_keeps_its_last_frame(tmp_path: Pat
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_fewer_lie_side_by_side(tmp_path: Path, n: int) -> None:
+def test_up_to_three_tracks_are_side_by_side(tmp_path: Path, n: int) -> None:
     count = write_video_grid(
         [("", [plain(1.0, COLOURS[k])] * 2) for k in range(n)], tmp_path / "video.mp4", FPS, hold=0.0
     )
@@ -66,7 +66,7 @@ def test_fewer_lie_side_by_side(tmp_path: Path, n: int) -> None:
         assert_near(tile(frames, 0, k), np.array(COLOURS[k]))
 
 
-def test_more_leave_the_rest_of_the_last_row_empty(tmp_path: Path) -> None:
+def test_the_rest_of_the_last_row_is_empty(tmp_path: Path) -> None:
     write_video_grid([(str(k), [plain(1.0)]) for k in range(5)], tmp_path / "video.mp4", FPS, hold=0.2)
     frames = iio.imread(tmp_path / "video.mp4")
     assert frames.shape[1:] == (2 * (HEIGHT + CAPTION_PIXELS), 3 * (WIDTH + GAP) - GAP, 3)
@@ -74,7 +74,7 @@ def test_more_leave_the_rest_of_the_last_row_empty(tmp_path: Path) -> None:
     assert tile(frames, 1, 2).max() < 60
 
 
-def test_captions_stand_above_their_tiles(tmp_path: Path) -> None:
+def test_captions_are_above_their_tiles(tmp_path: Path) -> None:
     write_video_grid([("", [plain(0.0)]), ("WWW", [plain(0.0)])], tmp_path / "video.mp4", FPS)
     strips = iio.imread(tmp_path / "video.mp4")[0, :CAPTION_PIXELS].max(axis=2)
     assert strips[:, :WIDTH].max() < 60
@@ -83,9 +83,9 @@ def test_captions_stand_above_their_tiles(tmp_path: Path) -> None:
 
 def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
     height, width = 301, 1101
-    picture = plain(1.0, size=(height, width))
-    picture[:, width // 2 :] = 0
-    write_video_grid([("a", [picture]), ("b", [picture])], tmp_path / "wide.mp4", FPS)
+    frame = plain(1.0, size=(height, width))
+    frame[:, width // 2 :] = 0
+    write_video_grid([("a", [frame]), ("b", [frame])], tmp_path / "wide.mp4", FPS)
     frame = iio.imread(tmp_path / "wide.mp4")[0]
     assert frame.shape[1] in range(MAX_WIDTH - 4, MAX_WIDTH + 1)
     shown = (frame.shape[1] - GAP) // 2
@@ -100,7 +100,7 @@ def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
     assert frame[CAPTION_PIXELS + 8 :].min() > 230
 
 
-def test_scaling_takes_means() -> None:
+def test_scaling_averages_pixels() -> None:
     fine = np.indices((40, 80)).sum(axis=0) % 2 * 255
     small = scaled(np.repeat(fine[..., None], 3, axis=2).astype(np.uint8), 10, 20)
     assert small.shape == (10, 20, 3)
@@ -113,7 +113,7 @@ def test_scaling_takes_means() -> None:
     np.testing.assert_array_equal(small, plain(0.5, COLOURS[0], (20, 30)))
 
 
-def test_captions_that_do_not_fit_shrink_and_then_end_early() -> None:
+def test_captions_that_do_not_fit_shrink_and_are_then_shortened() -> None:
     def ink(text: str, width: int = 300) -> tuple[int, int]:
         """Width and height of what is written."""
         strip = caption_strip(text, width).max(axis=2) > 90
@@ -130,7 +130,7 @@ def test_captions_that_do_not_fit_shrink_and_then_end_early() -> None:
     assert (caption_strip("", 300) == caption_strip("", 300)[0, 0]).all()
 
 
-def test_what_cannot_be_shown_is_refused_and_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_invalid_tracks_are_refused_and_leave_nothing_behind(tmp_path: Path) -> None:
     path, fine = tmp_path / "video.mp4", [plain(1.0)]
     with pytest.raises(ValueError, match="at least one"):
         write_video_grid([], path, FPS)
