@@ -55,7 +55,7 @@ def group_by_experiment(directories: Sequence[Path], configs: Sequence[Mapping[s
         other = groups.setdefault(key, {}).setdefault(seed, i)
         if other != i:
             raise ValueError(
-                f"run {str(directories[i])!r} repeats seed {seed} of run {str(directories[other])!r}, which is the "
-                "same experiment; give one of them"
+                f"runs {str(directories[other])!r} and {str(directories[i])!r} are the same experiment with the same "
+                f"seed, {seed}; give one of them"
             )
     return [list(members.values()) for members in groups.values()]

@@ -98,7 +98,7 @@ def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
     for path in paths:
         if not (path / "config.yaml").is_file():
             raise ValueError(
-                f"{str(path)!r} is neither a run directory, which has a config.yaml, nor a sweep, which has a "
+                f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a "
                 "manifest.jsonl"
             )
         config, columns = read_mapping(path / "config.yaml"), read_metrics(path / "metrics.csv")

@@ -114,7 +114,7 @@ def test_folders_without_runs_and_repeated_seeds_are_refused(
     make_run(tmp_path / "first", "a2c", 0, 1.0)
     make_run(tmp_path / "second", "a2c", 0, 1.0)
     assert run_table(tmp_path / "first", tmp_path / "second") == 2
-    assert "repeats seed 0" in capsys.readouterr().err
+    assert "the same seed, 0" in capsys.readouterr().err
 
 
 def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, float], *overrides: str) -> None:

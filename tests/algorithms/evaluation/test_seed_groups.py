@@ -79,5 +79,5 @@ def test_the_order_of_keys_does_not_matter() -> None:
 
 
 def test_a_repeated_seed_is_refused_naming_both_runs() -> None:
-    with pytest.raises(ValueError, match="run 'run2' repeats seed 0 of run 'run0', which is the same experiment"):
+    with pytest.raises(ValueError, match="runs 'run0' and 'run2' are the same experiment with the same seed, 0"):
         groups(CONFIG, changed("training.seed", 1), changed("training.device", "cuda"))

@@ -76,11 +76,11 @@ def test_algorithms_are_labelled_by_their_names(make: Make) -> None:
 
 
 def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="is neither a run directory"):
+    with pytest.raises(ValueError, match="is not a run directory"):
         load_groups([tmp_path])
     with pytest.raises(ValueError, match="has no metrics yet"):
         load_groups([make("empty", points=0)])
-    with pytest.raises(ValueError, match="repeats seed 0"):
+    with pytest.raises(ValueError, match="the same seed, 0"):
         load_groups([make("a"), make("b")])
     with pytest.raises(ValueError, match="xyz"):
         plot(load_groups([make("c")]), tmp_path / "curves.xyz")
