@@ -48,7 +48,7 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import CommandNetwork
 from algorithms.common.optimisers import linear_schedule, optimiser_state, set_learning_rate, set_optimiser_state
-from algorithms.common.pareto import indicators, spread
+from algorithms.common.pareto import farthest_point_subset, indicators
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation.evaluate import Evaluation, evaluate_each
 from algorithms.evaluation.front import Front
@@ -354,7 +354,7 @@ class PCN(Agent):
             ValueError: if the buffer is empty and no policy was loaded.
         """
         returns, lengths = self._best_episodes()
-        chosen = spread(returns, self.config.max_policies, self.scales)
+        chosen = farthest_point_subset(returns, self.config.max_policies, self.scales)
         return returns[chosen].astype(np.float32), lengths[chosen].astype(np.float32)
 
     def _best_episodes(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

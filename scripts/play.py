@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
@@ -29,7 +30,7 @@ from algorithms.experiments.cli import check_parent, exit_on_error, make_parser
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.videos import writing
+from algorithms.reporting.videos import video_writer
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.play import (
     EpisodeOutcome,
@@ -124,7 +125,7 @@ def main(arguments: list[str]) -> int:
         seats = list(range(env.vehicles)) if agent is None else [options.vehicle or 0]
         generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
         driver = None if agent is None else PolicyDriver(agent, generator)
-        with writing(options.record, rate) if options.record else nullcontext() as on_frame:
+        with video_writer(options.record, rate) if options.record else nullcontext() as on_frame:
             human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
             human_env.reset(seed=options.seed)
             console.print(describe_controls(seats), highlight=False)
@@ -138,5 +139,5 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.path.append(os.getcwd())  # where a user's own utility may be
+    sys.path.append(str(Path.cwd()))  # where a user's own utility may be
     sys.exit(main(sys.argv[1:]))

@@ -44,9 +44,10 @@ def samples_without_generator(tree: ast.AST) -> Iterator[str]:
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
             continue
         function = node.func
-        if isinstance(function.value, ast.Name) and function.value.id == "torch" and function.attr in SAMPLERS:
-            if not any(keyword.arg == "generator" for keyword in node.keywords):
-                yield f"torch.{function.attr} in line {node.lineno}"
+        of_torch = isinstance(function.value, ast.Name) and function.value.id == "torch"
+        seeded = any(keyword.arg == "generator" for keyword in node.keywords)
+        if of_torch and function.attr in SAMPLERS and not seeded:
+            yield f"torch.{function.attr} in line {node.lineno}"
 
 
 def test_torch_samples_from_given_generators(repository: Path) -> None:

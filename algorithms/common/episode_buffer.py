@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from algorithms.common.pareto import crowding_distances, non_dominated, spread
+from algorithms.common.pareto import crowding_distances, farthest_point_subset, non_dominated
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class EpisodeBuffer:
             if len(kept) < self.capacity:
                 kept = np.argsort(-self.scores(), kind="stable")[: self.capacity]
             else:
-                kept = kept[spread(self.returns[kept], self.capacity, self.scales)]
+                kept = kept[farthest_point_subset(self.returns[kept], self.capacity, self.scales)]
             self.episodes = [self.episodes[i] for i in kept]
         self._arrays = {}
 

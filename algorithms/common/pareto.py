@@ -186,10 +186,11 @@ def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:
     return mean
 
 
-def spread(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> NDArray[np.intp]:
-    """Indices of ``count`` of the points ``returns`` (n, d) that cover them: each as far as can be from those before.
+def farthest_point_subset(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> NDArray[np.intp]:
+    """Indices of ``count`` of the points ``returns`` (n, d), which cover them: farthest-point sampling (Gonzalez 1985).
 
-    The best point of every objective comes first. All indices, in their order, where there are no more than ``count``.
+    The best point of every objective comes first, then always the point farthest from those chosen before. All indices,
+    in their order, if there are no more than ``count`` points.
     """
     points = _points(returns, "returns")
     if len(points) <= count:

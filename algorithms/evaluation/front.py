@@ -1,4 +1,4 @@
-"""A front: the policies that a multi-policy algorithm found, as re-evaluation shows them, never as training hoped."""
+"""Fronts: the policies that a multi-policy algorithm found, each with the returns measured by evaluating it anew."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
-from algorithms.common.pareto import non_dominated
+from algorithms.common.pareto import indicators, non_dominated
+from algorithms.evaluation.metrics import DISCOUNTED_RETURN, LENGTH, RETURN, SUCCESS
 from algorithms.evaluation.statistics import bootstrap
 
 if TYPE_CHECKING:
     from algorithms.evaluation.evaluate import Evaluation
 
 FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"
+CONDITION = "condition/"  # prefix of columns of front.csv
 
 
 @dataclass(frozen=True)
@@ -29,15 +32,17 @@ class Front:
     Attributes:
         objectives: names of the d components.
         returns: (K, d) mean undiscounted return of each policy.
-        low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to them where no episode differs.
-        discounted: (K, d) mean return discounted with ``gamma``, which dominance and indicators go by.
+        low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes
+            are the same.
+        discounted: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
         success: (K,) share of the episodes that reached the goal; NaN where the environment does not say.
         length: (K,) mean number of decisions.
-        conditions: (K, m) what makes each policy: PCN's command, another algorithm's weights; m may be 0.
-        condition_names: of the m columns.
-        gamma: discount of ``discounted``.
-        episodes: per policy.
-        seed: of the first episode.
+        conditions: (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another
+            algorithm's weights; m may be 0.
+        condition_names: names of the m columns.
+        gamma: discount factor of ``discounted``.
+        episodes: number of episodes per policy.
+        seed: seed of the first episode.
     """
 
     objectives: tuple[str, ...]
@@ -71,29 +76,33 @@ class Front:
 
         Args:
             objectives: d names.
-            returns, discounted: (K, E, d).
+            returns: (K, E, d) undiscounted returns.
+            discounted: (K, E, d) discounted returns.
             lengths: (K, E) decisions.
-            succeeded: (K, E), or None where the environment does not say.
-            conditions, condition_names: (K, m) and m names; None for none.
-            gamma, seed: of the evaluation.
+            succeeded: (K, E) whether the goal was reached; None where the environment does not say.
+            conditions: (K, m) what each policy is conditioned on; None if there is nothing.
+            condition_names: m names.
+            gamma: discount factor of ``discounted``.
+            seed: of the first episode.
 
         Raises:
-            ValueError: if there is no policy or no episode, or a shape does not fit.
+            ValueError: if there is no policy or no episode, or the shapes do not match.
         """
         returns = np.asarray(returns, dtype=np.float64)
         discounted, lengths = np.asarray(discounted, dtype=np.float64), np.asarray(lengths, dtype=np.float64)
         if returns.ndim != 3 or not returns.size or returns.shape[2] != len(objectives):
             raise ValueError(
-                f"returns have shape {returns.shape}; expected (policies, episodes, {len(objectives)}), none of them 0"
+                f"returns have shape {returns.shape}; expected (policies, episodes, {len(objectives)}), at least one "
+                "of each"
             )
         k, e, _ = returns.shape
-        reached = np.full((k, e), np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64)
-        chosen = np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64)
+        arrived = np.full((k, e), np.nan) if succeeded is None else np.asarray(succeeded, dtype=np.float64)
+        given = np.zeros((k, 0)) if conditions is None else np.asarray(conditions, dtype=np.float64)
         shapes = {
             "discounted": (discounted.shape, returns.shape),
             "lengths": (lengths.shape, (k, e)),
-            "succeeded": (reached.shape, (k, e)),
-            "conditions": (chosen.shape, (k, len(condition_names))),
+            "succeeded": (arrived.shape, (k, e)),
+            "conditions": (given.shape, (k, len(condition_names))),
         }
         for name, (shape, expected) in shapes.items():
             if shape != expected:
@@ -106,9 +115,9 @@ class Front:
             low=low,
             high=high,
             discounted=discounted.mean(axis=1),
-            success=reached.mean(axis=1),
+            success=arrived.mean(axis=1),
             length=lengths.mean(axis=1),
-            conditions=chosen,
+            conditions=given,
             condition_names=tuple(condition_names),
             gamma=gamma,
             episodes=e,
@@ -130,13 +139,13 @@ class Front:
             np.stack([getattr(each, name)[:, 0] for each in evaluations])
             for name in ("returns", "discounted", "lengths", "succeeded", "ends")
         )
-        says = any(end is not None for end in ends.flat) or bool(succeeded.any())
+        success_known = any(end is not None for end in ends.flat) or bool(succeeded.any())
         return cls.of_episodes(
             evaluations[0].objectives,
             returns,
             discounted,
             lengths,
-            succeeded if says else None,
+            succeeded if success_known else None,
             conditions,
             condition_names,
             gamma=gamma,
@@ -153,31 +162,35 @@ class Front:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def non_dominated(self) -> Front:
-        """The policies that no other dominates, by the discounted return of the first objective, least first."""
+        """The policies that no other dominates, in increasing order of the discounted return of the first objective."""
         kept = self.take(np.flatnonzero(non_dominated(self.discounted)))
         return kept.take(np.argsort(kept.discounted[:, 0], kind="stable"))
 
     def rows(self) -> list[dict[str, float]]:
-        """One mapping per policy, of the columns of ``front.csv``."""
+        """One mapping per policy, from the columns of ``front.csv`` to its numbers."""
         return [dict(zip(self._columns(), row, strict=True)) for row in self._table().tolist()]
 
     def _columns(self) -> list[str]:
         per_objective = [
-            f"{prefix}/{name}{end}"
-            for prefix, end in (("return", ""), ("return", "/low"), ("return", "/high"), ("discounted_return", ""))
+            f"{prefix}{name}{end}"
+            for prefix, end in ((RETURN, ""), (RETURN, "/low"), (RETURN, "/high"), (DISCOUNTED_RETURN, ""))
             for name in self.objectives
         ]
-        return ["policy", "success", "length", *per_objective, *(f"condition/{name}" for name in self.condition_names)]
+        return ["policy", SUCCESS, LENGTH, *per_objective, *(CONDITION + name for name in self.condition_names)]
 
     def _table(self) -> NDArray[np.float64]:
         blocks = (self.returns, self.low, self.high, self.discounted, self.conditions)
         return np.column_stack([np.arange(len(self)), self.success, self.length, *blocks])
 
     def write(self, directory: str | Path, about: Mapping[str, Any]) -> None:
-        """Write ``front.csv``, one row per policy, and ``evaluation.json``: what the numbers are of, and ``about``.
+        """Write ``front.csv``, one row per policy, and ``evaluation.json``: how they were evaluated.
+
+        Args:
+            directory: an existing one.
+            about: anything else for ``evaluation.json``.
 
         Raises:
-            OSError: if a file cannot be written; each is whole or untouched.
+            OSError: if a file cannot be written; each file is complete or unchanged.
         """
         rows: list[list[Any]] = [self._columns(), *([int(row[0]), *row[1:]] for row in self._table().tolist())]
         atomic_write(Path(directory) / FRONT_FILE, csv_bytes(rows))
@@ -186,10 +199,10 @@ class Front:
 
     @classmethod
     def read(cls, directory: str | Path) -> Front:
-        """The front that :meth:`write` left in ``directory``.
+        """The front that :meth:`write` wrote into ``directory``.
 
         Raises:
-            ValueError: if there is none, or it is broken.
+            ValueError: if there is no front, or a file is broken.
         """
         path = Path(directory) / FRONT_FILE
         try:
@@ -198,20 +211,20 @@ class Front:
                 header, *rows = csv.reader(file)
             columns = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), -1).T, strict=True))
             objectives = tuple(about["objectives"])
-            names = tuple(name.removeprefix("condition/") for name in header if name.startswith("condition/"))
+            names = tuple(name.removeprefix(CONDITION) for name in header if name.startswith(CONDITION))
 
             def block(prefix: str, of: tuple[str, ...], end: str = "") -> NDArray[np.float64]:
-                return np.stack([columns[f"{prefix}/{name}{end}"] for name in of], axis=1)
+                return np.stack([columns[f"{prefix}{name}{end}"] for name in of], axis=1)
 
             return cls(
                 objectives=objectives,
-                returns=block("return", objectives),
-                low=block("return", objectives, "/low"),
-                high=block("return", objectives, "/high"),
-                discounted=block("discounted_return", objectives),
-                success=columns["success"],
-                length=columns["length"],
-                conditions=block("condition", names) if names else np.zeros((len(rows), 0)),
+                returns=block(RETURN, objectives),
+                low=block(RETURN, objectives, "/low"),
+                high=block(RETURN, objectives, "/high"),
+                discounted=block(DISCOUNTED_RETURN, objectives),
+                success=columns[SUCCESS],
+                length=columns[LENGTH],
+                conditions=block(CONDITION, names) if names else np.zeros((len(rows), 0)),
                 condition_names=names,
                 gamma=float(about["gamma"]),
                 episodes=int(about["episodes"]),
@@ -221,3 +234,53 @@ class Front:
             raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
+
+
+def measure_front(
+    front: Front,
+    *,
+    reference_point: ArrayLike | None,
+    reference_front: ArrayLike | None,
+    scales: ArrayLike | None,
+) -> dict[str, float]:
+    """The indicators of a front by metric, and the share of its episodes that arrived where that is known.
+
+    Args:
+        front: K policies.
+        reference_point: (d,) of the hypervolume; None for no hypervolume.
+        reference_front: (k, d) best-known discounted returns; None if there are none.
+        scales: (d,) nominal size of each objective's return; 1 if None.
+
+    Raises:
+        ValueError: as :func:`algorithms.common.pareto.indicators`.
+    """
+    found = indicators(
+        front.discounted, reference_point=reference_point, reference_front=reference_front, scales=scales
+    )
+    if np.isfinite(front.success).all():
+        found[SUCCESS] = float(front.success.mean())
+    return found
+
+
+def best_known_front(env: VectorEnv, gamma: float) -> NDArray[np.float64] | None:
+    """The (k, d) best-known returns of an environment, discounted with ``gamma``; None if it knows none."""
+    inner: Any = env.unwrapped
+    if not hasattr(inner, "pareto_front"):
+        inner = getattr(inner, "envs", [None])[0]
+        inner = getattr(inner, "unwrapped", None)
+    if not hasattr(inner, "pareto_front"):
+        return None
+    try:
+        return np.array(inner.pareto_front(gamma), dtype=np.float64)
+    except ValueError:  # from ours, where no front is known for their configuration
+        return None
+
+
+def check_reference_point(point: Sequence[float] | None, objectives: Sequence[str]) -> None:
+    """Check that the reference point of an experiment's hypervolume fits its environment; None always does.
+
+    Raises:
+        ValueError: if it does not have one number per objective.
+    """
+    if point is not None and len(point) != len(objectives):
+        raise ValueError(f"evaluation.reference_point = {point} needs {len(objectives)} numbers: {tuple(objectives)}")

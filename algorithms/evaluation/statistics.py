@@ -1,13 +1,14 @@
-"""Confidence intervals of 95%: bootstrap for means and utilities, exact for rates.
+"""Confidence intervals of 95%: bootstrap for means and utilities, Wilson's for rates.
 
-Runs are compared by interquartile means, their difference and the probability of improvement, each with the interval
-of a bootstrap over the seeds (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
+Runs are compared by means and interquartile means, their difference and the probability of improvement, each with a
+bootstrap interval over the seeds (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
 precipice").
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,13 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 RESAMPLES = 2000
-COMPARISONS = 10_000  # resamples of a comparison of runs, of which there are few
+COMPARISON_RESAMPLES = 10_000  # of a comparison of runs, of which there are few
 LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value and its interval; ``low`` and ``high`` are None where the sample gives none."""
+    """A value and its interval; ``low`` and ``high`` are None where the sample is too small for one."""
 
     value: float
     low: float | None = None
@@ -44,7 +45,7 @@ def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tu
 
     Args:
         samples: (n, ...).
-        statistic: ``statistic(samples, axis=...)``.
+        statistic: called as ``statistic(samples, axis=...)``.
 
     Returns:
         Lower and upper ends, each (...); NaN where n is 1.
@@ -68,12 +69,28 @@ def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tu
 
 
 def mean(samples: NDArray[Any]) -> Estimate:
-    """The mean of ``samples`` (n,)."""
+    """The mean of ``samples`` (n,) with its bootstrap interval."""
     return estimate(samples, np.mean)
 
 
+def means(samples: Sequence[Sequence[float]]) -> list[Estimate]:
+    """The mean of each sample with its bootstrap interval.
+
+    Samples of the same size share their resamples, which makes thousands of them fast.
+    """
+    found: dict[int, Estimate] = {}
+    by_size: dict[int, list[int]] = defaultdict(list)
+    for i, sample in enumerate(samples):
+        by_size[len(sample)].append(i)
+    for indices in by_size.values():
+        together = np.array([samples[i] for i in indices]).T
+        for i, value, low, high in zip(indices, together.mean(axis=0), *bootstrap(together), strict=True):
+            found[i] = Estimate(float(value)) if np.isnan(low) else Estimate(float(value), float(low), float(high))
+    return [found[i] for i in range(len(samples))]
+
+
 def estimate(samples: NDArray[Any], statistic: Callable[..., Any]) -> Estimate:
-    """A scalar statistic of ``samples`` (n,)."""
+    """A scalar statistic of ``samples`` (n,) with its bootstrap interval."""
     low, high = bootstrap(samples, statistic)
     value = float(statistic(samples, axis=0))
     return Estimate(value) if np.isnan(low) else Estimate(value, float(low), float(high))
@@ -87,13 +104,13 @@ def rate(events: NDArray[np.bool_]) -> Estimate:
 
 
 def utility_of_mean(returns: NDArray[np.float64], utility: Callable[[Any], Any]) -> Estimate:
-    """SER: ``utility`` of the mean of ``returns`` (n, d)."""
+    """SER: ``utility`` of the mean of ``returns`` (n, d), with its bootstrap interval."""
     generator = np.random.default_rng(0)
     value = float(utility(returns.mean(axis=0)))
     n = len(returns)
     if n < 2:
         return Estimate(value)
-    # Resampled means through the counts of each episode, which is a matrix product.
+    # Resampled means from the number of times that each episode is drawn: a matrix product.
     counts = generator.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
     values = np.asarray(utility(counts @ returns / n))
     tail = (1.0 - LEVEL) / 2.0
@@ -111,9 +128,19 @@ def interquartile_mean(samples: NDArray[Any], axis: int = 0) -> Any:
     return stats.trim_mean(samples, 0.25, axis=axis)
 
 
-def improvement(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
-    """The probability that a run of ``first`` (n,) is above one of ``second`` (m,); equal ones count half."""
+def probability_of_improvement(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
+    """The probability that a run of ``first`` (n,) scores higher than one of ``second`` (m,); ties count half."""
     return _compare(first, second, lambda x, y: (np.sign(x[..., :, None] - y[..., None, :]).mean((-2, -1)) + 1.0) / 2.0)
+
+
+def mean_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
+    """Mean of ``first`` (n,) minus that of ``second`` (m,)."""
+    return _compare(first, second, lambda x, y: x.mean(axis=-1) - y.mean(axis=-1))
+
+
+def mann_whitney_p(first: NDArray[Any], second: NDArray[Any]) -> float:
+    """The p-value of the two-sided Mann-Whitney test of ``first`` (n,) against ``second`` (m,)."""
+    return float(stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
 
 
 def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
@@ -122,7 +149,7 @@ def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
 
 
 def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
-    """Standard deviation of ``first`` (n,) over that of ``second`` (m,), infinite where the second does not vary."""
+    """Standard deviation of ``first`` (n,) divided by that of ``second`` (m,); infinite if the latter is 0."""
 
     def ratio(x: Any, y: Any) -> Any:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,17 +159,18 @@ def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
 
 
 def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any, Any], Any]) -> Estimate:
-    """``statistic`` of two independent samples, which are resampled apart."""
+    """``statistic`` of two independent samples, which are resampled independently; no interval if one has size 1."""
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     value = float(statistic(first, second))
     if min(len(first), len(second)) < 2:
         return Estimate(value)
     generator = np.random.default_rng(0)
     resampled = statistic(
-        generator.choice(first, (COMPARISONS, len(first))), generator.choice(second, (COMPARISONS, len(second)))
+        generator.choice(first, (COMPARISON_RESAMPLES, len(first))),
+        generator.choice(second, (COMPARISON_RESAMPLES, len(second))),
     )
     tail = (1.0 - LEVEL) / 2.0
-    # Between two infinite values there is nothing to interpolate.
+    # Interpolating between two infinite values would give NaN.
     method: Literal["linear", "nearest"] = "linear" if np.isfinite(resampled).all() else "nearest"
     low, high = np.quantile(resampled, [tail, 1.0 - tail], method=method)
     return Estimate(value, float(low), float(high))

@@ -13,7 +13,7 @@ from algorithms.evaluation.front import Front
 from algorithms.experiments.config import Experiment
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.front_report import film_front, report_front
-from algorithms.reporting.tables import table, write
+from algorithms.reporting.tables import evaluation_table, write_evaluation
 from algorithms.reporting.videos import record
 
 
@@ -52,13 +52,22 @@ def report_agent(
         directory.mkdir(exist_ok=True)
     if not experiment.known_utility:
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
-        report_front(experiment, front, console, directory=directory, step=agent.step)
+        report_front(
+            front,
+            console,
+            algorithm=experiment.algorithm["name"],
+            env_id=experiment.environment.id,
+            env_arguments=experiment.environment.arguments,
+            reference_point=experiment.evaluation.reference_point,
+            directory=directory,
+            about={"step": agent.step},
+        )
         return video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
     evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
-    console.print(table(evaluations, f"{title}{episodes} episodes from seed {seed}"))
+    console.print(evaluation_table(evaluations, f"{title}{episodes} episodes from seed {seed}"))
     if directory is not None:
         about = {"step": agent.step, "episodes": episodes, "seed": seed, "gamma": experiment.evaluation.gamma}
-        write(directory, evaluations, about)
+        write_evaluation(directory, evaluations, about)
     return video is None or film(agent, experiment, video, console, seed=seed, greedy=greedy)
 
 
@@ -78,7 +87,8 @@ def film(
     Returns:
         Whether there is a video.
     """
-    return attempt_film(lambda: record(policy, experiment.environment, path, seed=seed, greedy=greedy), console)
+    env = experiment.environment
+    return attempt_film(lambda: record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy), console)
 
 
 def film_policies_of_front(
@@ -105,7 +115,10 @@ def film_policies_of_front(
     Returns:
         Whether there is a video.
     """
-    return attempt_film(lambda: film_front(agent, front, experiment, path, seed=seed, policies=policies), console)
+    env = experiment.environment
+    return attempt_film(
+        lambda: film_front(agent, front, env.id, env.arguments, path, seed=seed, policies=policies), console
+    )
 
 
 def attempt_film(recording: Callable[[], object], console: Console) -> bool:

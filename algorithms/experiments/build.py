@@ -10,6 +10,7 @@ from gymnasium.vector import VectorEnv
 
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.evaluation.front import check_reference_point
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run
@@ -82,22 +83,6 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
             f"environment {settings.id!r} with arguments {settings.arguments} cannot be made: "
             f"{type(error).__name__}: {error}"
         ) from error
-
-
-def check_reference_point(reference_point: list[float] | None, objectives: tuple[str, ...]) -> None:
-    """Check that the reference point of an experiment fits its environment.
-
-    Args:
-        reference_point: one number per objective; None for none.
-        objectives: names of the environment's objectives.
-
-    Raises:
-        ValueError: if it has another number of objectives.
-    """
-    if reference_point is not None and len(reference_point) != len(objectives):
-        raise ValueError(
-            f"evaluation.reference_point = {reference_point} needs {len(objectives)} numbers: {objectives}"
-        )
 
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:

@@ -11,6 +11,7 @@ from rich.console import Console
 from algorithms.agent import Agent
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.metrics_file import FrontsFile
+from algorithms.evaluation.front import best_known_front
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
@@ -19,7 +20,6 @@ from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.front_report import best_known_front
 from algorithms.reporting.learning_curves import load_groups, plot
 
 Watch = Callable[[int, Mapping[str, float]], None]

@@ -15,9 +15,9 @@ from algorithms.agent import Log
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import evaluate_each
-from algorithms.evaluation.front import Front
+from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.experiments.agent_report import attempt_film, film
-from algorithms.experiments.build import check_reference_point, make_environment
+from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import Experiment
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, POLICIES, evaluate_policies, evaluation_env
@@ -27,7 +27,7 @@ from algorithms.peers.environment import Recorder
 from algorithms.peers.task import Policies, Task
 from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.learning_curves import load_groups, plot
-from algorithms.reporting.tables import table, write
+from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import make_utility
 
@@ -117,10 +117,10 @@ def _finish_policy(
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
     found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
-    console.print(table(found, f"{settings.final_episodes} episodes from seed {settings.seed}"))
+    console.print(evaluation_table(found, f"{settings.final_episodes} episodes from seed {settings.seed}"))
     measured = {"episodes": settings.final_episodes, "seed": settings.seed, "gamma": settings.gamma}
-    write(run.path, found, {"step": steps, **about, **measured})
-    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.seed)  # type: ignore[arg-type]
+    write_evaluation(run.path, found, {"step": steps, **about, **measured})
+    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.seed)
     return {f"eval/{each}/{name}": value for each in POLICIES for name, value in found[each].metrics().items()}
 
 
@@ -130,17 +130,21 @@ def _finish_front(
     """Evaluate all policies, report and film the non-dominated ones; the indicators by name."""
     front = evaluate_front(policies, run.experiment)
     FrontsFile(run.path / "fronts.csv").write(steps, front)
+    environment, settings = run.experiment.environment, run.experiment.evaluation
     measured = report_front(
-        run.experiment,
         front,
         console,
+        algorithm=run.experiment.algorithm["name"],
+        env_id=environment.id,
+        env_arguments=environment.arguments,
+        reference_point=settings.reference_point,
         directory=run.path,
-        step=steps,
-        about={**about, "evaluated_policies": len(policies)},
+        about={"step": steps, **about, "evaluated_policies": len(policies)},
     )
-    seed = run.experiment.evaluation.seed
     path = run.path / "video.mp4"
-    attempt_film(lambda: film_front(policies, front, run.experiment, path, seed=seed), console)  # type: ignore[arg-type]
+    attempt_film(
+        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=settings.seed), console
+    )
     return {f"eval/front/{name}": value for name, value in measured.items()}
 
 

@@ -1,4 +1,4 @@
-"""What is around and upon the panels of every picture of a front: titles, notes, legends, colours and numbers."""
+"""What the figures of a front share around and in their panels: titles, notes, legends, colours and numbers."""
 
 from __future__ import annotations
 
@@ -14,36 +14,37 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from algorithms.reporting.front_view import View, beside, label
+from algorithms.evaluation.metrics import label
+from algorithms.reporting.front_view import FrontView, place_labels
+from algorithms.reporting.style import DIM, INK, NOTE_SIZE, TITLE_SIZE
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
-INK, DIM, FAINT = "#23282F", "#5B6470", "#B4BBC4"
 HALO = withStroke(linewidth=2.0, foreground="white")
 
 
-def framed(
-    view: View, width: float, height: float, heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
+def make_figure(
+    view: FrontView, width: float, height: float, heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
 ) -> Figure:
-    """An empty figure with title, notes and legend around the room for panels.
+    """A figure with title, notes and legend around an empty space for panels.
 
     Args:
-        view: whose title comes before ``heading``.
-        width: inches of the figure.
-        height: inches of the room for panels.
-        heading: what the picture shows.
-        notes: what there is to know about it; empty ones are left out.
-        handles: the legend's.
+        view: its title comes before ``heading``.
+        width: of the figure (in).
+        height: of the space for panels (in).
+        heading: what the figure shows.
+        notes: sentences below the title; empty ones are left out.
+        handles: of the legend.
     """
     title = textwrap.wrap(f"{view.title}: {heading}" if view.title else heading.capitalize(), int(width / 0.115))
     note = textwrap.wrap("; ".join(filter(None, notes)), int(width / 0.073))
     head, foot = 0.20 + 0.24 * len(title) + 0.18 * len(note), 0.32 if handles else 0.06
     whole = height + head + foot
-    figure = Figure(figsize=(width, whole))  # without pyplot, so without a display
+    figure = Figure(figsize=(width, whole))  # without pyplot, which may need a display
     FigureCanvasAgg(figure)
     left, top = 0.12 / width, 1 - 0.12 / whole
     below = top - 0.24 * len(title) / whole
-    figure.text(left, top, "\n".join(title), fontsize=13, fontweight="bold", va="top", linespacing=1.2)
-    figure.text(left, below, "\n".join(note), fontsize=9.5, color=DIM, va="top", linespacing=1.25)
+    figure.text(left, top, "\n".join(title), fontsize=TITLE_SIZE, fontweight="bold", va="top", linespacing=1.2)
+    figure.text(left, below, "\n".join(note), fontsize=NOTE_SIZE, color=DIM, va="top", linespacing=1.25)
     if handles:
         corner = (0.06 / width, 0.0)
         figure.legend(handles=handles, loc="lower left", bbox_to_anchor=corner, ncols=len(handles), frameon=False)
@@ -52,16 +53,16 @@ def framed(
     return figure
 
 
-def what_returns(view: View) -> str:
-    """What the numbers are."""
+def returns_note(view: FrontView) -> str:
+    """A note that says what the numbers are."""
     known = [OBJECTIVES[INDEX[name]].sign for name in view.front.objectives if name in INDEX]
     episodes = view.front.episodes
     mean = f"mean undiscounted returns of {episodes} episode{'' if episodes == 1 else 's'} per policy"
     return mean + (", sums over decisions" if known else "") + (", costs negative" if -1 in known else "")
 
 
-def which_policies(view: View, shown: NDArray[np.intp]) -> str:
-    """Which policies have numbers, and what these are."""
+def policies_note(view: FrontView, shown: NDArray[np.intp]) -> str:
+    """A note that says which policies are numbered, and what the numbers are."""
     k = len(view.front)
     if k == 1:
         return "the only policy of the front"
@@ -69,27 +70,27 @@ def which_policies(view: View, shown: NDArray[np.intp]) -> str:
     return f"{chosen} with their numbers in front.csv"
 
 
-def colour_bar(figure: Figure, view: View, axes: Axes | Sequence[Axes]) -> None:
-    """What colours mean, where they mean anything."""
+def add_colour_bar(figure: Figure, view: FrontView, axes: Axes | Sequence[Axes]) -> None:
+    """Add a colour bar where colours have a meaning."""
     if np.isfinite(view.importance[:, view.leading]).all():
         bar = figure.colorbar(view.mappable, ax=axes, aspect=32, pad=0.02, fraction=0.05)
         bar.set_label(label(view.front.objectives[view.leading]))
         bar.outline.set_visible(False)
 
 
-def which_colours(view: View) -> str:
-    """What colours mean, in words."""
+def colour_note(view: FrontView) -> str:
+    """A note that says what colours mean; empty where they mean nothing."""
     return f"colour: {view.leading_name}" if np.isfinite(view.importance[:, view.leading]).all() else ""
 
 
-def arrival_names(view: View) -> tuple[str, str]:
-    """What to call policies that count as arriving, and the others."""
+def arrival_names(view: FrontView) -> tuple[str, str]:
+    """Names of the policies that count as arriving, and of the others."""
     whole = bool(np.isin(view.front.success, (0.0, 1.0)).all())
     return ("arrives", "does not arrive") if whole else ("arrives in half of the episodes or more", "in fewer")
 
 
-def dots(axis: Axes, view: View, points: NDArray[np.float64], size: float) -> None:
-    """A dot per policy (K, 2), filled unless it fails to arrive."""
+def draw_dots(axis: Axes, view: FrontView, points: NDArray[np.float64], size: float) -> None:
+    """Draw a dot per policy at ``points`` (K, 2), filled unless the policy fails to arrive."""
     faces = view.colours.copy()
     if view.arrived is not None:
         faces[~view.arrived] = 1.0
@@ -98,8 +99,8 @@ def dots(axis: Axes, view: View, points: NDArray[np.float64], size: float) -> No
     )
 
 
-def dot_handles(view: View) -> list[Line2D]:
-    """The legend of :func:`dots`."""
+def dot_legend(view: FrontView) -> list[Line2D]:
+    """The legend of :func:`draw_dots`."""
     if view.arrived is None:
         return []
     return [
@@ -109,19 +110,19 @@ def dot_handles(view: View) -> list[Line2D]:
     ]
 
 
-def numbers(figure: Figure, axis: Axes, points: NDArray[np.float64], shown: NDArray[np.intp]) -> None:
-    """Write the numbers of the policies ``shown`` beside their ``points`` (K, 2); the layout must be done."""
+def draw_numbers(figure: Figure, axis: Axes, points: NDArray[np.float64], shown: NDArray[np.intp]) -> None:
+    """Write the numbers of the policies ``shown`` next to their ``points`` (K, 2); call it when the layout is fixed."""
     to_points = 72.0 / figure.dpi
     places = axis.transData.transform(points) * to_points
     texts = [str(policy) for policy in shown]
     sizes = np.array([(5.6 * len(text) + 1.0, 9.0) for text in texts])
     box = axis.get_window_extent()
     area = (box.x0 * to_points, box.y0 * to_points, box.x1 * to_points, box.y1 * to_points)
-    centres = beside(places[shown], sizes, places, area)
+    centres = place_labels(places[shown], sizes, places, area)
     to_data = axis.transData.inverted()
     for policy, text, size, centre in zip(shown, texts, sizes, centres, strict=True):
         x, y = to_data.transform(centre / to_points)
         axis.text(x, y, text, ha="center", va="center", fontsize=8.5, fontweight="bold", zorder=6, path_effects=[HALO])
         gaps = np.abs(centre - places[policy]) - size / 2
-        if gaps.max() > 10.0:  # too far away to go without a line
+        if gaps.max() > 10.0:  # too far away without a connecting line
             axis.plot((points[policy, 0], x), (points[policy, 1], y), color=DIM, linewidth=0.7, zorder=2)

@@ -1,4 +1,4 @@
-"""Pictures of a front: what each policy favours, and how the policies lie to each other."""
+"""Figures of a front: what each policy favours, and how the policies compare."""
 
 from __future__ import annotations
 
@@ -16,27 +16,24 @@ from numpy.typing import NDArray
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.front import Front
+from algorithms.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
 from algorithms.reporting.front_layout import (
-    DIM,
-    FAINT,
-    INK,
+    add_colour_bar,
     arrival_names,
-    colour_bar,
-    dot_handles,
-    dots,
-    framed,
-    numbers,
-    what_returns,
-    which_colours,
-    which_policies,
+    colour_note,
+    dot_legend,
+    draw_dots,
+    draw_numbers,
+    make_figure,
+    policies_note,
+    returns_note,
 )
-from algorithms.reporting.front_view import View, apart, label, name_and_unit, principal_components, writer
-from algorithms.reporting.learning_curves import COLOURS, STYLE
+from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
+from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE
 
 BARS = 8  # policies in bars.png
-DPI = 160
-# What the paper calls little of these costs (its figure 7).
-VIRTUES = {"g_force": "comfort", "jerk": "smoothness"}
+# The paper's names for low values of these costs (its figure 7).
+PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 
 
 def draw_front(
@@ -44,23 +41,24 @@ def draw_front(
 ) -> list[Path]:
     """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
 
-    Policies carry the same numbers, their rows in ``front.csv``, and the same colours in all of them. Returns are
-    undiscounted, but in scatter.png, which shows what dominance goes by.
+    In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are undiscounted
+    except in scatter.png, which shows those that determine dominance.
 
     Args:
-        front: K policies of at least two objectives, as written to ``front.csv``.
+        front: K policies with at least two objectives, as written to ``front.csv``.
         directory: an existing one.
-        reference_front: (k, d) best-known returns, discounted with the front's gamma, to be drawn beneath its own.
-        title: of what the front is, such as the algorithm and the environment.
+        reference_front: (k, d) best-known returns, discounted with the front's gamma, drawn behind the front.
+        title: what the front belongs to, such as the algorithm and the environment.
 
     Returns:
-        The files, each of which is whole or as it was.
+        The files; each is complete or, after an error, unchanged.
 
     Raises:
-        ValueError: if there are fewer than two objectives, or the reference front is empty or of another width.
+        ValueError: if there are fewer than two objectives, or the reference front is empty or has another number of
+            objectives.
         OSError: if a file cannot be written.
     """
-    view = View(front, title)
+    view = FrontView(front, title)
     d = len(front.objectives)
     if reference_front is not None:
         reference_front = np.asarray(reference_front, dtype=np.float64)
@@ -68,14 +66,14 @@ def draw_front(
             raise ValueError(f"reference_front has shape {reference_front.shape}; it must be (k, {d}), k at least 1")
     paths = []
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        pictures = {
+        figures = {
             "importance": _importance(view),
             "reduction": _reduction(view),
             "parallel": _parallel(view),
             "scatter": _scatter(view, reference_front),
             "bars": _bars(view),
         }
-        for name, figure in pictures.items():
+        for name, figure in figures.items():
             buffer = BytesIO()
             figure.savefig(buffer, format="png", dpi=DPI)
             path = Path(directory) / f"{name}.png"
@@ -84,37 +82,37 @@ def draw_front(
     return paths
 
 
-def _importance(view: View) -> Figure:
-    """A row of bars per objective: how much of what the front has to offer each policy takes."""
+def _importance(view: FrontView) -> Figure:
+    """A row of bars per objective: where each policy is between the front's worst and its best."""
     front, shown = view.front, view.representatives()
     notes = (
-        what_returns(view),
-        which_policies(view, shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
+        returns_note(view),
+        policies_note(view, shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
         f"0 and 1: the worst and the best of the {len(front)}" if len(front) > 1 else "",
-        which_colours(view),
+        colour_note(view),
     )
     d, n = len(front.objectives), len(shown)
     width = max(8.0, 1.4 + 0.56 * n)
-    figure = framed(view, width, 1.02 * d + 0.5, "importance of the objectives", notes)
+    figure = make_figure(view, width, 1.02 * d + 0.5, "importance of the objectives", notes)
     axes = figure.subplots(d, 1, squeeze=False, sharex=True)[:, 0]
     for i, (axis, name) in enumerate(zip(axes, front.objectives, strict=True)):
         values = front.returns[:, i]
-        write = writer(values, name_and_unit(name)[1])
-        axis.set_title(f"{VIRTUES[name]}: {label(name)}" if name in VIRTUES else label(name))
+        text = number_formatter(values, name_and_unit(name)[1])
+        axis.set_title(f"{PAPER_NAMES[name]}: {label(name)}" if name in PAPER_NAMES else label(name))
         axis.set_ylim(0.0, 1.24)
         axis.grid(visible=False)
         axis.tick_params(axis="x", length=0)
         if np.isnan(view.importance[:, i]).any():
             axis.set_yticks([])
-            same = write(values[0]) + (", the same for every policy" if len(front) > 1 else "")
+            same = text(values[0]) + (", the same for every policy" if len(front) > 1 else "")
             axis.text(0.5, 0.45, same, transform=axis.transAxes, ha="center", va="center", color=DIM)
             continue
         heights = view.importance[shown, i]
         axis.bar(range(n), heights, width=0.74, color=view.colours[shown], zorder=3)
         for x, height in enumerate(heights):
             axis.text(x, height + 0.03, f"{height:.2f}", ha="center", va="bottom", fontsize=8)
-        axis.set_yticks([0, 1], [f"{write(values.min())} = 0", f"{write(values.max())} = 1"])
-        axis.axhline(1.0, color="#E4E7EB", linewidth=0.8, zorder=1)
+        axis.set_yticks([0, 1], [f"{text(values.min())} = 0", f"{text(values.max())} = 1"])
+        axis.axhline(1.0, color=GRID, linewidth=0.8, zorder=1)
     ticks = [str(policy) for policy in shown]
     if view.arrived is not None:
         ticks = [f"{policy}\n{front.success[policy]:.0%}" for policy in shown]
@@ -124,17 +122,17 @@ def _importance(view: View) -> Figure:
     return figure
 
 
-def _reduction(view: View) -> Figure:
+def _reduction(view: FrontView) -> Figure:
     """The front in two dimensions, by principal components of the importance of its objectives."""
     front, shown = view.front, view.representatives()
     found = principal_components(np.nan_to_num(view.importance))
     notes = (
         "principal components of the undiscounted returns, each objective from 0, the front's worst, to 1, its best",
-        which_policies(view, shown),
+        policies_note(view, shown),
     )
-    figure = framed(view, 10.4, 5.2, "the front in two dimensions", notes, dot_handles(view))
+    figure = make_figure(view, 10.4, 5.2, "the front in two dimensions", notes, dot_legend(view))
     axis, compass = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
-    dots(axis, view, found.points, 44)
+    draw_dots(axis, view, found.points, 44)
     if len(shown) < len(front):
         x, y = found.points[shown].T
         axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
@@ -144,16 +142,16 @@ def _reduction(view: View) -> Figure:
         low, high = found.points[:, k].min(), found.points[:, k].max()
         pad = 0.1 * (high - low) if high - low > 1e-9 else 0.5
         (axis.set_xlim, axis.set_ylim)[k](low - pad, high + pad)
-    colour_bar(figure, view, axis)
+    add_colour_bar(figure, view, axis)
     _loadings(compass, view, found.loadings)
-    figure.draw_without_rendering()  # the layout, which says where things are on paper
+    figure.draw_without_rendering()  # fixes the layout
     figure.set_layout_engine("none")
-    numbers(figure, axis, found.points, shown)
+    draw_numbers(figure, axis, found.points, shown)
     return figure
 
 
-def _loadings(axis: Axes, view: View, loadings: NDArray[np.float64]) -> None:
-    """An arrow per objective: what the components are made of."""
+def _loadings(axis: Axes, view: FrontView, loadings: NDArray[np.float64]) -> None:
+    """An arrow per objective: its weights in the two components."""
     angles = np.linspace(0.0, 2 * np.pi, 181)
     axis.plot(np.cos(angles), np.sin(angles), color=FAINT, linewidth=0.9, zorder=1)
     handles = []
@@ -173,8 +171,8 @@ def _loadings(axis: Axes, view: View, loadings: NDArray[np.float64]) -> None:
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False, fontsize=9)
 
 
-def _parallel(view: View) -> Figure:
-    """A line per policy across one axis per objective, in real units, better up."""
+def _parallel(view: FrontView) -> Figure:
+    """Parallel coordinates: a line per policy across one axis per objective, in real units, the best at the top."""
     front, shown = view.front, view.representatives()
     d = len(front.objectives)
     handles = [
@@ -183,11 +181,11 @@ def _parallel(view: View) -> Figure:
         if view.arrived is not None and there in view.arrived
     ]
     notes = (
-        what_returns(view),
+        returns_note(view),
         "better is up",
-        which_policies(view, shown) + (", strong" if len(shown) < len(front) else ""),
+        policies_note(view, shown) + (", strong" if len(shown) < len(front) else ""),
     )
-    figure = framed(view, max(8.0, 2.3 * d + 1.5), 4.6, "policies across objectives", notes, handles)
+    figure = make_figure(view, max(8.0, 2.3 * d + 1.5), 4.6, "policies across objectives", notes, handles)
     axis = figure.subplots()
     heights = np.where(np.isnan(view.importance), 0.5, view.importance)
     for policy in [*np.setdiff1d(np.arange(len(front)), shown), *shown]:
@@ -204,43 +202,43 @@ def _parallel(view: View) -> Figure:
     style: dict[str, Any] = {"ha": "center", "fontsize": 9.5, "color": INK}
     for i, name in enumerate(front.objectives):
         values = front.returns[:, i]
-        write = writer(values, name_and_unit(name)[1])
+        text = number_formatter(values, name_and_unit(name)[1])
         axis.plot((i, i), (-0.02, 1.02), color=DIM, linewidth=1.3, zorder=4)
         axis.text(i, 1.12, label(name), va="bottom", fontweight="bold", **style)
         if np.isnan(view.importance[:, i]).any():
-            axis.text(i, 1.045, ("always " if len(front) > 1 else "") + write(values[0]), va="bottom", **style)
+            axis.text(i, 1.045, ("always " if len(front) > 1 else "") + text(values[0]), va="bottom", **style)
         else:
-            axis.text(i, 1.045, write(values.max()), va="bottom", **style)
-            axis.text(i, -0.045, write(values.min()), va="top", **style)
-    # Numbers go to the end that tells more lines apart.
+            axis.text(i, 1.045, text(values.max()), va="bottom", **style)
+            axis.text(i, -0.045, text(values.min()), va="top", **style)
+    # The numbers are at the end where more lines differ.
     side, out = (0, -1) if len(set(heights[shown, 0])) >= len(set(heights[shown, -1])) else (d - 1, 1)
     ends = heights[shown, side]
     style = {"ha": "right" if out < 0 else "left", "va": "center_baseline", "fontsize": 8.5, "fontweight": "bold"}
-    for policy, end, place in zip(shown, ends, apart(ends, 0.052, (0.0, 1.0)), strict=True):
+    for policy, end, place in zip(shown, ends, separate(ends, 0.052, (0.0, 1.0)), strict=True):
         axis.plot((side, side + 0.07 * out), (end, place), color=DIM, linewidth=0.7, zorder=2)
         axis.text(side + 0.09 * out, place, str(policy), **style)
     axis.set(xlim=(-0.4, d - 0.6), ylim=(-0.12, 1.2))
     axis.set_axis_off()
-    colour_bar(figure, view, axis)
+    add_colour_bar(figure, view, axis)
     return figure
 
 
-def _scatter(view: View, reference_front: NDArray[np.float64] | None) -> Figure:
-    """Every pair of objectives, by the discounted returns that dominance goes by."""
+def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Figure:
+    """Scatter plots of every pair of objectives, of the discounted returns that determine dominance."""
     front = view.front
     d = len(front.objectives)
     panel = {2: 5.2, 3: 3.4, 4: 2.7}.get(d, 2.3)  # inches
-    handles = dot_handles(view)
+    handles = dot_legend(view)
     if reference_front is not None:
         name = f"best-known front ({len(reference_front)} point{'' if len(reference_front) == 1 else 's'})"
         handles.append(Line2D([], [], color=FAINT, marker="D", linestyle="", markersize=5, label=name))
     notes = (
         f"returns discounted with gamma {front.gamma:g}, by which dominance is judged",
         f"{len(front)} polic{'y' if len(front) == 1 else 'ies'}",
-        "colour: undiscounted " + view.leading_name if which_colours(view) else "",
+        "colour: undiscounted " + view.leading_name if colour_note(view) else "",
     )
     width, height = max(panel * (d - 1) + 1.9, 6.6), 0.86 * panel * (d - 1) + 0.4
-    figure = framed(view, width, height, "pairs of objectives", notes, handles)
+    figure = make_figure(view, width, height, "pairs of objectives", notes, handles)
     axes: Any = figure.subplots(d - 1, d - 1, squeeze=False, sharex="col", sharey="row")
     for row, column in np.ndindex(d - 1, d - 1):
         axis, pair = axes[row, column], [column, row + 1]
@@ -250,7 +248,7 @@ def _scatter(view: View, reference_front: NDArray[np.float64] | None) -> Figure:
         if reference_front is not None:
             x, y = reference_front[:, pair].T
             axis.scatter(x, y, s=20, marker="D", c=FAINT, linewidths=0, zorder=2)
-        dots(axis, view, front.discounted[:, pair], 34 if d < 4 else 22)
+        draw_dots(axis, view, front.discounted[:, pair], 34 if d < 4 else 22)
         axis.xaxis.set_major_locator(MaxNLocator(4))
         axis.yaxis.set_major_locator(MaxNLocator(4))
         axis.margins(0.08)
@@ -258,26 +256,26 @@ def _scatter(view: View, reference_front: NDArray[np.float64] | None) -> Figure:
             axis.set_xlabel(label(front.objectives[pair[0]], "discounted"))
         if column == 0:
             axis.set_ylabel(label(front.objectives[pair[1]], "discounted"))
-    colour_bar(figure, view, list(axes.flat))
+    add_colour_bar(figure, view, list(axes.flat))
     return figure
 
 
-def _bars(view: View) -> Figure:
-    """A panel per objective: the mean returns of a few policies and their intervals."""
+def _bars(view: FrontView) -> Figure:
+    """A panel per objective: the mean returns of a few policies with their intervals."""
     front, shown = view.front, view.representatives(BARS)
     n, d = len(shown), len(front.objectives)
     certain = bool((front.low[shown] == front.high[shown]).all())
     notes = (
-        what_returns(view),
+        returns_note(view),
         "" if certain else "lines: 95% bootstrap intervals",
-        which_policies(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
-        which_colours(view),
+        policies_note(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
+        colour_note(view),
     )
     count = d + (view.arrived is not None)
     columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
     rows = -(-count // columns)
     height = rows * (0.27 * max(n, 2) + 0.75)
-    figure = framed(view, max(3.2 * columns, 7.0), height, "policies in numbers", notes)
+    figure = make_figure(view, max(3.2 * columns, 7.0), height, "policies in numbers", notes)
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for i, axis in enumerate(axes.flat):
         if i >= count:
@@ -286,12 +284,12 @@ def _bars(view: View) -> Figure:
         if i < d:
             mean = front.returns[shown, i]
             errors = np.maximum([mean - front.low[shown, i], front.high[shown, i] - mean], 0.0)
-            texts = list(map(writer(mean), mean))
+            texts = list(map(number_formatter(mean), mean))
             axis.set_title(label(front.objectives[i]))
         else:
             mean, errors = front.success[shown], np.zeros((2, n))
             texts = [f"{share:.0%}" for share in mean]
-            axis.set_title("arrival rate")
+            axis.set_title(title_of(SUCCESS))
         axis.barh(range(n), mean, height=0.7, color=view.colours[shown], zorder=3)
         if errors.any():
             axis.errorbar(mean, range(n), xerr=errors, fmt="none", ecolor=INK, elinewidth=1.3, capsize=2.5, zorder=4)

@@ -1,4 +1,4 @@
-"""What the pictures of a front have in common: names, numbers, colours, and the numbers that are drawn."""
+"""What all figures of a front share: the policies shown, their colours, and the numbers that are drawn."""
 
 from __future__ import annotations
 
@@ -7,55 +7,39 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 
-from algorithms.common.pareto import spread
+from algorithms.common.pareto import farthest_point_subset
 from algorithms.evaluation.front import Front
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from algorithms.evaluation.metrics import name_and_unit
+from algorithms.reporting.style import COLOUR_MAP
 
-REPRESENTATIVES = 16  # policies that are drawn one by one; of more, these many stand for all
-LEADING = "distance"  # the objective that orders and colours policies; the first one where there is none of this name
-# Viridis, which the colour-blind can read, without the yellow that white paper swallows.
-COLOUR_MAP = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, 256)), "policies")
-
-
-def name_and_unit(objective: str) -> tuple[str, str]:
-    """What people call an objective, and the unit of its return; both as they are, or "", for unknown ones."""
-    if objective not in INDEX:
-        return objective, ""
-    unit = OBJECTIVES[INDEX[objective]].unit
-    return objective.replace("_", " ").replace("g force", "g-force"), "" if unit == "1" else unit.replace("^3", "³")
+REPRESENTATIVES = 16  # policies that are drawn individually at most; in larger fronts these represent all
+LEADING = "distance"  # the objective that orders and colours policies; if there is none of this name, the first one
 
 
-def label(objective: str, how: str = "sum") -> str:
-    """The name of an objective's return and, where there is one, its unit with how decisions are added up."""
-    name, unit = name_and_unit(objective)
-    return f"{name} ({how}, {unit})" if unit else name
-
-
-def writer(values: ArrayLike, unit: str = "") -> Callable[[float], str]:
-    """A function that writes numbers such as ``values`` with the digits that tell them apart, and with the unit."""
-    known = np.asarray(values, dtype=np.float64)
-    extent = float(np.ptp(known)) or float(np.abs(known).max())
+def number_formatter(values: ArrayLike, unit: str = "") -> Callable[[float], str]:
+    """A function that formats numbers such as ``values`` with the digits that distinguish them, and with the unit."""
+    numbers = np.asarray(values, dtype=np.float64)
+    extent = float(np.ptp(numbers)) or float(np.abs(numbers).max())
     digits = min(max(2 - math.floor(math.log10(extent)), 0), 4) if extent > 0.0 else 1
     suffix = f" {unit}" if unit else ""
 
-    def write(value: float) -> str:
-        text = f"{round(value, digits) + 0.0:,.{digits}f}"  # + 0.0: never -0
-        return text.replace("-", "\N{MINUS SIGN}") + suffix
+    def text(value: float) -> str:
+        rounded = f"{round(value, digits) + 0.0:,.{digits}f}"  # + 0.0: never -0
+        return rounded.replace("-", "\N{MINUS SIGN}") + suffix
 
-    return write
+    return text
 
 
 def importance(returns: ArrayLike) -> NDArray[np.float64]:
-    """``returns`` (K, d), maximised, on a scale per objective from 0, the worst of the K, to 1, the best.
+    """``returns`` (K, d) scaled per objective from 0, the worst of the K, to 1, the best.
 
-    NaN for an objective in which the K do not differ: none of them favours it.
+    NaN for an objective in which the K do not differ: no policy favours it.
     """
     values = np.asarray(returns, dtype=np.float64)
     low, extent = values.min(axis=0), np.ptp(values, axis=0)
@@ -66,12 +50,13 @@ def importance(returns: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Projection:
-    """Points in two dimensions, by principal components.
+    """Points projected onto their first two principal components.
 
     Attributes:
-        points: (K, 2) around 0.
-        loadings: (d, 2) what each axis is made of; each column has length 1, or 0 where the points do not differ.
-        explained: (2,) share of the variance along each axis.
+        points: (K, 2) centred at 0.
+        loadings: (d, 2) weights of the objectives in each component; each column has length 1, or 0 if the points do
+            not vary in this direction.
+        explained: (2,) share of the variance along each component.
     """
 
     points: NDArray[np.float64]
@@ -80,14 +65,14 @@ class Projection:
 
 
 def principal_components(values: ArrayLike) -> Projection:
-    """The two principal components of ``values`` (K, d), by singular value decomposition.
+    """The first two principal components of ``values`` (K, d), by singular value decomposition.
 
-    The largest loading of an axis is positive, so that equal values always look the same.
+    The largest loading of a component is positive, so that equal values always look the same.
     """
-    known = np.asarray(values, dtype=np.float64)
-    centred = known - known.mean(axis=0)
+    points = np.asarray(values, dtype=np.float64)
+    centred = points - points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(centred, full_matrices=False)
-    real = sizes > 1e-9 * np.abs(known).max()  # rounding errors have directions, too
+    real = sizes > 1e-9 * np.abs(points).max()  # smaller ones are rounding errors
     loadings, explained = np.zeros((centred.shape[1], 2)), np.zeros(2)
     for k in np.flatnonzero(real[:2]):
         loadings[:, k] = axes[k] * np.sign(axes[k, np.abs(axes[k]).argmax()])
@@ -96,85 +81,90 @@ def principal_components(values: ArrayLike) -> Projection:
 
 
 @dataclass(frozen=True)
-class View:
-    """A front as all its pictures show it, with the same policies, numbers and colours, to be read together.
+class FrontView:
+    """A front as all its figures show it: the same policies, numbers and colours in each.
 
     Attributes:
-        front: K policies of d >= 2 objectives; a policy's number is its place in it.
-        title: of what the front is.
+        front: K policies with d >= 2 objectives; a policy's number is its index.
+        title: what the front belongs to, such as the algorithm and the environment.
+        leading: index of the objective that orders and colours policies.
+
+    Raises:
+        ValueError: if there are fewer than two objectives.
     """
 
     front: Front
     title: str = ""
-    leading: int = field(init=False)  # the objective that orders and colours policies
+    leading: int = field(init=False)
 
     def __post_init__(self) -> None:
         names = self.front.objectives
         if len(names) < 2:
-            raise ValueError(f"the front has the objectives {list(names)}; pictures of one need at least two")
+            raise ValueError(f"the front has the objectives {list(names)}; figures of a front need at least two")
         object.__setattr__(self, "leading", names.index(LEADING) if LEADING in names else 0)
 
     @cached_property
     def importance(self) -> NDArray[np.float64]:
-        """(K, d), of the undiscounted returns."""
+        """(K, d) :func:`importance` of the undiscounted returns."""
         return importance(self.front.returns)
 
     @property
     def leading_name(self) -> str:
+        """Plain name of the leading objective."""
         return name_and_unit(self.front.objectives[self.leading])[0]
 
     @cached_property
     def mappable(self) -> ScalarMappable:
-        """From the leading objective's undiscounted return to colours."""
+        """The mapping from the leading objective's undiscounted return to colours."""
         values = self.front.returns[:, self.leading]
         return ScalarMappable(Normalize(float(values.min()), float(values.max())), COLOUR_MAP)
 
     @cached_property
     def colours(self) -> NDArray[np.float64]:
-        """(K, 4)."""
+        """(K, 4) RGBA colour of each policy."""
         return np.asarray(self.mappable.to_rgba(self.front.returns[:, self.leading]))
 
     @cached_property
     def arrived(self) -> NDArray[np.bool_] | None:
-        """(K,) who arrives in at least half of the episodes; None where that is not known of all."""
+        """(K,) whether a policy arrives in at least half of its episodes; None unless that is known for all."""
         return self.front.success >= 0.5 if np.isfinite(self.front.success).all() else None
 
     def representatives(self, count: int = REPRESENTATIVES) -> NDArray[np.intp]:
-        """Up to ``count`` policies that cover the front, by the leading objective; fewer are some of the more."""
-        chosen = spread(np.nan_to_num(self.importance), count)
+        """Up to ``count`` policies that cover the front, ordered by the leading objective; more include fewer."""
+        chosen = farthest_point_subset(np.nan_to_num(self.importance), count)
         order = np.lexsort((chosen, self.front.returns[chosen, self.leading]))
         return np.asarray(chosen[order])
 
 
-def apart(positions: ArrayLike, gap: float, ends: tuple[float, float]) -> NDArray[np.float64]:
-    """``positions`` (n,) moved as little as it takes for neighbours to be ``gap`` apart, in the same order.
+def separate(positions: ArrayLike, gap: float, ends: tuple[float, float]) -> NDArray[np.float64]:
+    """``positions`` (n,) moved by as little as possible so that neighbours are ``gap`` apart, in the same order.
 
-    All lie between ``ends``; the gap is less where there is too little room for it.
+    All are between ``ends``; the gap is smaller if there is too little space.
     """
     wanted = np.asarray(positions, dtype=np.float64)
     order = np.argsort(wanted, kind="stable")
     low, high = ends
     steps = min(gap, (high - low) / max(len(wanted) - 1, 1)) * np.arange(len(wanted))
     moved = np.empty_like(wanted)
-    # Least squares within bounds: those without them, cut off.
+    # The least-squares solution within bounds is the one without bounds, clipped.
     moved[order] = np.clip(isotonic_regression(wanted[order] - steps).x, low, high - steps[-1]) + steps
     return moved
 
 
-def beside(
+def place_labels(
     points: NDArray[np.float64],
     sizes: NDArray[np.float64],
     others: NDArray[np.float64],
     area: tuple[float, float, float, float],
     clearance: float = 5.0,
 ) -> NDArray[np.float64]:
-    """Where to write labels: centres (n, 2), near ``points`` and, as far as can be, off ``others`` and each other.
+    """Centres (n, 2) for labels: close to ``points`` and, where possible, not over ``others`` or each other.
 
     Args:
         points: (n, 2) what is labelled.
         sizes: (n, 2) widths and heights of the labels.
-        others: (k, 2) everything that labels should leave visible.
-        area: left, bottom, right and top end of where labels may be.
+        others: (k, 2) everything that labels should not cover.
+        area: left, bottom, right and top limit of the labels.
         clearance: distance from ``others`` that labels should keep.
     """
     left, bottom, right, top = area

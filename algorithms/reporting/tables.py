@@ -1,4 +1,4 @@
-"""Evaluations as numbers with intervals: a table to read, JSON and CSV to keep."""
+"""The final evaluation of a run as numbers with 95% intervals over its episodes: a table, JSON and CSV files."""
 
 from __future__ import annotations
 
@@ -13,111 +13,127 @@ from rich.table import Table
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
 from algorithms.evaluation.evaluate import Evaluation
+from algorithms.evaluation.front import EVALUATION_FILE
+from algorithms.evaluation.metrics import (
+    ARRIVED,
+    COLLISION,
+    COMFORT,
+    DISCOUNTED_UTILITY_ESR,
+    DISCOUNTED_UTILITY_SER,
+    LENGTH,
+    SUCCESS,
+    USUAL_FAILURES,
+    UTILITY,
+    UTILITY_ESR,
+    UTILITY_SER,
+    discounted_return_of,
+    end_by,
+    maximum_of,
+    mean_of,
+    return_of,
+    vehicle_prefix,
+)
 from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 
-# Ends of an episode that are reported even when none occurred.
-USUAL_ENDS = ("collision", "off_lane", "time_limit")
-# Objectives of which magnitudes per decision are reported.
-COMFORT = ("g_force", "jerk")
 
+def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
+    """Every metric of a final evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
-def summarise(evaluation: Evaluation) -> dict[str, Estimate]:
-    """Every number of an evaluation by name; with several vehicles prefixed by ``vehicle_0/`` and so on.
+    With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
+    any collided.
 
-    With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in
-    which any collided.
-
-    Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes of a
+    Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
     decision have none.
     """
-    summary: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     vehicles = evaluation.returns.shape[1]
     if vehicles > 1:
-        summary["success"] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
-        summary["end/collision"] = rate(np.array(["collision" in ends for ends in evaluation.ends.tolist()]))
+        estimates[SUCCESS] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
+        estimates[end_by(COLLISION)] = rate(np.array([COLLISION in ends for ends in evaluation.ends.tolist()]))
     for v in range(vehicles):
-        prefix = f"vehicle_{v}/" if vehicles > 1 else ""
-        summary |= {prefix + name: value for name, value in _of_vehicle(evaluation, v).items()}
-    return summary
+        prefix = vehicle_prefix(v, vehicles)
+        estimates |= {prefix + name: value for name, value in _estimate_vehicle(evaluation, v).items()}
+    return estimates
 
 
-def _of_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
+def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
     utility = evaluation.utilities[v]
     returns, discounted = evaluation.returns[:, v], evaluation.discounted[:, v]
     lengths, ends = evaluation.lengths[:, v], evaluation.ends[:, v]
-    summary = {
-        "utility_esr": mean(np.asarray(utility(returns))),
-        "utility_ser": utility_of_mean(returns, utility),
-        "discounted_utility_esr": mean(np.asarray(utility(discounted))),
-        "discounted_utility_ser": utility_of_mean(discounted, utility),
+    estimates = {
+        UTILITY_ESR: mean(np.asarray(utility(returns))),
+        UTILITY_SER: utility_of_mean(returns, utility),
+        DISCOUNTED_UTILITY_ESR: mean(np.asarray(utility(discounted))),
+        DISCOUNTED_UTILITY_SER: utility_of_mean(discounted, utility),
     }
     known = [str(end) for end in ends if end is not None]
     if known or evaluation.succeeded[:, v].any():
-        summary["success"] = rate(evaluation.succeeded[:, v])
+        estimates[SUCCESS] = rate(evaluation.succeeded[:, v])
     if known:
-        others = sorted(set(known) - {"arrived", *USUAL_ENDS})
-        summary |= {f"end/{end}": rate(np.asarray(ends == end)) for end in (*USUAL_ENDS, *others)}
-    summary["length"] = mean(lengths.astype(np.float64))
+        others = sorted(set(known) - {ARRIVED, *USUAL_FAILURES})
+        estimates |= {end_by(end): rate(np.asarray(ends == end)) for end in (*USUAL_FAILURES, *others)}
+    estimates[LENGTH] = mean(lengths.astype(np.float64))
     for i, objective in enumerate(evaluation.objectives):
-        summary[f"return/{objective}"] = mean(returns[:, i])
-        summary[f"discounted_return/{objective}"] = mean(discounted[:, i])
+        estimates[return_of(objective)] = mean(returns[:, i])
+        estimates[discounted_return_of(objective)] = mean(discounted[:, i])
     for i, objective in enumerate(evaluation.objectives):
         if objective in COMFORT:
-            summary[f"mean_{objective}"] = mean(np.abs(returns[:, i]) / np.maximum(lengths, 1))
-            summary[f"max_{objective}"] = Estimate(float(evaluation.largest[:, v, i].max()))
-    return summary
+            estimates[mean_of(objective)] = mean(np.abs(returns[:, i]) / np.maximum(lengths, 1))
+            estimates[maximum_of(objective)] = Estimate(float(evaluation.largest[:, v, i].max()))
+    return estimates
 
 
-def table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table of one column per policy."""
-    summaries = {policy: summarise(evaluation) for policy, evaluation in evaluations.items()}
+def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
+    """A table with a row per metric and a column per policy."""
+    columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     names: list[str] = []
-    for summary in summaries.values():
+    for estimates in columns.values():
         place = 0
-        for name in summary:
+        for name in estimates:
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", no_wrap=True, min_width=max(map(len, names)))
-    for policy in summaries:
+    for policy in columns:
         result.add_column(policy, justify="right", no_wrap=True)
     for name in names:
-        cells = [summary[name].text() if name in summary else "" for summary in summaries.values()]
+        cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return result
 
 
-def write(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
-    """Write evaluation.json and evaluation.csv (the summary) and episodes.csv (one row per episode and vehicle).
+def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
+    """Write evaluation.json and evaluation.csv (every metric) and episodes.csv (one row per episode and vehicle).
 
     Args:
-        directory: where to.
+        directory: an existing one.
         evaluations: one per policy.
-        about: what the numbers are of: seed, gamma, step and so on.
+        about: how the policies were evaluated: seed, gamma, step and so on.
 
     Raises:
-        OSError: if a file cannot be written; each is whole or untouched.
+        OSError: if a file cannot be written; each file is complete or unchanged.
     """
-    summaries = {policy: summarise(evaluation) for policy, evaluation in evaluations.items()}
+    columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     policies = {
-        policy: {name: asdict(estimate) for name, estimate in summary.items()} for policy, summary in summaries.items()
+        policy: {name: asdict(estimate) for name, estimate in estimates.items()}
+        for policy, estimates in columns.items()
     }
-    write_json(directory / "evaluation.json", {**about, "policies": policies})
+    write_json(directory / EVALUATION_FILE, {**about, "policies": policies})
     rows: list[list[Any]] = [["policy", "metric", "value", "low", "high"]]
-    for policy, summary in summaries.items():
-        rows += [[policy, name, e.value, e.low, e.high] for name, e in summary.items()]
+    for policy, estimates in columns.items():
+        rows += [[policy, name, each.value, each.low, each.high] for name, each in estimates.items()]
     atomic_write(directory / "evaluation.csv", csv_bytes(rows))
-    atomic_write(directory / "episodes.csv", csv_bytes(_episodes(evaluations, int(about["seed"]))))
+    atomic_write(directory / "episodes.csv", csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
 
 
-def _episodes(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any]]:
+def _episode_rows(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any]]:
     objectives = next(iter(evaluations.values())).objectives
     rows: list[list[Any]] = [
         [
-            *("policy", "seed", "vehicle", "success", "end", "length", "utility"),
-            *(f"return/{objective}" for objective in objectives),
-            *(f"discounted_return/{objective}" for objective in objectives),
+            *("policy", "seed", "vehicle", SUCCESS, "end", LENGTH, UTILITY),
+            *(return_of(objective) for objective in objectives),
+            *(discounted_return_of(objective) for objective in objectives),
         ]
     ]
     for policy, evaluation in evaluations.items():

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import imageio
@@ -18,49 +19,49 @@ from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.experiments.config import EnvironmentSettings, find_environment, is_ours
+from algorithms.evaluation.evaluate import Policy
+from algorithms.evaluation.splits import FIRST_EVALUATION_SEED
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
-if TYPE_CHECKING:
-    from algorithms.agent import Agent
-    from algorithms.evaluation.evaluate import Policy
-
-MAX_FRAMES = 750  # where the video is cut off
-HOLD = 0.5  # s for which an episode's last frame stands
+MAX_FRAMES = 750  # of a video; the rest is cut off
+HOLD = 0.5  # s for which the last frame of an episode is shown
+DEFAULT_FPS = 10  # where the environment does not say
 
 
 def record(
-    agent: Agent,
-    environment: EnvironmentSettings,
+    policy: Policy,
+    env_id: str,
+    env_arguments: Mapping[str, Any],
     path: str | Path,
     *,
     episodes: int = 3,
-    seed: int = 1_000_000,
+    seed: int = FIRST_EVALUATION_SEED,
     greedy: bool = True,
 ) -> int:
-    """Write an MP4 of a few episodes, one after the other; the file appears when it is whole.
+    """Write an MP4 of a few episodes, one after the other; the file appears when it is complete.
 
     Args:
-        agent: the policy.
-        environment: where it acts.
+        policy: what acts.
+        env_id: of the environment.
+        env_arguments: keyword arguments of the environment.
         path: the file.
-        episodes: how many; less where they are long.
+        episodes: number of episodes; fewer if they exceed MAX_FRAMES.
         seed: of the first episode.
-        greedy: argmax or mean action, instead of samples.
+        greedy: take the most likely (or mean) action instead of sampling.
 
     Returns:
         The number of frames.
 
     Raises:
-        ValueError: if the environment gives no pictures.
+        ValueError: if the environment cannot be rendered.
         OSError: if the file cannot be written.
     """
-    env = make_world(environment)
+    env = make_render_env(env_id, env_arguments)
     try:
-        fps = int(env.unwrapped.metadata.get("render_fps") or 10)
-        with writing(path, fps) as write:
+        fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
+        with video_writer(path, fps) as write:
             count = 0
-            for frame in islice(_episodes(agent, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
+            for frame in islice(_episodes(policy, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
                 write(frame)
                 count += 1
     finally:
@@ -69,8 +70,12 @@ def record(
 
 
 @contextmanager
-def writing(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
-    """A function that adds a frame, with even sides, to an MP4; the file appears when it is whole, if it has any.
+def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+    """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
+
+    Args:
+        path: the file.
+        fps: frames per second.
 
     Raises:
         OSError: if the file cannot be written.
@@ -85,62 +90,77 @@ def writing(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]]
             part.replace(path)
 
 
-def make_world(environment: EnvironmentSettings) -> VectorEnv:
-    """One world that can be drawn and, where it is ours, stays at the end of its episode.
+def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> VectorEnv:
+    """A vector environment with one environment that renders RGB arrays and, if it is ours, does not reset itself.
+
+    Args:
+        env_id: a registered id, or ``module:id`` to import the module that registers it first.
+        env_arguments: keyword arguments of the environment.
 
     Raises:
-        ValueError: if the environment gives no pictures.
+        ValueError: if the environment cannot be rendered.
     """
-    arguments = {**environment.arguments, "render_mode": "rgb_array"}
-    if not is_ours(find_environment(environment.id)):
-        env = make_env(environment.id, 1, arguments)
-        modes = list(env.unwrapped.metadata.get("render_modes", []))
-        if "rgb_array" not in modes:
-            env.close()
-            raise ValueError(f"environment {environment.id} has no rgb_array rendering; it has {modes}")
-        return env
-    return gymnasium.make_vec(environment.id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+    arguments = {**(env_arguments or {}), "render_mode": "rgb_array"}
+    module, _, name = env_id.rpartition(":")
+    if module:
+        importlib.import_module(module)
+    if str(gymnasium.spec(name).vector_entry_point).startswith("mo_deepdrive."):
+        return gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+    env = make_env(env_id, 1, arguments)
+    modes = list(env.unwrapped.metadata.get("render_modes", []))
+    if "rgb_array" not in modes:
+        env.close()
+        raise ValueError(f"environment {env_id} has no render mode 'rgb_array'; it has {modes}")
+    return env
 
 
 def _episodes(
-    agent: Agent, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
+    policy: Policy, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
 ) -> Iterator[NDArray[np.uint8]]:
-    """The frames of one episode per seed; the last of each stands for a moment."""
+    """The frames of one episode per seed; the last frame of each is repeated for a moment."""
     for seed in seeds:
         frame: NDArray[np.uint8]
-        for frame in episode_frames(agent, env, seed, greedy=greedy):
+        for frame in episode_frames(policy, env, seed, greedy=greedy):
             yield frame
         yield from [frame] * round(HOLD * fps)
 
 
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[NDArray[np.uint8]]:
-    """The frames of one episode of ``policy`` in ``env``, from :func:`make_world`, from its start to its end."""
-    trained = policy.env
-    vehicles, d = trained.vehicles, len(trained.objectives)
+    """The frames (height, width, 3) of one episode, with even sides.
+
+    Args:
+        policy: what acts.
+        env: from :func:`make_render_env`.
+        seed: of the episode.
+        greedy: take the most likely (or mean) action instead of sampling.
+    """
+    trained_on = policy.env
+    vehicles, d = trained_on.vehicles, len(trained_on.objectives)
     generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
-    worlds = None if isinstance(env.unwrapped, DrivingVectorEnv) else EnvAdapter(env)
+    # Ours is stepped without an adapter, which would have to reset it at the end of the episode.
+    adapter = None if isinstance(env.unwrapped, DrivingVectorEnv) else EnvAdapter(env)
     accrued_reward = AccruedReward.begin(1, vehicles, d)
     running = np.ones((1, vehicles), dtype=np.bool_)
-    observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if worlds is None else worlds.reset(seed)
-    yield _picture(env)
+    observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if adapter is None else adapter.reset(seed)
+    yield _frame(env)
     while running.any():
         actions = policy.act(observations, accrued_reward, generator)
-        if worlds is None:
-            raw, rewards, *flags, _ = env.step(trained.environment_actions(actions))
+        if adapter is None:
+            raw, rewards, *flags, _ = env.step(trained_on.environment_actions(actions))
             observations, rewards = raw.reshape(1, vehicles, -1), rewards.reshape(1, vehicles, d)
             over = (flags[0] | flags[1]).reshape(1, vehicles)
         else:
-            step = worlds.step(actions)
+            step = adapter.step(actions)
             observations, rewards, over = step.observations, step.rewards, step.terminated | step.truncated
         accrued_reward.add(rewards, policy.gamma)
         running &= ~over
-        yield _picture(env)
+        yield _frame(env)
 
 
-def _picture(env: VectorEnv) -> NDArray[np.uint8]:
-    """What the only world looks like, with even sides, as video encoders want them."""
-    pictures = env.render()
-    if not pictures or not isinstance(pictures[0], np.ndarray):
-        raise ValueError("the environment drew nothing")
-    height, width = pictures[0].shape[:2]
-    return np.pad(pictures[0], ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+def _frame(env: VectorEnv) -> NDArray[np.uint8]:
+    """The frame that the environment renders, padded to even sides, which video encoders need."""
+    frames = env.render()
+    if not frames or not isinstance(frames[0], np.ndarray):
+        raise ValueError("the environment rendered no frame")
+    height, width = frames[0].shape[:2]
+    return np.pad(frames[0], ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

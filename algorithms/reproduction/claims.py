@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference, spread_ratio
+from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement, spread_ratio
 from algorithms.reproduction.results import FARTHEST, NEAREST, TOTAL_UTILITY, Results
 
 # The two algorithms of every arm, by the keys of their variants.
@@ -103,7 +103,7 @@ def compare(results: Results, cell: str, arm: str, metric: str, policy: str = "s
         iqm(baseline),
         iqm(multi_objective),
         iqm_difference(multi_objective, baseline),
-        improvement(multi_objective, baseline),
+        probability_of_improvement(multi_objective, baseline),
     )
 
 

@@ -14,7 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.reporting.learning_curves import COLOURS, STYLE, curve
+from algorithms.reporting.learning_curves import curve
+from algorithms.reporting.style import COLOURS, STYLE
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
 from algorithms.reproduction.plan import Plan
 from algorithms.reproduction.results import TOTAL_UTILITY, Results

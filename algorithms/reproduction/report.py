@@ -11,7 +11,7 @@ import numpy as np
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.front import Front
-from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference
+from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reproduction.claims import (
     BASELINE,
@@ -215,7 +215,7 @@ def _study(cell: str, arm_key: str, arm: Arm, results: Results) -> str:
         arrivals = percent(iqm(results.values(cell, arm_key, variant, "success")))
         effect = ["", ""]
         if variant != variants[0]:
-            effect = [iqm_difference(values, base).text(), improvement(values, base).text()]
+            effect = [iqm_difference(values, base).text(), probability_of_improvement(values, base).text()]
         rows.append([labels[variant], iqm(values).text(), arrivals, *effect])
     return markdown(rows)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -12,9 +11,9 @@ import imageio.v3 as iio
 import pygame
 import pytest
 
+from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.build import build
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"

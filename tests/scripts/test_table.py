@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
+from algorithms.reporting.seed_tables import TABLE_METRICS
 from tests.helpers.paths import REPOSITORY
 
 ROOT = REPOSITORY
@@ -34,25 +33,22 @@ def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> 
     run.unlock()
     if utility is not None:
         estimate = {"value": utility, "low": None, "high": None}
-        policies = {policy: dict.fromkeys(table.METRICS, estimate) for policy in ("greedy", "stochastic")}
+        policies = {policy: dict.fromkeys(TABLE_METRICS, estimate) for policy in ("greedy", "stochastic")}
         (path / "evaluation.json").write_text(json.dumps({"policies": policies}))
     return path
 
 
-def run_table(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> int:
-    monkeypatch.setattr(sys, "argv", ["table.py", *(str(argument) for argument in arguments)])
-    return table.main()
+def run_table(*arguments: Path | str) -> int:
+    return table.main([str(argument) for argument in arguments])
 
 
-def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: Path) -> None:
     scores = {"a2c": [1.0, 2.0, 6.0], "mo_a2c": [11.0, 12.0, 16.0]}
     for algorithm, utilities in scores.items():
         for seed, utility in enumerate(utilities):
             make_run(tmp_path, algorithm, seed, utility)
     output = tmp_path / "scores.csv"
-    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert run_table(tmp_path, "--output", output) == 0
     rows = list(csv.reader(output.read_text().splitlines()))
     header, *groups = rows[: rows.index([])]
     assert [(row[2], row[4], row[5]) for row in groups] == [
@@ -68,9 +64,7 @@ def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(
     assert float(compared[8]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
 
 
-def test_vehicles_have_rows_of_their_own_and_one_for_all_together(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path) -> None:
     for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
         for seed in (0, 1):
             config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
@@ -84,7 +78,7 @@ def test_vehicles_have_rows_of_their_own_and_one_for_all_together(
             content = {"policies": dict.fromkeys(("greedy", "stochastic"), estimates)}
             (path / "evaluation.json").write_text(json.dumps(content))
     output = tmp_path / "scores.csv"
-    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert run_table(tmp_path, "--output", output) == 0
     rows = list(csv.reader(output.read_text().splitlines()))
     end = rows.index([])
     found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
@@ -103,36 +97,28 @@ def test_vehicles_have_rows_of_their_own_and_one_for_all_together(
     assert [(row["vehicle"], float(row["value"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)] * 2
 
 
-def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
-    sample = np.array([1.0, 2.0, 3.0, 4.0])
-    value, low, high, p = table.difference(sample, sample)
-    assert value == 0.0
-    assert low < 0.0 < high
-    assert p > 0.9
-
-
 def test_a_run_without_a_final_evaluation_is_named_and_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_run(tmp_path, "a2c", 0, 1.0)
     unfinished = make_run(tmp_path, "a2c", 1, None)
     output = tmp_path / "scores.csv"
-    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert run_table(tmp_path, "--output", output) == 0
     assert f"left out: {unfinished}" in capsys.readouterr().err
     assert list(csv.reader(output.read_text().splitlines()))[1][5] == "0"
 
 
 def test_folders_without_runs_and_repeated_seeds_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
-    assert run_table(monkeypatch, empty) == 2
+    assert run_table(empty) == 2
     assert "holds no run" in capsys.readouterr().err
     make_run(tmp_path / "first", "a2c", 0, 1.0)
     make_run(tmp_path / "second", "a2c", 0, 1.0)
-    assert run_table(monkeypatch, tmp_path / "first", tmp_path / "second") == 2
-    assert "repeats seed 0" in capsys.readouterr().err
+    assert run_table(tmp_path / "first", tmp_path / "second") == 2
+    assert "the same seed, 0" in capsys.readouterr().err
 
 
 def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, float], *overrides: str) -> None:
@@ -144,9 +130,7 @@ def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, floa
     (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
 
 
-def test_fronts_have_their_indicators_and_are_compared_by_their_hypervolume(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path) -> None:
     for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
         for seed, more in enumerate((1.0, 2.0, 6.0)):
             numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}
@@ -154,7 +138,7 @@ def test_fronts_have_their_indicators_and_are_compared_by_their_hypervolume(
     make_run(tmp_path, "a2c", 0, 5.0)
     make_run(tmp_path, "a2c", 1, 6.0)
     output = tmp_path / "scores.csv"
-    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert run_table(tmp_path, "--output", output) == 0
     rows = list(csv.reader(output.read_text().splitlines()))
     end = rows.index([])
     found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
@@ -180,11 +164,11 @@ def test_fronts_have_their_indicators_and_are_compared_by_their_hypervolume(
     assert float(compared["low"]) < 60.0 < float(compared["high"])
 
 
-def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path) -> None:
     for config in ("one_waypoint/pcn", "peers/pcn"):
         make_front_run(tmp_path, config, 0, {"hypervolume": 7.5, "cardinality": 3.0})
     output = tmp_path / "scores.csv"
-    assert run_table(monkeypatch, tmp_path, "--output", output) == 0
+    assert run_table(tmp_path, "--output", output) == 0
     rows = list(csv.reader(output.read_text().splitlines()))
     end = rows.index([])
     assert rows[0] == ["environment", "algorithm", "steps", "policy", "seeds", "hypervolume", "cardinality"]

@@ -18,11 +18,11 @@ from algorithms.common.pareto import (
     crowding_distances,
     evenly_spaced_weights,
     expected_utility,
+    farthest_point_subset,
     hypervolume,
     igd_plus,
     indicators,
     non_dominated,
-    spread,
 )
 
 SIZE = 5  # of the grid of whole numbers on which points lie
@@ -245,8 +245,8 @@ GOOD = [[1.0, 2.0], [2.0, 1.0]]
         (lambda: indicators(GOOD, reference_front=[[1.0]]), "reference front has 1 objectives"),
         (lambda: indicators(GOOD, scales=[1.0, 0.0]), "scales = [1.0, 0.0] must be positive"),
         (lambda: crowding_distances([]), "returns has shape (0,)"),
-        (lambda: spread([[np.nan, 1.0]], 1), "returns must be finite"),
-        (lambda: spread([*GOOD, [0.0, 0.0]], 2, [0.0, 1.0]), "scales = [0.0, 1.0] must be positive"),
+        (lambda: farthest_point_subset([[np.nan, 1.0]], 1), "returns must be finite"),
+        (lambda: farthest_point_subset([*GOOD, [0.0, 0.0]], 2, [0.0, 1.0]), "scales = [0.0, 1.0] must be positive"),
         (lambda: evenly_spaced_weights(0), "n = 50 weights for d = 0 objectives"),
         (lambda: evenly_spaced_weights(3, 2), "n = 2 weights for d = 3 objectives: n must be at least d"),
     ],
@@ -289,7 +289,7 @@ def test_no_mixture_is_farther_from_the_weights_than_they_are_from_each_other(d:
     assert farthest <= apart + {3: 0.02, 6: 0.15}[d]  # half the width of the lattice
 
 
-# Crowding and spread.
+# Crowding and farthest-point subsets.
 
 
 @given(grids(d=(1, 3), n=9))
@@ -312,7 +312,7 @@ def test_crowding_distances_are_those_of_a_plain_loop(points: np.ndarray) -> Non
 @given(grids(d=(1, 3), n=12), st.integers(1, 12))
 def test_spread_takes_the_extremes_and_then_what_is_farthest_from_those_before(points: np.ndarray, count: int) -> None:
     scales = SCALES[: points.shape[1]]
-    chosen = spread(points, count, scales).tolist()
+    chosen = farthest_point_subset(points, count, scales).tolist()
     if len(points) <= count:
         assert chosen == list(range(len(points)))
         return
@@ -331,9 +331,9 @@ def test_spread_takes_the_extremes_and_then_what_is_farthest_from_those_before(p
 
 def test_spread_goes_by_the_scales() -> None:
     points = [[0.0, 100.0], [10.0, 0.0], [0.5, 50.0], [9.0, 1.0]]
-    assert spread(points, 3, [1.0, 1.0]).tolist() == [1, 0, 2]
-    assert spread(points, 3, [1.0, 1000.0]).tolist() == [1, 0, 3]
+    assert farthest_point_subset(points, 3, [1.0, 1.0]).tolist() == [1, 0, 2]
+    assert farthest_point_subset(points, 3, [1.0, 1000.0]).tolist() == [1, 0, 3]
 
 
 def test_equal_points_are_spread_without_repeating_an_index() -> None:
-    assert sorted(spread(np.ones((5, 2)), 4).tolist()) == [0, 1, 2, 3]
+    assert sorted(farthest_point_subset(np.ones((5, 2)), 4).tolist()) == [0, 1, 2, 3]

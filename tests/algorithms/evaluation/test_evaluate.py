@@ -1,4 +1,4 @@
-"""Evaluations against episodes replayed one by one, and their metrics against numbers worked out by hand."""
+"""Evaluations against episodes replayed one by one, and their metrics against numbers calculated by hand."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make_agent(
     return cls(env, utility, **settings)
 
 
-def spread(agent: ActorCritic) -> ActorCritic:
+def diversified(agent: ActorCritic) -> ActorCritic:
     """The agent with a policy that differs from state to state, far from uniform, and of ours one that moves.
 
     Of the 22 discrete actions every third one from 3 on is "increase speed".
@@ -62,7 +62,7 @@ def differ(first: Evaluation, second: Evaluation) -> bool:
     return not np.array_equal(first.returns, second.returns)
 
 
-# Apart from learning.
+# Separation from learning.
 
 
 @CLASSES
@@ -107,7 +107,7 @@ def test_evaluating_touches_neither_the_agent_nor_any_global_generator(greedy: b
 @pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
 @pytest.mark.parametrize("greedy", [True, False])
 def test_the_same_seed_gives_the_same_result(cls: type[ActorCritic], env_id: str, greedy: bool) -> None:
-    agent = spread(make_agent(cls, env_id))
+    agent = diversified(make_agent(cls, env_id))
     env, twin = (make_env(env_id, 3, {"max_episode_steps": 30}) for _ in range(2))
     first = evaluate(agent, env, episodes=5, seed=7, greedy=greedy)
     assert_same(first, evaluate(agent, env, episodes=5, seed=7, greedy=greedy))
@@ -117,7 +117,7 @@ def test_the_same_seed_gives_the_same_result(cls: type[ActorCritic], env_id: str
 
 
 @pytest.mark.parametrize("env_id", [ONE_WAYPOINT, SEA])
-def test_a_greedy_policy_is_evaluated_apart_from_the_stochastic_one_it_comes_from(env_id: str) -> None:
+def test_the_greedy_and_the_stochastic_policy_of_an_agent_differ(env_id: str) -> None:
     agent = make_agent(A2C, env_id)
     env = make_env(env_id, 6, {"max_episode_steps": 30})
     greedy = evaluate(agent, env, episodes=6, seed=7, greedy=True)
@@ -128,10 +128,10 @@ def test_a_greedy_policy_is_evaluated_apart_from_the_stochastic_one_it_comes_fro
         assert not (stochastic.returns == stochastic.returns[0]).all()
 
 
-# What an episode is.
+# Episodes.
 
 SHORT = {"time_limit": 2.5}
-DRIVES = {  # situations in which episodes end in more than one way
+SITUATIONS = {  # in which episodes end in more than one way
     "one_waypoint": (ONE_WAYPOINT, {"time_limit": 11.0}),
     "one_waypoint, continuous": (ONE_WAYPOINT, {"action_type": "continuous", "time_limit": 3.0}),
     "static_obstacle": (STATIC_OBSTACLE, {"time_limit": 5.0}),
@@ -174,13 +174,13 @@ def assert_replayed(found: Evaluation, agent: ActorCritic, single: Any, seed: in
 
 
 @CLASSES
-@pytest.mark.parametrize("place", DRIVES)
+@pytest.mark.parametrize("place", SITUATIONS)
 @pytest.mark.parametrize("num_envs", [1, 4])
 def test_episode_i_is_the_first_one_of_a_single_environment_with_that_seed(
     cls: type[ActorCritic], place: str, num_envs: int
 ) -> None:
-    env_id, arguments = DRIVES[place]
-    agent = spread(make_agent(cls, env_id, env=arguments, gamma=0.97))
+    env_id, arguments = SITUATIONS[place]
+    agent = diversified(make_agent(cls, env_id, env=arguments, gamma=0.97))
     found = evaluate(agent, make_env(env_id, num_envs, arguments), episodes=6, seed=40, gamma=0.9)
     single = gymnasium.make(env_id, disable_env_checker=True, **arguments).unwrapped
     assert found.returns.shape == (6, 1, len(agent.env.objectives))
@@ -198,15 +198,15 @@ def test_a_trained_policy_that_arrives_is_replayed_with_its_success() -> None:
 
 
 @CLASSES
-def test_episodes_of_a_foreign_environment_are_replayed_without_its_resets(cls: type[ActorCritic]) -> None:
-    agent = spread(make_agent(cls, SEA))
+def test_episodes_of_other_environments_are_replayed_without_their_resets(cls: type[ActorCritic]) -> None:
+    agent = diversified(make_agent(cls, SEA))
     found = evaluate(agent, make_env(SEA, 3, {"max_episode_steps": 9}), episodes=7, seed=40, gamma=0.5)
     assert_replayed(found, agent, mo_gymnasium.make(SEA, max_episode_steps=9), 40, 0.5)
     assert found.end_rates() == {}
 
 
 @CLASSES
-def test_every_world_counts_its_first_episode_alone(cls: type[ActorCritic]) -> None:
+def test_only_the_first_episode_of_every_environment_counts(cls: type[ActorCritic]) -> None:
     """In deep-sea-treasure stochastic episodes last between 1 and 40 steps: short ones are over many times."""
     agent = make_agent(cls, SEA)
     found = evaluate(agent, make_env(SEA, 8, {"max_episode_steps": 40}), episodes=20, greedy=False)
@@ -218,9 +218,9 @@ def test_every_world_counts_its_first_episode_alone(cls: type[ActorCritic]) -> N
 
 
 @pytest.mark.parametrize("together", [False, True])
-def test_vehicles_that_end_apart_are_counted_apart(together: bool) -> None:
+def test_vehicles_are_counted_separately_until_each_has_ended(together: bool) -> None:
     arguments = {"end_together": together, "time_limit": 20.0}
-    agent = spread(make_agent(A2C, INTERSECTION, env=arguments))
+    agent = diversified(make_agent(A2C, INTERSECTION, env=arguments))
     found = evaluate(agent, make_env(INTERSECTION, 3, arguments), episodes=5, seed=11, gamma=0.9)
     assert found.returns.shape == (5, 2, 6)
     assert (found.lengths[:, 0] == found.lengths[:, 1]).all() == together
@@ -260,8 +260,8 @@ def test_a_vehicle_that_arrives_first_has_succeeded() -> None:
 
 
 @pytest.mark.parametrize(("num_envs", "episodes"), [(1, 3), (2, 5), (5, 5), (8, 5), (3, 7)])
-def test_the_number_of_worlds_changes_nothing_for_a_greedy_policy(num_envs: int, episodes: int) -> None:
-    agent = spread(make_agent(MOA2C))
+def test_the_number_of_environments_changes_nothing_for_a_greedy_policy(num_envs: int, episodes: int) -> None:
+    agent = diversified(make_agent(MOA2C))
     found = evaluate(agent, make_env(ONE_WAYPOINT, num_envs, SHORT), episodes=episodes, seed=3)
     reference = evaluate(agent, make_env(ONE_WAYPOINT, 7, SHORT), episodes=7, seed=3)
     for name, array in fields(found).items():
@@ -270,7 +270,7 @@ def test_the_number_of_worlds_changes_nothing_for_a_greedy_policy(num_envs: int,
 
 
 def test_the_discount_of_the_evaluation_does_not_change_what_the_policy_does() -> None:
-    agent = spread(make_agent(MOA2C))
+    agent = diversified(make_agent(MOA2C))
     env = make_env(ONE_WAYPOINT, 4, SHORT)
     results = {gamma: evaluate(agent, env, episodes=4, gamma=gamma) for gamma in (0.0, 0.9, 1.0)}
     for result in results.values():
@@ -280,7 +280,7 @@ def test_the_discount_of_the_evaluation_does_not_change_what_the_policy_does() -
     assert not np.allclose(results[0.9].discounted, results[0.9].returns)
 
 
-# What is reported.
+# Metrics.
 
 
 def made(returns: list[list[float]], utility: Utility, **others: Any) -> Evaluation:
@@ -378,7 +378,7 @@ def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: d
             assert rate == pytest.approx(np.mean(found.ends[:, v] == end))
 
 
-def test_every_vehicle_has_metrics_and_a_utility_of_its_own() -> None:
+def test_every_vehicle_has_its_own_metrics_and_utility() -> None:
     env = make_env(INTERSECTION, 2, SHORT)
     objectives = EnvAdapter(env).objectives
     utilities = [make_utility("intersection_linear", objectives), make_utility("intersection_nonlinear", objectives)]
@@ -393,7 +393,7 @@ def test_every_vehicle_has_metrics_and_a_utility_of_its_own() -> None:
         assert metrics[f"vehicle_{v}/return/lane_violation"] == pytest.approx(found.returns[:, v, 5].mean())
 
 
-def test_the_success_of_all_is_that_every_vehicle_arrives_in_the_same_episode() -> None:
+def test_the_success_of_all_vehicles_is_that_they_arrive_in_the_same_episode() -> None:
     agent = make_agent(A2C, INTERSECTION)
     found = evaluate(agent, make_env(INTERSECTION, 4, SHORT), episodes=4)
     found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]

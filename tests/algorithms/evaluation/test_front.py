@@ -64,14 +64,14 @@ def test_a_policy_has_the_means_of_its_episodes() -> None:
     assert (front.gamma, front.episodes, front.seed) == (0.9, 40, 17)
 
 
-def test_intervals_are_as_wide_as_the_spread_of_the_episodes_says() -> None:
+def test_intervals_are_as_wide_as_the_variation_of_the_episodes_implies() -> None:
     front = make_front(e=400)
     expected = 1.96 * episodes(e=400)["returns"].std(axis=1, ddof=1) / 400**0.5
     np.testing.assert_allclose((front.high - front.low) / 2.0, expected, rtol=0.1)
     np.testing.assert_allclose(front.returns - front.low, expected, rtol=0.2)
 
 
-def test_intervals_have_no_width_where_no_episode_differs() -> None:
+def test_intervals_have_no_width_if_all_episodes_are_the_same() -> None:
     alike = np.repeat(np.random.default_rng(0).integers(-9, 9, (3, 1, 2)) / 4, 5, axis=1)
     front = make_front(e=5, returns=alike)
     np.testing.assert_array_equal(front.returns, alike[:, 0])
@@ -103,7 +103,7 @@ def test_arrivals_and_commands_may_be_missing() -> None:
         ({"condition_names": ("a",)}, "conditions has shape (3, 3); expected (3, 1)"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
+def test_wrong_shapes_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         make_front(**changed)
 
@@ -164,7 +164,7 @@ def test_policies_are_taken_with_all_their_numbers(indices: Any) -> None:
     assert (part.gamma, part.episodes, part.seed, part.objectives) == (0.9, 40, 17, NAMES)
 
 
-def test_dominance_goes_by_discounted_returns_and_the_policies_are_sorted_by_the_first() -> None:
+def test_dominance_is_determined_by_discounted_returns_and_policies_are_sorted_by_the_first() -> None:
     discounted = np.array([[5.0, 0.0], [1.0, 4.0], [1.0, 3.0], [3.0, 2.0], [5.0, 0.0], [0.0, 4.0]])
     front = make_front(
         6, 1, returns=-discounted[:, None], discounted=discounted[:, None], conditions=np.arange(18).reshape(6, 3)
@@ -224,7 +224,7 @@ def test_the_file_of_a_front_has_a_row_per_policy(tmp_path: Path) -> None:
         }
 
 
-def test_the_own_numbers_of_a_front_cannot_be_overruled(tmp_path: Path) -> None:
+def test_additional_content_does_not_replace_the_numbers_of_a_front(tmp_path: Path) -> None:
     make_front().write(tmp_path, {"gamma": 0.1, "episodes": 7})
     assert same(Front.read(tmp_path), make_front())
 

@@ -1,11 +1,75 @@
-"""How runs are compared: interquartile means, their difference, probability of improvement, ratio of spreads."""
+"""Intervals of means, rates and utilities; comparisons of runs."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
 
-from algorithms.evaluation.statistics import Estimate, improvement, iqm, iqm_difference, spread_ratio
+from algorithms.evaluation.statistics import (
+    Estimate,
+    bootstrap,
+    iqm,
+    iqm_difference,
+    mann_whitney_p,
+    mean,
+    mean_difference,
+    means,
+    probability_of_improvement,
+    rate,
+    spread_ratio,
+    utility_of_mean,
+)
+
+
+def square(returns: Any) -> Any:
+    return returns[..., 0] ** 2
+
+
+def test_bootstrap_intervals_cover_the_mean_as_often_as_they_should() -> None:
+    samples = np.random.default_rng(0).normal(5.0, 2.0, (40, 1000))
+    low, high = bootstrap(samples)
+    assert 0.91 <= np.mean((low <= 5.0) & (high >= 5.0)) <= 0.97
+    again = bootstrap(samples)
+    np.testing.assert_array_equal(low, again[0])
+
+
+def test_one_sample_has_a_value_and_no_interval() -> None:
+    assert mean(np.array([2.0])) == Estimate(2.0)
+    assert utility_of_mean(np.array([[3.0, 1.0]]), square) == Estimate(9.0)
+    assert np.isnan(bootstrap(np.ones((1, 3)))[0]).all()
+
+
+def test_rates_of_0_and_1_have_an_interval() -> None:
+    none = rate(np.zeros(100, dtype=np.bool_))
+    assert (none.value, none.low) == (0.0, 0.0)
+    assert none.high == pytest.approx(0.037, abs=1e-3)
+    assert rate(np.ones(100, dtype=np.bool_)).high == 1.0
+
+
+def test_the_utility_of_the_mean_lies_in_its_interval_and_bootstraps_episodes() -> None:
+    returns = np.random.default_rng(0).normal(3.0, 1.0, (200, 1))
+    found = utility_of_mean(returns, square)
+    assert found.value == pytest.approx(returns.mean() ** 2)
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < found.value < found.high
+    assert found.high - found.low == pytest.approx(2 * 1.96 * 2 * 3.0 / np.sqrt(200), rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "text"),
+    [
+        (Estimate(1.23456), "1.235"),
+        (Estimate(9.7112, 9.5012, 9.9012), "9.71 [9.50, 9.90]"),
+        (Estimate(-123.4, -150.0, -100.0), "-123 [-150, -100]"),
+        (Estimate(0.0, 0.0, 0.0713), "0.000 [0.000, 0.071]"),
+        (Estimate(5.0, 5.0, 5.0), "5"),
+    ],
+)
+def test_estimates_are_formatted_to_the_digits_that_matter(estimate: Estimate, text: str) -> None:
+    assert estimate.text() == text
 
 
 def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter() -> None:
@@ -14,19 +78,19 @@ def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter() 
     assert iqm(np.array([1.0, 2.0, 6.0])).value == pytest.approx(3.0)  # three runs have no quarter to lose
 
 
-def test_one_run_has_no_interval() -> None:
+def test_a_single_run_has_no_interval() -> None:
     one, two = np.array([3.0]), np.array([1.0, 2.0])
     assert iqm(one) == Estimate(3.0)
     assert iqm_difference(one, two) == Estimate(1.5)
-    assert improvement(one, two) == Estimate(1.0)
+    assert probability_of_improvement(one, two) == Estimate(1.0)
 
 
-def test_the_probability_of_improvement_counts_pairs_and_half_of_the_equal_ones() -> None:
+def test_the_probability_of_improvement_counts_pairs_and_half_of_the_ties() -> None:
     first, second = np.array([1.0, 2.0, 5.0]), np.array([1.0, 3.0])
     pairs = [1.0 if x > y else 0.5 if x == y else 0.0 for x in first for y in second]
-    found = improvement(first, second)
+    found = probability_of_improvement(first, second)
     assert found.value == pytest.approx(np.mean(pairs))
-    assert improvement(second, first).value == pytest.approx(1.0 - found.value)
+    assert probability_of_improvement(second, first).value == pytest.approx(1.0 - found.value)
     assert found.low is not None
     assert found.high is not None
     assert 0.0 <= found.low <= found.value <= found.high <= 1.0
@@ -44,7 +108,7 @@ def test_the_difference_has_the_sign_of_the_first_and_an_interval_around_it() ->
     assert back.value == pytest.approx(-found.value)
 
 
-def test_the_interval_of_the_difference_covers_the_truth_about_as_often_as_it_says() -> None:
+def test_intervals_of_the_difference_cover_the_truth_about_as_often_as_they_should() -> None:
     rng = np.random.default_rng(1)
     covered = 0
     for _ in range(200):
@@ -55,7 +119,7 @@ def test_the_interval_of_the_difference_covers_the_truth_about_as_often_as_it_sa
     assert 0.88 <= covered / 200 <= 0.99
 
 
-def test_the_ratio_of_spreads_is_that_of_the_standard_deviations() -> None:
+def test_the_spread_ratio_is_that_of_the_standard_deviations() -> None:
     first, second = np.array([1.0, 2.0, 3.0, 4.0]), np.array([10.0, 20.0, 30.0, 40.0])
     found = spread_ratio(first, second)
     assert found.value == pytest.approx(0.1)
@@ -67,3 +131,23 @@ def test_the_ratio_of_spreads_is_that_of_the_standard_deviations() -> None:
     for found in (spread_ratio(first, np.ones(4)), spread_ratio(first, np.array([1.0, 1.0, 1.0, 1.1]))):
         assert not np.isnan([found.value, found.low, found.high]).any()
         assert found.text()
+
+
+def test_the_difference_of_equal_samples_is_zero_within_its_interval() -> None:
+    sample = np.array([1.0, 2.0, 3.0, 4.0])
+    found = mean_difference(sample, sample)
+    assert found.value == 0.0
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < 0.0 < found.high
+    assert mann_whitney_p(sample, sample) > 0.9
+
+
+def test_means_of_many_samples_are_those_of_each() -> None:
+    samples = [[1.0, 2.0, 6.0], [5.0], [3.0, 3.5, 8.0], [0.0, 1.0]]
+    for found, sample in zip(means(samples), samples, strict=True):
+        expected = mean(np.array(sample))
+        assert found.value == pytest.approx(expected.value)
+        assert (found.low is None) == (expected.low is None) == (len(sample) == 1)
+        if found.low is not None and found.high is not None:
+            assert min(sample) <= found.low <= found.value <= found.high <= max(sample)

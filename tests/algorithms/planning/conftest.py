@@ -11,7 +11,7 @@ import pytest
 
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
+from algorithms.experiments.build import build
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.training import build
+from algorithms.experiments.build import build
 from algorithms.planning.trained_runs import record_run
 
 

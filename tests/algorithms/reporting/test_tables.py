@@ -1,4 +1,4 @@
-"""Intervals and the numbers of an evaluation."""
+"""Final evaluations: every metric with its interval, and the files that are written."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 from rich.console import Console
 
 from algorithms.evaluation.evaluate import Evaluation
-from algorithms.evaluation.statistics import Estimate, bootstrap, mean, rate, utility_of_mean
-from algorithms.reporting.tables import summarise, table, write
+from algorithms.evaluation.statistics import Estimate
+from algorithms.reporting.tables import estimate_metrics, evaluation_table, write_evaluation
 from mo_deepdrive.utilities import Utility, make_utility
 
 OBJECTIVES = ("distance", "jerk")
@@ -39,54 +39,9 @@ def evaluation(episodes: int = 50, vehicles: int = 1, ends: bool = True) -> Eval
     )
 
 
-def test_bootstrap_intervals_cover_the_mean_as_often_as_they_say() -> None:
-    samples = np.random.default_rng(0).normal(5.0, 2.0, (40, 1000))
-    low, high = bootstrap(samples)
-    assert 0.91 <= np.mean((low <= 5.0) & (high >= 5.0)) <= 0.97
-    again = bootstrap(samples)
-    np.testing.assert_array_equal(low, again[0])
-
-
-def test_one_sample_has_a_value_and_no_interval() -> None:
-    assert mean(np.array([2.0])) == Estimate(2.0)
-    assert utility_of_mean(np.array([[3.0, 1.0]]), square) == Estimate(9.0)
-    assert np.isnan(bootstrap(np.ones((1, 3)))[0]).all()
-
-
-def test_rates_of_nothing_and_of_all_have_an_interval() -> None:
-    none = rate(np.zeros(100, dtype=np.bool_))
-    assert (none.value, none.low) == (0.0, 0.0)
-    assert none.high == pytest.approx(0.037, abs=1e-3)
-    assert rate(np.ones(100, dtype=np.bool_)).high == 1.0
-
-
-def test_the_utility_of_the_mean_lies_in_its_interval_and_bootstraps_episodes() -> None:
-    returns = np.random.default_rng(0).normal(3.0, 1.0, (200, 1))
-    found = utility_of_mean(returns, square)
-    assert found.value == pytest.approx(returns.mean() ** 2)
-    assert found.low is not None
-    assert found.high is not None
-    assert found.low < found.value < found.high
-    assert found.high - found.low == pytest.approx(2 * 1.96 * 2 * 3.0 / np.sqrt(200), rel=0.15)
-
-
-@pytest.mark.parametrize(
-    ("estimate", "text"),
-    [
-        (Estimate(1.23456), "1.235"),
-        (Estimate(9.7112, 9.5012, 9.9012), "9.71 [9.50, 9.90]"),
-        (Estimate(-123.4, -150.0, -100.0), "-123 [-150, -100]"),
-        (Estimate(0.0, 0.0, 0.0713), "0.000 [0.000, 0.071]"),
-        (Estimate(5.0, 5.0, 5.0), "5"),
-    ],
-)
-def test_estimates_read_to_the_digits_that_mean_something(estimate: Estimate, text: str) -> None:
-    assert estimate.text() == text
-
-
-def test_a_summary_states_what_the_evaluation_holds() -> None:
+def test_estimates_have_the_values_of_the_metrics() -> None:
     held = evaluation()
-    summary = summarise(held)
+    summary = estimate_metrics(held)
     metrics = held.metrics()
     for name in (
         "utility_esr",
@@ -107,38 +62,38 @@ def test_a_summary_states_what_the_evaluation_holds() -> None:
 def test_esr_and_ser_agree_for_a_linear_utility() -> None:
     held = evaluation()
     held.utilities = (make_utility("linear", OBJECTIVES, weights=[1.0, 0.01]),)
-    summary = summarise(held)
+    summary = estimate_metrics(held)
     assert summary["utility_esr"].value == pytest.approx(summary["utility_ser"].value)
 
 
 def test_an_environment_that_does_not_say_why_episodes_end_gets_no_rates() -> None:
-    summary = summarise(evaluation(ends=False))
+    summary = estimate_metrics(evaluation(ends=False))
     assert "success" not in summary
     assert not [name for name in summary if name.startswith("end/")]
 
 
-def test_every_vehicle_has_its_numbers() -> None:
-    names = set(summarise(evaluation(vehicles=2)))
+def test_every_vehicle_has_its_own_metrics() -> None:
+    names = set(estimate_metrics(evaluation(vehicles=2)))
     assert {"vehicle_0/utility_esr", "vehicle_1/utility_esr", "vehicle_1/end/circling"} <= names
 
 
-def test_what_all_vehicles_do_together_is_counted_over_episodes() -> None:
+def test_success_and_collisions_of_all_vehicles_are_counted_per_episode() -> None:
     found = evaluation(episodes=4, vehicles=2)
     found.succeeded[:] = [[True, True], [True, False], [False, True], [False, False]]
     found.ends[:] = [["arrived", "arrived"], ["arrived", "collision"], ["collision", "arrived"], ["collision"] * 2]
-    summary = summarise(found)
+    summary = estimate_metrics(found)
     assert summary["success"].value == 0.25
     assert summary["end/collision"].value == 0.75
     assert summary["vehicle_1/end/collision"].value == 0.5
-    assert "success" in summarise(evaluation())
+    assert "success" in estimate_metrics(evaluation())
     assert {"utility_esr", "length"}.isdisjoint(summary)
 
 
-def test_numbers_are_written_and_shown_whole(tmp_path: Path) -> None:
+def test_every_metric_is_written_and_shown(tmp_path: Path) -> None:
     policies = {"greedy": evaluation(5), "stochastic": evaluation(5, ends=False)}
-    write(tmp_path, policies, {"seed": 7, "episodes": 5})
+    write_evaluation(tmp_path, policies, {"seed": 7, "episodes": 5})
     stored = json.loads((tmp_path / "evaluation.json").read_text())
-    expected = summarise(policies["greedy"])["utility_esr"]
+    expected = estimate_metrics(policies["greedy"])["utility_esr"]
     assert stored["seed"] == 7
     assert stored["policies"]["greedy"]["utility_esr"] == {
         "value": expected.value,
@@ -154,7 +109,7 @@ def test_numbers_are_written_and_shown_whole(tmp_path: Path) -> None:
     assert [int(row["seed"]) for row in episodes] == [7, 8, 9, 10, 11] * 2
     assert float(episodes[2]["return/jerk"]) == policies["greedy"].returns[2, 0, 1]
     console = Console(width=120, record=True)
-    console.print(table(policies, "a [title]"))
+    console.print(evaluation_table(policies, "a [title]"))
     text = console.export_text()
     assert "end/circling" in text
     assert expected.text() in text

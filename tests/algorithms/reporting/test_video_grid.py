@@ -11,39 +11,39 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from algorithms.reporting.video_grid import CAPTION_PIXELS, GAP, MAX_WIDTH, caption_strip, scaled, write_mosaic
+from algorithms.reporting.video_grid import CAPTION_PIXELS, GAP, MAX_WIDTH, caption_strip, scaled, write_video_grid
 
-Picture = NDArray[np.uint8]
+Frame = NDArray[np.uint8]
 FPS = 10
 HEIGHT, WIDTH = 60, 100
 COLOURS = ((200, 40, 40), (40, 180, 40), (50, 60, 220), (220, 200, 40))
 
 
-def plain(level: float, colour: tuple[int, ...] = (255, 255, 255), size: tuple[int, int] = (HEIGHT, WIDTH)) -> Picture:
+def plain(level: float, colour: tuple[int, ...] = (255, 255, 255), size: tuple[int, int] = (HEIGHT, WIDTH)) -> Frame:
     """A frame of one colour, darkened to ``level``."""
     return np.full((*size, 3), np.array(colour) * level, dtype=np.uint8)
 
 
-def tile(frames: Picture, row: int, column: int) -> Picture:
+def tile(frames: Frame, row: int, column: int) -> Frame:
     """The tile at a place, of all frames, less a margin where colours run."""
     top = row * (HEIGHT + CAPTION_PIXELS) + CAPTION_PIXELS
     left = column * (WIDTH + GAP)
     return frames[:, top + 8 : top + HEIGHT - 8, left + 8 : left + WIDTH - 8]
 
 
-def assert_near(pixels: Picture, colour: NDArray[np.float64], tolerance: float = 16.0) -> None:
+def assert_near(pixels: Frame, colour: NDArray[np.float64], tolerance: float = 16.0) -> None:
     assert np.abs(pixels.astype(float) - colour).max() < tolerance
 
 
-def test_four_tracks_lie_in_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
+def test_four_tracks_form_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
     lengths = (3, 8, 5, 1)
 
-    def track(k: int) -> Iterator[Picture]:
+    def track(k: int) -> Iterator[Frame]:
         for step in range(lengths[k]):
             yield plain(0.5 + step / 16, COLOURS[k])
 
     tracks = [(f"policy {k}", track(k)) for k in range(4)]
-    count = write_mosaic(tracks, tmp_path / "video.mp4", FPS, hold=0.5)
+    count = write_video_grid(tracks, tmp_path / "video.mp4", FPS, hold=0.5)
     frames = iio.imread(tmp_path / "video.mp4")
     assert len(frames) == count == max(lengths) + 5
     assert frames.shape[1:] == (2 * (HEIGHT + CAPTION_PIXELS), 2 * WIDTH + GAP, 3)
@@ -55,8 +55,10 @@ def test_four_tracks_lie_in_a_square_and_each_keeps_its_last_frame(tmp_path: Pat
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_fewer_lie_side_by_side(tmp_path: Path, n: int) -> None:
-    count = write_mosaic([("", [plain(1.0, COLOURS[k])] * 2) for k in range(n)], tmp_path / "video.mp4", FPS, hold=0.0)
+def test_up_to_three_tracks_are_side_by_side(tmp_path: Path, n: int) -> None:
+    count = write_video_grid(
+        [("", [plain(1.0, COLOURS[k])] * 2) for k in range(n)], tmp_path / "video.mp4", FPS, hold=0.0
+    )
     frames = iio.imread(tmp_path / "video.mp4")
     assert count == 2
     assert frames.shape == (2, HEIGHT + CAPTION_PIXELS, n * (WIDTH + GAP) - GAP, 3)
@@ -64,16 +66,16 @@ def test_fewer_lie_side_by_side(tmp_path: Path, n: int) -> None:
         assert_near(tile(frames, 0, k), np.array(COLOURS[k]))
 
 
-def test_more_leave_the_rest_of_the_last_row_empty(tmp_path: Path) -> None:
-    write_mosaic([(str(k), [plain(1.0)]) for k in range(5)], tmp_path / "video.mp4", FPS, hold=0.2)
+def test_the_rest_of_the_last_row_is_empty(tmp_path: Path) -> None:
+    write_video_grid([(str(k), [plain(1.0)]) for k in range(5)], tmp_path / "video.mp4", FPS, hold=0.2)
     frames = iio.imread(tmp_path / "video.mp4")
     assert frames.shape[1:] == (2 * (HEIGHT + CAPTION_PIXELS), 3 * (WIDTH + GAP) - GAP, 3)
     assert tile(frames, 1, 1).min() > 230
     assert tile(frames, 1, 2).max() < 60
 
 
-def test_captions_stand_above_their_tiles(tmp_path: Path) -> None:
-    write_mosaic([("", [plain(0.0)]), ("WWW", [plain(0.0)])], tmp_path / "video.mp4", FPS)
+def test_captions_are_above_their_tiles(tmp_path: Path) -> None:
+    write_video_grid([("", [plain(0.0)]), ("WWW", [plain(0.0)])], tmp_path / "video.mp4", FPS)
     strips = iio.imread(tmp_path / "video.mp4")[0, :CAPTION_PIXELS].max(axis=2)
     assert strips[:, :WIDTH].max() < 60
     assert strips[:, WIDTH + GAP :].max() > 180
@@ -81,9 +83,9 @@ def test_captions_stand_above_their_tiles(tmp_path: Path) -> None:
 
 def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
     height, width = 301, 1101
-    picture = plain(1.0, size=(height, width))
-    picture[:, width // 2 :] = 0
-    write_mosaic([("a", [picture]), ("b", [picture])], tmp_path / "wide.mp4", FPS)
+    frame = plain(1.0, size=(height, width))
+    frame[:, width // 2 :] = 0
+    write_video_grid([("a", [frame]), ("b", [frame])], tmp_path / "wide.mp4", FPS)
     frame = iio.imread(tmp_path / "wide.mp4")[0]
     assert frame.shape[1] in range(MAX_WIDTH - 4, MAX_WIDTH + 1)
     shown = (frame.shape[1] - GAP) // 2
@@ -92,13 +94,13 @@ def test_wide_frames_are_scaled_and_odd_sides_made_even(tmp_path: Path) -> None:
     for left in (0, shown + GAP):
         assert row[left + 5 : left + shown // 2 - 5].min() > 230
         assert row[left + shown // 2 + 5 : left + shown - 5].max() < 30
-    write_mosaic([("a", [plain(1.0, size=(31, 57))])], tmp_path / "odd.mp4", FPS)
+    write_video_grid([("a", [plain(1.0, size=(31, 57))])], tmp_path / "odd.mp4", FPS)
     frame = iio.imread(tmp_path / "odd.mp4")[0]
     assert frame.shape == (CAPTION_PIXELS + 32, 58, 3)
     assert frame[CAPTION_PIXELS + 8 :].min() > 230
 
 
-def test_scaling_takes_means() -> None:
+def test_scaling_averages_pixels() -> None:
     fine = np.indices((40, 80)).sum(axis=0) % 2 * 255
     small = scaled(np.repeat(fine[..., None], 3, axis=2).astype(np.uint8), 10, 20)
     assert small.shape == (10, 20, 3)
@@ -111,7 +113,7 @@ def test_scaling_takes_means() -> None:
     np.testing.assert_array_equal(small, plain(0.5, COLOURS[0], (20, 30)))
 
 
-def test_captions_that_do_not_fit_shrink_and_then_end_early() -> None:
+def test_captions_that_do_not_fit_shrink_and_are_then_shortened() -> None:
     def ink(text: str, width: int = 300) -> tuple[int, int]:
         """Width and height of what is written."""
         strip = caption_strip(text, width).max(axis=2) > 90
@@ -128,30 +130,30 @@ def test_captions_that_do_not_fit_shrink_and_then_end_early() -> None:
     assert (caption_strip("", 300) == caption_strip("", 300)[0, 0]).all()
 
 
-def test_what_cannot_be_shown_is_refused_and_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_invalid_tracks_are_refused_and_leave_nothing_behind(tmp_path: Path) -> None:
     path, fine = tmp_path / "video.mp4", [plain(1.0)]
     with pytest.raises(ValueError, match="at least one"):
-        write_mosaic([], path, FPS)
+        write_video_grid([], path, FPS)
     with pytest.raises(ValueError, match="track 'b' has no frames"):
-        write_mosaic([("a", fine), ("b", iter(()))], path, FPS)
+        write_video_grid([("a", fine), ("b", iter(()))], path, FPS)
     with pytest.raises(ValueError, match=r"track 'b' has shape \(60, 102, 3\); the first track's have \(60, 100, 3\)"):
-        write_mosaic([("a", fine), ("b", [plain(1.0, size=(60, 102))])], path, FPS)
+        write_video_grid([("a", fine), ("b", [plain(1.0, size=(60, 102))])], path, FPS)
     with pytest.raises(ValueError, match=r"track 'a' has shape \(61, 100, 3\)"):
-        write_mosaic([("a", [*fine, plain(1.0, size=(61, 100))])], path, FPS)
+        write_video_grid([("a", [*fine, plain(1.0, size=(61, 100))])], path, FPS)
     for bad in (np.zeros((60, 100), dtype=np.uint8), np.zeros((60, 100, 3)), np.zeros((0, 100, 3), dtype=np.uint8)):
         with pytest.raises(ValueError, match=r"must be \(height, width, 3\) of uint8"):
-            write_mosaic([("a", [bad])], path, FPS)
+            write_video_grid([("a", [bad])], path, FPS)
     for fps, hold in ((0, 0.5), (FPS, -1.0)):
         with pytest.raises(ValueError, match="must be at least 1"):
-            write_mosaic([("a", fine)], path, fps, hold=hold)
+            write_video_grid([("a", fine)], path, fps, hold=hold)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_track_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
-    def track() -> Iterator[Picture]:
+    def track() -> Iterator[Frame]:
         yield plain(1.0)
         raise RuntimeError("no idea")
 
     with pytest.raises(RuntimeError, match="no idea"):
-        write_mosaic([("a", track())], tmp_path / "video.mp4", FPS)
+        write_video_grid([("a", track())], tmp_path / "video.mp4", FPS)
     assert not list(tmp_path.iterdir())

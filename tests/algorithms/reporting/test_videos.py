@@ -1,4 +1,4 @@
-"""Videos of a policy: what the frames show, of one vehicle and of of two that end at different times."""
+"""Videos of a policy: what the frames show, of one vehicle and of two that end at different times."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.reporting.videos import HOLD, record, writing
+from algorithms.reporting.videos import HOLD, record, video_writer
 from mo_deepdrive.actions import action_names
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
@@ -55,7 +55,7 @@ def resembles(pixel: NDArray[np.uint8], colour: tuple[int, ...]) -> bool:
 
 @dataclass(frozen=True)
 class Filmed:
-    """An episode in which vehicle 0 stands until the time limit and vehicle 1 arrives before."""
+    """An episode in which vehicle 0 waits until the time limit and vehicle 1 arrives before."""
 
     agent: ActorCritic
     count: int
@@ -73,15 +73,15 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
         seen.append((accrued_reward.value[0].copy(), accrued_reward.discounts[0].copy()))
         return np.array([[IDLE, SPEED_UP]])
 
-    path = tmp_path_factory.mktemp("video") / "drive.mp4"
+    path = tmp_path_factory.mktemp("video") / "episode.mp4"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(agent, "act", act)
-        count = record(agent, experiment.environment, path, episodes=1)
+        count = record(agent, experiment.environment.id, experiment.environment.arguments, path, episodes=1)
     accrued, discounts = (np.stack(each) for each in zip(*seen, strict=True))
     return Filmed(agent, count, iio.imread(path), accrued, discounts)
 
 
-def test_a_video_goes_on_until_both_vehicles_have_ended(filmed: Filmed) -> None:
+def test_a_video_lasts_until_both_vehicles_have_ended(filmed: Filmed) -> None:
     assert len(filmed.frames) == filmed.count == 1 + LIMIT * FPS + round(HOLD * FPS)
     arrived = [resembles(label(frame, 1), GREEN) for frame in filmed.frames]
     first = arrived.index(True)
@@ -91,7 +91,7 @@ def test_a_video_goes_on_until_both_vehicles_have_ended(filmed: Filmed) -> None:
     assert late.index(True) == LIMIT * FPS
 
 
-def test_what_the_policy_observes_is_what_its_vehicle_earned(filmed: Filmed) -> None:
+def test_the_policy_observes_the_rewards_of_its_vehicle(filmed: Filmed) -> None:
     gamma = filmed.agent.config.gamma
     powers = gamma ** np.arange(LIMIT * FPS)
     np.testing.assert_allclose(filmed.discounts, np.stack([powers, powers], axis=1), rtol=1e-4)
@@ -107,8 +107,10 @@ def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
 ) -> None:
     agent, experiment = make(ONE, time_limit=1)
     monkeypatch.setattr(agent, "act", policy(SPEED_UP))
-    count = record(agent, experiment.environment, tmp_path / "drive.mp4", episodes=2)
-    frames = iio.imread(tmp_path / "drive.mp4").astype(int)
+    count = record(
+        agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "episode.mp4", episodes=2
+    )
+    frames = iio.imread(tmp_path / "episode.mp4").astype(int)
     length = 1 + FPS + round(HOLD * FPS)
     assert len(frames) == count == 2 * length
     for start in (0, length):
@@ -125,11 +127,11 @@ def test_a_video_that_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(agent, "act", act)
     with pytest.raises(RuntimeError, match="no idea"):
-        record(agent, experiment.environment, tmp_path / "drive.mp4")
+        record(agent, experiment.environment.id, experiment.environment.arguments, tmp_path / "episode.mp4")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_video_without_frames_is_no_file(tmp_path: Path) -> None:
-    with writing(tmp_path / "drive.mp4", FPS):
+def test_a_video_without_frames_is_not_written(tmp_path: Path) -> None:
+    with video_writer(tmp_path / "episode.mp4", FPS):
         pass
     assert not list(tmp_path.iterdir())

@@ -114,9 +114,8 @@ def parts(sweep: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in sorted((sweep / "collected/metrics").glob("*.parquet"))}
 
 
-def table(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> int:
-    monkeypatch.setattr(sys, "argv", ["table.py", *map(str, arguments)])
-    return table_script.main()
+def table(*arguments: Path | str) -> int:
+    return table_script.main([str(argument) for argument in arguments])
 
 
 # -------------------------------------------------------------------------------------------------------------- content
@@ -434,12 +433,12 @@ def test_cells_have_short_names(base: dict[str, Any], tmp_path: Path) -> None:
 
 
 def test_the_table_has_the_best_cells_and_its_csv_all(
-    tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, grid: list[Row], capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = make_sweep(tmp_path, grid)
     shutil.rmtree(tmp_path / rows[-1].directory)
     output = tmp_path / "scores.csv"
-    assert table(monkeypatch, tmp_path, "--top", "2", "--output", output) == 0
+    assert table(tmp_path, "--top", "2", "--output", output) == 0
     shown = capsys.readouterr()
     assert shown.err.count("\n") == 1
     assert "1 of 18 runs have no final evaluation (1 waiting)" in shown.err
@@ -455,32 +454,28 @@ def test_the_table_has_the_best_cells_and_its_csv_all(
     assert float(utility.split()[0]) == pytest.approx(10.1)
     assert utility == f"10.10 [{10.0:.2f}, {10.2:.2f}]"
     assert cells[-1][:4] == ["0.0001", "32", "stochastic", "3"]
-    assert table(monkeypatch, tmp_path, "--sort", "stochastic/utility_esr", "--output", output) == 0
+    assert table(tmp_path, "--sort", "stochastic/utility_esr", "--output", output) == 0
     assert next(csv.reader(output.read_text().splitlines()[1:]))[0] == "0.0001"
-    assert table(monkeypatch, tmp_path, "--sort", "greedy/utlity_esr") == 2
+    assert table(tmp_path, "--sort", "greedy/utlity_esr") == 2
     assert "did you mean 'greedy/utility_esr'" in capsys.readouterr().err
 
 
-def test_the_table_of_a_search_has_its_trials(
-    tmp_path: Path, base: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_table_of_a_search_has_its_trials(tmp_path: Path, base: dict[str, Any]) -> None:
     points = [{"algorithm.learning_rate": rate} for rate in (0.0012345678, 0.0078)]
     make_sweep(tmp_path, [make_row(base, point, seed, trial) for trial, point in enumerate(points) for seed in (0, 1)])
     output = tmp_path / "scores.csv"
-    assert table(monkeypatch, tmp_path, "--output", output) == 0
+    assert table(tmp_path, "--output", output) == 0
     found = list(csv.reader(output.read_text().splitlines()))
     assert found[0][:3] == ["trial", "algorithm.learning_rate", "policy"]
     assert [row[:2] for row in found[1:4:2]] == [["1", "0.0078"], ["0", "0.0012345678"]]
 
 
-def test_algorithms_of_a_sweep_are_compared_where_nothing_else_differs(
-    tmp_path: Path, base: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_algorithms_of_a_sweep_are_compared_where_nothing_else_differs(tmp_path: Path, base: dict[str, Any]) -> None:
     bases = {"a": base, "b": config_of("one_waypoint/a2c_linear"), "c": config_of("one_waypoint/a2c_nonlinear")}
     cells = [{"config": name, "algorithm.steps": steps} for name in bases for steps in (8, 16)]
     make_sweep(tmp_path, [make_row(bases[cell["config"]], cell, seed) for cell in cells for seed in range(3)])
     output = tmp_path / "scores.csv"
-    assert table(monkeypatch, tmp_path, "--output", output) == 0
+    assert table(tmp_path, "--output", output) == 0
     found = list(csv.reader(output.read_text().splitlines()))
     compared = found[found.index([]) + 1 :]
     assert compared[0][:4] == ["algorithm.steps", "policy", "difference", "of"]
@@ -509,7 +504,7 @@ def test_pictures_of_a_sweep(tmp_path: Path, base: dict[str, Any], capsys: pytes
 
 
 def test_a_sweep_that_has_only_begun_is_drawn_by_its_last_evaluations(
-    tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, grid: list[Row], capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = make_sweep(tmp_path, grid)
     for row in rows:
@@ -523,18 +518,18 @@ def test_a_sweep_that_has_only_begun_is_drawn_by_its_last_evaluations(
     assert "learning_rate 0.01, steps 16: 3 seeds" in capsys.readouterr().out
     assert plot_script.main([str(tmp_path), "--output", str(tmp_path / "a.xyz")]) == 2
     assert "xyz" in capsys.readouterr().err
-    assert table(monkeypatch, tmp_path) == 2
+    assert table(tmp_path) == 2
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("error: no run of sweep")
     assert "has a final evaluation yet" in error
 
 
 def test_what_is_no_sweep_or_an_empty_one_is_refused(
-    tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, grid: list[Row], capsys: pytest.CaptureFixture[str]
 ) -> None:
     def errors(*arguments: Path | str) -> list[str]:
         assert plot_script.main([str(argument) for argument in arguments]) == 2
-        assert table(monkeypatch, *arguments) == 2
+        assert table(*arguments) == 2
         lines = capsys.readouterr().err.splitlines()
         return [line for line in lines if line.startswith("error: ")]
 
@@ -548,5 +543,5 @@ def test_what_is_no_sweep_or_an_empty_one_is_refused(
     log(tmp_path, grid[0], [(0, {"train/utility": 1.0})])
     assert "to draw" in errors(tmp_path)[0]
     assert all("give one sweep, or else runs" in error for error in errors(tmp_path, "runs"))
-    assert table(monkeypatch, tmp_path, "--top", "0") == 2
+    assert table(tmp_path, "--top", "0") == 2
     assert "--top 0 must be at least 1" in capsys.readouterr().err

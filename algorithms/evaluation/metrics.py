@@ -1,0 +1,257 @@
+"""Every metric's name, written once, and the one summary of episodes.
+
+A column of ``metrics.csv`` is named ``PREFIX [VEHICLE/] METRIC``, as in ``eval/greedy/vehicle_0/return/jerk``:
+
+``train/``
+    means over the episodes that ended since the last row;
+``eval/greedy/``, ``eval/stochastic/``, ``eval/front/``
+    an evaluation of the policy that takes the most likely (or mean) action, of the policy that samples, and of the
+    front that a multi-policy algorithm has found;
+``loss/``, ``policy/``, ``time/``
+    the updates.
+
+Final evaluations are named in the same way without ``eval/``. ``VEHICLE/`` is there with several vehicles only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mo_deepdrive.config import nearest
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+
+# ------------------------------------------------------------------------------------------------------------- names
+
+STEP = "step"  # column of metrics.csv: environment steps taken
+
+TRAIN, EVALUATION = "train/", "eval/"
+GREEDY, STOCHASTIC, FRONT = "greedy", "stochastic", "front"
+POLICIES = (GREEDY, STOCHASTIC, FRONT)
+
+# Of episodes: expected scalarised return (ESR: mean utility) and scalarised expected return (SER: utility of the mean).
+UTILITY = "utility"
+UTILITY_ESR, UTILITY_SER = "utility_esr", "utility_ser"
+DISCOUNTED_UTILITY_ESR, DISCOUNTED_UTILITY_SER = "discounted_utility_esr", "discounted_utility_ser"
+TOTAL_UTILITY_ESR = "total_utility_esr"  # sum over the vehicles
+SUCCESS, LENGTH = "success", "length"
+RETURN, DISCOUNTED_RETURN, END = "return/", "discounted_return/", "end/"
+
+# Of fronts.
+HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY = "hypervolume", "cardinality", "expected_utility"
+IGD_PLUS, ADDITIVE_EPSILON = "igd_plus", "additive_epsilon"
+LOWEST_DISTANCE, HIGHEST_DISTANCE = "lowest_distance", "highest_distance"  # returns of the policies of a front
+
+# Of updates.
+POLICY_LOSS, VALUE_LOSS = "loss/policy", "loss/value"
+LEARNING_RATE = "policy/learning_rate"
+ENTROPY, ENTROPY_COEFFICIENT = "policy/entropy", "policy/entropy_coefficient"
+CLIP_FRACTION, APPROX_KL = "policy/clip_fraction", "policy/approx_kl"
+COMMAND_ERROR, NON_DOMINATED = "policy/command_error", "policy/non_dominated"
+STEPS_PER_SECOND = "time/steps_per_second"
+
+# Objectives that are rates, whose magnitudes per decision are reported too.
+COMFORT = ("g_force", "jerk")
+# Reasons why an episode ends: arriving, and the failures that are reported even where none occurred.
+ARRIVED, COLLISION, OFF_LANE, TIME_LIMIT = "arrived", "collision", "off_lane", "time_limit"
+USUAL_FAILURES = (COLLISION, OFF_LANE, TIME_LIMIT)
+
+# Old names of metrics, and the names that replaced them (those of Stable-Baselines3).
+RENAMED = {
+    "policy/clipped": CLIP_FRACTION,
+    "policy/kl": APPROX_KL,
+    "policy/entropy_weight": ENTROPY_COEFFICIENT,
+}
+
+
+def evaluation_prefix(policy: str) -> str:
+    """``eval/greedy/`` of one of :data:`POLICIES`."""
+    return f"{EVALUATION}{policy}/"
+
+
+def vehicle_name(v: int) -> str:
+    """``vehicle_0``."""
+    return f"vehicle_{v}"
+
+
+def vehicle_prefix(v: int, vehicles: int) -> str:
+    """``vehicle_0/`` where there are several ``vehicles``; nothing for the only one."""
+    return f"{vehicle_name(v)}/" if vehicles > 1 else ""
+
+
+def return_of(objective: str) -> str:
+    """The undiscounted return of an objective: ``return/jerk``."""
+    return RETURN + objective
+
+
+def discounted_return_of(objective: str) -> str:
+    """The discounted return of an objective: ``discounted_return/jerk``."""
+    return DISCOUNTED_RETURN + objective
+
+
+def end_by(reason: str) -> str:
+    """The share of episodes that end for a reason: ``end/collision``."""
+    return END + reason
+
+
+def mean_of(objective: str) -> str:
+    """The mean magnitude of an objective per decision: ``mean_jerk``."""
+    return f"mean_{objective}"
+
+
+def maximum_of(objective: str) -> str:
+    """The largest magnitude of an objective in one decision: ``max_jerk``."""
+    return f"max_{objective}"
+
+
+class MetricName(NamedTuple):
+    """The parts of a metric's name; "" for the policy and the vehicle where none is named."""
+
+    policy: str
+    vehicle: str
+    metric: str
+
+
+def split_name(name: str) -> MetricName:
+    """``greedy/vehicle_0/return/jerk`` as ``("greedy", "vehicle_0", "return/jerk")``, with or without ``eval/``."""
+    policy, slash, rest = name.removeprefix(EVALUATION).partition("/")
+    if not slash or policy not in POLICIES:
+        policy, rest = "", name.removeprefix(TRAIN)
+    vehicle, slash, metric = rest.partition("/")
+    if not slash or not vehicle.startswith("vehicle_"):
+        vehicle, metric = "", rest
+    return MetricName(policy, vehicle, metric)
+
+
+def known_metric(name: str, available: Iterable[str]) -> str:
+    """``name``, if it is one of the ``available`` metrics.
+
+    Raises:
+        ValueError: otherwise; with the new name of a metric that was renamed, else with the nearest available one.
+    """
+    names = list(available)
+    if name in names:
+        return name
+    metric = split_name(name).metric
+    if metric in RENAMED:
+        raise ValueError(f"metric {name!r} was renamed; write {name.removesuffix(metric) + RENAMED[metric]!r}")
+    raise ValueError(f"metric {name!r} is not among those of the runs; {nearest(name, names)}")
+
+
+# ----------------------------------------------------------------------------------------------------------- meanings
+
+_LOWER_IS_BETTER = frozenset(
+    (
+        LENGTH,
+        IGD_PLUS,
+        ADDITIVE_EPSILON,
+        COMMAND_ERROR,
+        *(mean_of(objective) for objective in COMFORT),
+        *(maximum_of(objective) for objective in COMFORT),
+    )
+)
+_TITLES = {
+    UTILITY: "utility per episode",
+    UTILITY_ESR: "utility per episode",
+    SUCCESS: "arrival rate",
+    HYPERVOLUME: "hypervolume",
+    CARDINALITY: "policies of the front",
+    EXPECTED_UTILITY: "expected utility, 50 weights",
+    IGD_PLUS: "IGD+ to the best-known front",
+}
+
+
+def lower_is_better(name: str) -> bool:
+    """Whether less of a metric is better; returns are rewards, of which more is better, costs included."""
+    metric = split_name(name).metric
+    if metric.startswith(END):
+        return metric != end_by(ARRIVED)
+    return metric in _LOWER_IS_BETTER or metric.startswith("loss/")
+
+
+def title_of(name: str) -> str:
+    """What a figure calls a metric: "arrival rate", "jerk (sum, m/s³)"."""
+    metric = split_name(name).metric
+    if metric.startswith(RETURN):
+        objective = metric.removeprefix(RETURN)
+        return label(objective) if objective in INDEX else objective.replace("_", " ")
+    return _TITLES.get(metric, metric.replace("_", " "))
+
+
+def name_and_unit(objective: str) -> tuple[str, str]:
+    """The plain name of an objective and the unit of its return; an unknown objective has no unit ("")."""
+    if objective not in INDEX:
+        return objective, ""
+    unit = OBJECTIVES[INDEX[objective]].unit
+    return objective.replace("_", " ").replace("g force", "g-force"), "" if unit == "1" else unit.replace("^3", "³")
+
+
+def label(objective: str, how: str = "sum") -> str:
+    """The plain name of an objective and, where it has a unit, how its return adds up: "jerk (sum, m/s³)"."""
+    name, unit = name_and_unit(objective)
+    return f"{name} ({how}, {unit})" if unit else name
+
+
+# ------------------------------------------------------------------------------------------------- summary of episodes
+
+
+def end_rates(ends: NDArray[Any]) -> dict[str, float]:
+    """The share of episodes per reason of their end, by reason; ``ends`` (E,) has None where no reason is known."""
+    counts = Counter(str(end) for end in ends if end is not None)
+    return {end: count / len(ends) for end, count in sorted(counts.items())}
+
+
+def summarise(
+    objectives: Sequence[str],
+    returns: NDArray[np.float64],
+    lengths: NDArray[Any],
+    succeeded: NDArray[Any],
+    *,
+    utility: Callable[[Any], Any] | None = None,
+    discounted: NDArray[np.float64] | None = None,
+    ends: NDArray[Any] | None = None,
+    largest: NDArray[np.float64] | None = None,
+) -> dict[str, float]:
+    """Means over E episodes of one vehicle, by metric without prefix; E is at least 1.
+
+    Training gives what it has collected and gets ``utility``, ``success``, ``length`` and ``return/OBJECTIVE``. An
+    evaluation gives ``discounted`` too and gets the utilities as ESR and SER, of both kinds of return.
+
+    Args:
+        objectives: names of the d components.
+        returns: (E, d) undiscounted returns.
+        lengths: (E,) decisions.
+        succeeded: (E,) whether the goal was reached.
+        utility: from returns (..., d) to utilities (...); None where it is unknown.
+        discounted: (E, d) discounted returns; None while training.
+        ends: (E,) why each episode ended, None where the environment does not say; adds ``end/REASON``.
+        largest: (E, d) largest magnitude of each objective in one decision; adds ``mean_`` and ``max_`` of those
+            objectives that are rates (:data:`COMFORT`).
+    """
+    summary: dict[str, float] = {}
+    # NumPy sums the rows of a table one after the other but a single column pairwise: the last digit may differ, and
+    # every log keeps the sums that it has always had.
+    means = returns.mean(axis=0) if discounted is None else [returns[:, i].mean() for i in range(len(objectives))]
+    if utility is not None and discounted is None:
+        summary[UTILITY] = float(np.mean(utility(returns)))
+    elif utility is not None and discounted is not None:
+        summary[UTILITY_ESR] = float(np.mean(utility(returns)))
+        summary[UTILITY_SER] = float(utility(returns.mean(axis=0)))
+        summary[DISCOUNTED_UTILITY_ESR] = float(np.mean(utility(discounted)))
+        summary[DISCOUNTED_UTILITY_SER] = float(utility(discounted.mean(axis=0)))
+    summary[SUCCESS] = float(np.mean(succeeded))
+    summary[LENGTH] = float(np.mean(lengths))
+    if ends is not None:
+        summary |= {end_by(reason): rate for reason, rate in end_rates(ends).items()}
+    for i, objective in enumerate(objectives):
+        summary[return_of(objective)] = float(means[i])
+        if discounted is not None:
+            summary[discounted_return_of(objective)] = float(discounted[:, i].mean())
+        if largest is not None and objective in COMFORT:
+            summary[mean_of(objective)] = float((np.abs(returns[:, i]) / np.maximum(lengths, 1)).mean())
+            summary[maximum_of(objective)] = float(largest[:, i].max())
+    return summary

@@ -1,0 +1,269 @@
+"""Final scores of many runs over their seeds, with 95% intervals, and comparisons of their algorithms."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import registry
+from rich.console import Console
+from rich.table import Table
+
+from algorithms.common.yaml_io import read_mapping
+from algorithms.evaluation.front import EVALUATION_FILE
+from algorithms.evaluation.metrics import (
+    ADDITIVE_EPSILON,
+    CARDINALITY,
+    COLLISION,
+    EXPECTED_UTILITY,
+    FRONT,
+    HYPERVOLUME,
+    IGD_PLUS,
+    LENGTH,
+    POLICIES,
+    SUCCESS,
+    UTILITY_ESR,
+    UTILITY_SER,
+    MetricName,
+    end_by,
+    mean_of,
+    return_of,
+    split_name,
+)
+from algorithms.evaluation.seed_groups import group_by_experiment
+from algorithms.evaluation.statistics import interquartile_mean, mann_whitney_p, mean_difference, means
+from mo_deepdrive.config import EnvConfig
+
+Rows = list[list[str]]  # of a table, header first
+
+TABLE_METRICS = (
+    *(UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), return_of("lane_violation")),
+    *(LENGTH, mean_of("g_force"), mean_of("jerk")),
+    *(HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS, ADDITIVE_EPSILON),
+)
+
+
+@dataclass
+class ScoreGroup:
+    """The final scores of runs that differ in their seed alone.
+
+    Attributes:
+        about: the first cells of its rows, by column.
+        task: those of them that groups to be compared have in common.
+        algorithm: in which such groups differ.
+        measured: what else they must share, as text.
+        seeds: of the runs that have scores.
+        scores: one value per seed for every policy, vehicle and metric; the vehicle is "" for the scores of the only
+            vehicle, or of all together.
+        wanted: how many seeds there are to be; None if that is not known.
+    """
+
+    about: dict[str, str]
+    task: dict[str, str]
+    algorithm: str
+    measured: str
+    seeds: list[int] = field(default_factory=list)
+    scores: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
+    wanted: int | None = None
+
+    @property
+    def policies(self) -> list[str]:
+        """The policies that have scores."""
+        found = {policy for policy, _, _ in self.scores}
+        return [policy for policy in POLICIES if policy in found]
+
+    @property
+    def vehicles(self) -> list[str]:
+        """The vehicles that have scores, "" first."""
+        return sorted({vehicle for _, vehicle, _ in self.scores})
+
+    @property
+    def seeds_text(self) -> str:
+        """The seeds; if it is known how many there are to be, their number."""
+        if self.wanted is None:
+            return " ".join(str(seed) for seed in sorted(self.seeds))
+        return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
+
+
+def final_metrics(run: Path) -> dict[str, float]:
+    """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet."""
+    file = run / EVALUATION_FILE
+    if not file.is_file():
+        return {}
+    policies = json.loads(file.read_text())["policies"]
+    return {
+        f"{policy}/{name}": estimate["value"]
+        for policy, estimates in policies.items()
+        for name, estimate in estimates.items()
+    }
+
+
+def find_runs(paths: Sequence[Path]) -> list[Path]:
+    """The run directories among and below ``paths``.
+
+    Raises:
+        ValueError: if a path holds none.
+    """
+    runs: list[Path] = []
+    for path in paths:
+        found = sorted(config.parent for config in path.rglob("config.yaml"))
+        if not found:
+            raise ValueError(
+                f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
+                "a manifest.jsonl"
+            )
+        runs += found
+    return runs
+
+
+def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[ScoreGroup]:
+    """Group the finished runs among and below ``paths`` by :mod:`algorithms.evaluation.seed_groups`.
+
+    Args:
+        paths: run directories, or folders that hold some.
+        warn: called with a message about every run that is left out, because it has no final evaluation.
+
+    Raises:
+        ValueError: if a path holds no run, or two runs of a group have the same seed.
+    """
+    finished: list[Path] = []
+    scores: list[dict[str, float]] = []
+    for path in find_runs(paths):
+        found = final_metrics(path)
+        if found:
+            finished.append(path)
+            scores.append(found)
+        else:
+            warn(f"left out: {path} has no final evaluation")
+    configs = [read_mapping(path / "config.yaml") for path in finished]
+    groups = []
+    for members in group_by_experiment(finished, configs):
+        config = configs[members[0]]
+        algorithm, evaluation = config["algorithm"]["name"], config.get("evaluation", {})
+        task = {
+            "environment": environment_label(config["environment"]),
+            "utility": utility_label(config.get("utility")),
+        }
+        about = {**task, "algorithm": algorithm, "steps": str(config["training"]["total_timesteps"])}
+        measured = f"{evaluation.get('gamma')} {evaluation.get('reference_point')}"
+        group = ScoreGroup(about, task, algorithm, measured)
+        for i in members:
+            group.seeds.append(configs[i]["training"]["seed"])
+            for name, value in scores[i].items():
+                place = split_name(name)
+                if place.metric in TABLE_METRICS:
+                    group.scores[place].append(value)
+        groups.append(group)
+    return sorted(groups, key=lambda group: (*group.task.values(), group.algorithm))
+
+
+def environment_label(environment: Mapping[str, Any]) -> str:
+    """The id of an environment and, if it is ours, the arguments that are not the default.
+
+    Args:
+        environment: the section of a resolved experiment.
+    """
+    env_id, arguments = environment["id"], environment.get("arguments", {})
+    spec = registry.get(env_id.rpartition(":")[2])
+    if spec is None or not str(spec.vector_entry_point).startswith("mo_deepdrive."):
+        return str(env_id)
+    defaults = {name: field.default for name, field in EnvConfig.model_fields.items()}
+    changed = [f"{name}={value}" for name, value in arguments.items() if value != defaults.get(name)]
+    return " ".join([env_id, *changed])
+
+
+def utility_label(utility: Mapping[str, Any] | None) -> str:
+    """The name of a utility and those of vehicles with another one; empty if no utility is known.
+
+    Args:
+        utility: the section of a resolved experiment.
+    """
+    if utility is None:
+        return ""
+    others = [f"{vehicle}={other['name']}" for vehicle, other in utility.get("vehicles", {}).items()]
+    return " ".join([utility["name"], *others])
+
+
+def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_METRICS) -> Rows:
+    """One row per group, policy and vehicle: the means over seeds with their intervals."""
+    about = list(dict.fromkeys(name for group in groups for name in group.about))
+    places = [(g, place) for g, group in enumerate(groups) for place in group.scores]
+    texts = [each.text() for each in means([groups[g].scores[place] for g, place in places])]
+    cells = dict(zip(places, texts, strict=True))
+    rows = [[*about, "policy", "vehicle", "seeds", *metrics, f"{UTILITY_ESR}_iqm"]]
+    for g, group in enumerate(groups):
+        for policy, vehicle in product(group.policies, group.vehicles):
+            utilities = group.scores.get(MetricName(policy, vehicle, UTILITY_ESR))
+            iqm = f"{interquartile_mean(np.array(utilities)):.3f}" if utilities else ""
+            numbers = [cells.get((g, MetricName(policy, vehicle, metric)), "") for metric in metrics]
+            first = [*(group.about.get(name, "") for name in about), policy, vehicle, group.seeds_text]
+            rows.append([*first, *numbers, iqm])
+    return without_empty_columns(rows)
+
+
+def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
+    """One row per pair of groups that differ in the algorithm alone: difference of the means and Mann-Whitney test."""
+    shared = list(groups[0].task) if groups else []
+    rows = [[*shared, "policy", "vehicle", "difference", "of", "value", "low", "high", "p"]]
+    comparable: dict[tuple[str, ...], list[ScoreGroup]] = defaultdict(list)
+    for group in groups:
+        comparable[(*group.task.values(), group.measured)].append(group)
+    in_order = (sorted(members, key=lambda group: group.algorithm) for members in comparable.values())
+    for first, second in (pair for members in in_order for pair in combinations(members, 2)):
+        if first.algorithm == second.algorithm:
+            continue
+        for policy, vehicle in product(first.policies, first.vehicles):
+            metric = HYPERVOLUME if policy == FRONT else UTILITY_ESR
+            place = MetricName(policy, vehicle, metric)
+            later, earlier = (np.array(group.scores.get(place, [])) for group in (second, first))
+            if min(len(later), len(earlier)) < 2:
+                continue
+            found = mean_difference(later, earlier)
+            assert found.low is not None  # two seeds have an interval
+            assert found.high is not None
+            numbers = (found.value, found.low, found.high, mann_whitney_p(later, earlier))
+            pairing = f"{second.algorithm} - {first.algorithm}"
+            texts = [f"{number:.3f}" for number in numbers]
+            rows.append([*first.task.values(), policy, vehicle, pairing, metric, *texts])
+    return without_empty_columns(rows)
+
+
+def without_empty_columns(rows: Rows) -> Rows:
+    """The rows without the columns that only the header fills."""
+    kept = [i for i in range(len(rows[0])) if any(row[i] for row in rows[1:])]
+    return [[row[i] for i in kept] for row in rows]
+
+
+def print_rows(console: Console, rows: Rows, title: str | None = None) -> None:
+    """Print a table."""
+    table = Table(*(name.replace("[", r"\[") for name in rows[0]), title=title, title_justify="left")
+    for row in rows[1:]:
+        table.add_row(*(cell.replace("[", r"\[") for cell in row))
+    console.print(table)
+
+
+def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], None]) -> list[Rows]:
+    """Print the scores of runs over seeds and the comparisons of their algorithms; returns both tables.
+
+    Args:
+        paths: run directories, or folders that hold some.
+        console: where to print.
+        warn: called with a message about every run that is left out.
+
+    Raises:
+        ValueError: as :func:`group_runs`, or if no run has a final evaluation.
+    """
+    groups = group_runs(paths, warn)
+    if not groups:
+        raise ValueError("no run has a final evaluation")
+    tables = [scores_table(groups), comparison_table(groups)]
+    for rows in tables:
+        if len(rows) > 1:
+            print_rows(console, rows)
+    return tables

@@ -1,0 +1,268 @@
+"""Final scores of runs against what was varied among them: one panel per key.
+
+Means are over runs and have 95% bootstrap intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
+from numpy.typing import NDArray
+
+from algorithms.evaluation.statistics import Estimate, mean
+from algorithms.reporting.style import COLOURS, DIM, DPI, INK, LINE, STYLE, TITLE_SIZE, text_width
+
+# In inches: a panel, the margin left of the first, the gap between two, and the space above and below a row.
+PANEL_WIDTH, PANEL_HEIGHT, LEFT, GAP, HEAD, FOOT, SLANTED_FOOT = 3.1, 2.1, 0.95, 0.22, 0.62, 0.42, 1.05
+MAX_COLUMNS = 4
+MAX_VALUES = 12  # of a numeric key that get a mean each; with more, neighbours share one
+BINS = 8  # means of a numeric key with more values
+MAX_LETTERS = 18  # of a word on an axis
+LOGARITHMIC_RATIO = 20.0  # of the largest to the smallest value from which on an axis is logarithmic
+
+
+@dataclass(frozen=True)
+class VariedScores:
+    """Final scores of runs that can be compared, and what was varied among these runs.
+
+    Attributes:
+        title: environment and utility.
+        score: name of the score.
+        values: (runs,) scores.
+        keys: the values that the runs had of each key that varies, by its name: (runs,) numbers, or else words.
+    """
+
+    title: str
+    score: str
+    values: NDArray[np.float64]
+    keys: dict[str, NDArray[np.float64] | list[str]]
+
+
+def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, remark: str = "") -> None:
+    """Draw final scores against every key that varies: a panel per key, a dot per run, the mean per value.
+
+    Scores that cannot be compared are drawn in separate rows.
+
+    Args:
+        scores: at least one, each with at least one key.
+        path: the image file.
+        title: of the figure.
+        remark: an additional line below the title.
+
+    Raises:
+        ValueError: if the file's suffix is not an image format.
+        OSError: if the file cannot be written.
+    """
+    notes = ["dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals"]
+    notes += [remark] if remark else []
+    rows: list[tuple[VariedScores, str, list[tuple[str, KeyEffect]], tuple[float, float]]] = []
+    for s, each in enumerate(scores):
+        effects = [(key, _effect(values, each.values)) for key, values in each.keys.items()]
+        limits = score_limits(each.values, [effect for _, effect in effects])
+        count = -(-len(effects) // MAX_COLUMNS)
+        size = -(-len(effects) // count)
+        for first in range(0, len(effects), size):
+            rows.append((each, COLOURS[s % len(COLOURS)], effects[first : first + size], limits))
+    heads = [HEAD if r == 0 or rows[r - 1][0] is not row[0] else 0.3 for r, row in enumerate(rows)]
+    feet = [SLANTED_FOOT if any(effect.slanted for _, effect in effects) else FOOT for _, _, effects, _ in rows]
+    widest = max(len(effects) for _, _, effects, _ in rows)
+    texts = [1.3 * text_width(text) for text in [title, *(each.title for each in scores)]]  # larger, and bold
+    width = max(LEFT + widest * (PANEL_WIDTH + GAP), max(*texts, *map(text_width, notes)) + 0.3)
+    above = 0.42 + LINE * len(notes)
+    height = above + sum(heads) + sum(feet) + PANEL_HEIGHT * len(rows)
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        figure = Figure(figsize=(width, height))
+
+        def write(y: float, text: str, **style: Any) -> None:
+            figure.text(0.12 / width, y / height, text, va="top", **style)
+
+        write(height - 0.12, title, fontsize=TITLE_SIZE, fontweight="bold")
+        write(height - 0.40, "\n".join(notes), color=DIM)
+        y = height - above
+        for (each, colour, effects, limits), head, foot in zip(rows, heads, feet, strict=True):
+            if head == HEAD:
+                write(y - 0.1, each.title, fontsize=11, fontweight="bold", color=colour)
+            y -= head + PANEL_HEIGHT
+            for k, (key, effect) in enumerate(effects):
+                left = LEFT + k * (PANEL_WIDTH + GAP)
+                axis = figure.add_axes((left / width, y / height, PANEL_WIDTH / width, PANEL_HEIGHT / height))
+                _draw_effect(axis, effect, each.values, colour, limits)
+                axis.set_title(key)
+                axis.tick_params(left=k == 0, labelleft=k == 0)
+                if k == 0:
+                    axis.set_ylabel(each.score)
+            y -= foot
+        figure.savefig(path, dpi=DPI)
+
+
+def _effect(values: NDArray[np.float64] | list[str], scores: NDArray[np.float64]) -> KeyEffect:
+    return effect_of_words(values, scores) if isinstance(values, list) else effect_of_numbers(values, scores)
+
+
+@dataclass(frozen=True)
+class KeyEffect:
+    """What a panel shows of a key.
+
+    Attributes:
+        positions: (runs,) of the runs on the axis.
+        parts: the indices of the runs that share each mean.
+        means: of the parts.
+        ends: limits of the axis.
+        ticks: positions on the axis and their labels.
+        slanted: whether the labels are too long to be horizontal.
+        jitter: largest random shift of a run from its position, so that runs do not hide each other.
+        line: line style between the means.
+    """
+
+    positions: NDArray[np.float64]
+    parts: list[NDArray[np.intp]]
+    means: list[Estimate]
+    ends: tuple[float, float]
+    ticks: dict[float, str]
+    slanted: bool
+    jitter: float
+    line: Literal["-", ""]
+
+
+def effect_of_words(words: Sequence[str], scores: NDArray[np.float64]) -> KeyEffect:
+    """The effect of a key whose values are words, on ``scores`` (runs,): a mean per word."""
+    known = list(dict.fromkeys(words))
+    positions = np.array([known.index(word) for word in words], dtype=np.float64)
+    parts = [np.flatnonzero(positions == i) for i in range(len(known))]
+    labels = [word if len(word) <= MAX_LETTERS else f"{word[: MAX_LETTERS - 1]}…" for word in known]
+    ticks = {float(i): text for i, text in enumerate(labels)}
+    slanted = len(_thinned(ticks, len(known))) < len(known)
+    if slanted:
+        every = math.ceil(len(known) * LINE / PANEL_WIDTH)
+        ticks = {position: text for position, text in ticks.items() if position % every == 0}
+    means = [mean(scores[part]) for part in parts]
+    return KeyEffect(positions, parts, means, (-0.5, len(known) - 0.5), ticks, slanted, 0.12, "")
+
+
+def effect_of_numbers(numbers: NDArray[np.float64], scores: NDArray[np.float64]) -> KeyEffect:
+    """The effect of a key with ``numbers`` (runs,) on ``scores`` (runs,): a mean per number or per bin of them."""
+    logarithmic = is_logarithmic(np.unique(numbers))
+    positions = np.log10(numbers) if logarithmic else numbers
+    distinct = np.unique(positions)
+    many = len(distinct) > MAX_VALUES
+    parts = (
+        np.array_split(np.argsort(positions, kind="stable"), BINS)
+        if many
+        else [np.flatnonzero(positions == each) for each in distinct]
+    )
+    extent = np.ptp(distinct)
+    return KeyEffect(
+        positions,
+        parts,
+        [mean(scores[part]) for part in parts],
+        (distinct[0] - 0.06 * extent, distinct[-1] + 0.06 * extent),
+        _thinned(_number_ticks(distinct, logarithmic), extent),
+        False,
+        0.0 if many else 0.015 * extent,
+        "-",
+    )
+
+
+def _draw_effect(
+    axis: Axes, effect: KeyEffect, scores: NDArray[np.float64], colour: str, limits: tuple[float, float]
+) -> None:
+    shifts = np.random.default_rng(0).uniform(-effect.jitter, effect.jitter, len(scores))
+    values = np.array([each.value for each in effect.means])
+    axis.plot(
+        effect.positions + shifts, scores, "o", color=colour, alpha=0.3, markersize=3.5, markeredgewidth=0, zorder=2
+    )
+    axis.errorbar(
+        [effect.positions[part].mean() for part in effect.parts],
+        values,
+        np.transpose([_errors(each) for each in effect.means]),
+        fmt=f"o{effect.line}",
+        color=INK,
+        markersize=4.5,
+        linewidth=1.2,
+        capsize=3,
+        zorder=3,
+    )
+    turned: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if effect.slanted else {}
+    axis.set_xticks(list(effect.ticks), list(effect.ticks.values()), **turned)
+    axis.set_xlim(*effect.ends)
+    axis.set_ylim(*limits)
+    axis.yaxis.set_major_locator(MaxNLocator(5))
+    below, above = (scores < limits[0], values < limits[0]), (scores > limits[1], values > limits[1])
+    for (runs, means), where, y, side in ((below, "below", 0.02, "bottom"), (above, "above", 0.98, "top")):
+        counts = [(int(runs.sum()), "run"), (int(means.sum()), "mean")]
+        outside = [f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts if count]
+        if outside:
+            text = f"{' and '.join(outside)} {where}"
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+            style: dict[str, Any] = {"fontsize": 8, "color": DIM, "bbox": box, "zorder": 4}
+            axis.text(0.99, y, text, transform=axis.transAxes, ha="right", va=side, **style)
+
+
+def _errors(mean: Estimate) -> tuple[float, float]:
+    """Lengths of the interval below and above the value; 0 without an interval."""
+    if mean.low is None or mean.high is None:
+        return 0.0, 0.0
+    return mean.value - mean.low, mean.high - mean.value
+
+
+def score_limits(scores: NDArray[np.float64], effects: Sequence[KeyEffect]) -> tuple[float, float]:
+    """Limits of the axis of scores: around all but those so far from most of them that they would flatten the rest."""
+    means = [mean for effect in effects for mean in effect.means]
+    ends = [end for mean in means for end in (mean.low, mean.value, mean.high) if end is not None]
+    low, high = np.quantile(scores, [0.05, 0.95])
+    reach = high - low or np.ptp(scores)
+    every = np.array([*scores, *ends])
+    near = every[(every >= low - reach) & (every <= high + reach)]
+    low, high = near.min(), near.max()
+    pad = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+    return float(low - pad), float(high + pad)
+
+
+def is_logarithmic(values: NDArray[np.float64]) -> bool:
+    """Whether sorted ``values`` span orders of magnitude, or grow by factors rather than by steps."""
+    if values[0] <= 0.0:
+        return False
+    steps, factors = np.diff(values), np.diff(np.log(values))
+    few = 3 <= len(values) <= MAX_VALUES
+    grows = few and np.std(factors) / np.mean(factors) < np.std(steps) / np.mean(steps)
+    return bool(values[-1] / values[0] >= LOGARITHMIC_RATIO or grows)
+
+
+def _number_ticks(positions: NDArray[np.float64], logarithmic: bool) -> dict[float, str]:
+    """Ticks at the positions if they are few, else at round numbers."""
+    if len(positions) > MAX_VALUES:
+        low, high = positions[0], positions[-1]
+        if logarithmic:
+            wide = high - low > 2.0
+            found = LogLocator(subs=(1.0,) if wide else (1.0, 3.0)).tick_values(10.0**low, 10.0**high)
+            positions = np.log10(found)
+        else:
+            positions = np.asarray(MaxNLocator(5).tick_values(low, high))
+        positions = positions[(positions >= low) & (positions <= high)]
+    engineering = EngFormatter(sep="")
+
+    def text(number: float) -> str:
+        return engineering(number) if abs(number) >= 10_000 else f"{number:.4g}"
+
+    return {float(each): text(10.0**each if logarithmic else each) for each in positions}
+
+
+def _thinned(ticks: Mapping[float, str], extent: float) -> dict[float, str]:
+    """The ticks without those whose labels would touch the one before."""
+    kept: dict[float, str] = {}
+    end = -np.inf
+    for position, text in ticks.items():
+        middle, half = position / extent * PANEL_WIDTH, text_width(text) / 2
+        if middle - half > end:
+            kept[position] = text
+            end = middle + half + 0.06
+    return kept

@@ -1,0 +1,98 @@
+"""The figures of a sweep: learning curves of its best cells, and the scores of all runs against each key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from algorithms.evaluation.metrics import evaluation_prefix
+from algorithms.reporting.learning_curves import CurveGroup, describe, drawn, plot
+from algorithms.reporting.sweep_effects import VariedScores, plot_effects
+from algorithms.sweeps.collection import Cell, Collection, collect
+from algorithms.sweeps.ranking import Setting, cell_labels, rank, short_names, varying, words
+
+MAX_CURVES = 8  # cells, as many as there are colours
+
+
+def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
+    """Draw the curves of the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key.
+
+    Args:
+        sweep: its directory.
+        output: the image file of the curves.
+        say: called with every line that describes what was drawn.
+        warn: called with a message about everything that is left out.
+
+    Raises:
+        ValueError: if it is not a sweep, or an empty one, no run has any metrics, or the suffix is not an image format.
+        OSError: if a file cannot be written.
+    """
+    collection = collect(sweep)
+    for remark in collection.remarks:
+        warn(f"left out: {remark}")
+    when, scores = collection.latest_scores()
+    settings = rank(collection.cells, scores)
+    what = f"{when} {' or '.join(dict.fromkeys(setting.what for setting in settings if setting.scores))}"
+    groups = best_curves(collection, settings)
+    count = len(collection.cells)
+    left_out = count - len(groups)
+    remark = f"the best {len(groups)} of {count} cells, by {what}; {left_out} left out" if left_out else ""
+    plot(groups, output, remark)
+    for line in [*describe(groups), *([remark] if remark else []), str(output)]:
+        say(line)
+    varied = [each for each in (varied_scores(collection, setting) for setting in settings) if each.keys]
+    if varied:
+        path = output.with_name(f"{output.stem}-cells{output.suffix}")
+        plot_effects(varied, path, f"{sweep.resolve().name}: {what}")
+        say(str(path))
+
+
+def best_cells(settings: Sequence[Setting]) -> list[Cell]:
+    """The best cells: the best of every setting, then the second best of every setting, and so on, up to MAX_CURVES.
+
+    They are returned by setting.
+    """
+    places = sorted((place, s) for s, setting in enumerate(settings) for place in range(len(setting.ranked)))
+    return [settings[s].cells[place] for s, place in sorted((s, place) for place, s in places[:MAX_CURVES])]
+
+
+def best_curves(collection: Collection, settings: Sequence[Setting]) -> list[CurveGroup]:
+    """The curves of the best cells, of those runs that have a score; with several cells of the ranked policies alone.
+
+    Raises:
+        ValueError: if no run has any metrics.
+    """
+    cells = best_cells(settings)
+    names = collection.metrics.collect_schema().names()
+    wanted = {name for cell in cells for name in drawn(names, cell.config)}
+    if len(cells) > 1:
+        ranked = tuple(evaluation_prefix(setting.policy) for setting in settings if setting.policy)
+        wanted = {name for name in wanted if name.startswith(ranked)}
+    runs = {run for setting in settings for run in setting.scores}
+    found = collection.curves([row.id for cell in cells for row in cell.rows if row.id in runs], sorted(wanted))
+    labels = cell_labels(cells, varying([cell.keys for cell in collection.cells]))
+    groups = [
+        CurveGroup(text, cell.config, tuple(found[row.id] for row in cell.rows if row.id in found))
+        for text, cell in zip(labels, cells, strict=True)
+    ]
+    return [group for group in groups if group.runs]
+
+
+def varied_scores(collection: Collection, setting: Setting) -> VariedScores:
+    """The scores of a setting's runs, and the values of each key that varies among them, in the manifest's order."""
+    rows = [row for row in collection.rows if row.id in setting.scores]
+    keys = varying([row.cell for row in rows])
+    names = short_names(keys)
+    values = {names[key]: _numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
+    return VariedScores(setting.title, setting.what, np.array([setting.scores[row.id] for row in rows]), values)
+
+
+def _numbers_or_words(values: Sequence[Any]) -> NDArray[np.float64] | list[str]:
+    """Values of a key: as they are if all are numbers, else as words."""
+    if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
+        return np.array(values, dtype=np.float64)
+    return words(values)

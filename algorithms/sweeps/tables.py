@@ -1,0 +1,161 @@
+"""The tables of a sweep: its cells, the best first, and comparisons of algorithms where nothing else differs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from rich.console import Console
+
+from algorithms.evaluation.metrics import MetricName, known_metric
+from algorithms.reporting.seed_tables import (
+    TABLE_METRICS,
+    Rows,
+    ScoreGroup,
+    comparison_table,
+    print_rows,
+    scores_table,
+)
+from algorithms.sweeps.collection import PLACE, Collection, collect
+from algorithms.sweeps.ranking import TOTAL, Setting, as_text, rank, short_names, totals, varying, words
+
+ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
+
+
+def print_sweep(
+    sweep: Path,
+    console: Console,
+    warn: Callable[[str], None],
+    *,
+    metric: str | None = None,
+    top: int = 20,
+    whole: bool = False,
+) -> list[Rows]:
+    """Print the best cells of a sweep and the first comparisons of algorithms.
+
+    Args:
+        sweep: its directory.
+        console: where to print.
+        warn: called with a message about everything that is left out.
+        metric: to sort by; None for the utility or the hypervolume.
+        top: rows to print of each table.
+        whole: whether to return whole tables, which takes a while for large sweeps.
+
+    Returns:
+        The scores of all cells and all comparisons; nothing unless ``whole``.
+
+    Raises:
+        ValueError: if it is not a sweep, or an empty one, or no run has a final evaluation or the metric.
+    """
+    collection = collect(sweep)
+    for remark in collection.remarks:
+        warn(f"left out: {remark}")
+    if not collection.scored:
+        raise ValueError(
+            f"no run of sweep {str(sweep)!r} has a final evaluation yet; scripts/plot.py draws what runs have logged"
+        )
+    scores = collection.scores.collect()
+    if metric is not None:
+        check_metric(metric, scores)
+    every: list[ScoreGroup] = []
+    to_compare: list[ScoreGroup] = []
+    for setting in rank(collection.cells, scores, metric):
+        groups = group_cells(collection, setting)
+        every += groups
+        to_compare += [_ranked_scores(setting, group) for group in groups]
+        if setting.ranked:
+            shown = min(top, len(setting.ranked))
+            title = f"{setting.title}: {shown} of {len(setting.cells)} cells, by {setting.what}"
+            print_rows(console, best_cells(setting, groups, top, console.width), title)
+        elif groups:
+            warn(f"left out: no run has {metric} in {setting.title}")
+    compared = comparison_table(to_compare)
+    if len(compared) > 1:
+        count = len(compared) - 1
+        title = f"algorithms where nothing else differs: {min(top, count)} of {count} comparisons"
+        print_rows(console, compared[: 1 + top], title)
+    return [scores_table(every), compared] if whole else []
+
+
+def check_metric(metric: str, scores: pl.DataFrame) -> None:
+    """Check that some run has a metric; its policy and vehicle may be omitted.
+
+    Args:
+        metric: as ``greedy/vehicle_0/success``.
+        scores: with the columns policy, vehicle and metric.
+
+    Raises:
+        ValueError: as :func:`algorithms.evaluation.metrics.known_metric`.
+    """
+    places = scores.select(PLACE).unique().sort(PLACE).rows()
+    names = ["/".join(filter(None, place)) for place in places]
+    shortened = {
+        "/".join(filter(None, parts))
+        for policy, vehicle, name in places
+        for parts in ((vehicle, name), (policy, name), (name,))
+    }
+    if metric not in shortened:
+        known_metric(metric, names)
+
+
+def group_cells(collection: Collection, setting: Setting) -> list[ScoreGroup]:
+    """The cells of a setting that have final evaluations, in its order."""
+    wanted = collection.scores.filter(pl.col("metric").is_in([*TABLE_METRICS, setting.metric]))
+    known = wanted.select("run", *PLACE, "value").collect()
+    scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
+    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=setting.metric))]).rows():
+        # A total is in the row of all vehicles together if that has no such score itself.
+        scores[run].setdefault(MetricName(policy, "" if vehicle == TOTAL else vehicle, metric), value)
+    groups = []
+    for cell in setting.cells:
+        texts = {key: as_text(value) for key, value in cell.keys.items()}
+        task = {key: text for key, text in texts.items() if key not in ALGORITHM_KEYS}
+        trial = {} if cell.trial is None else {"trial": str(cell.trial)}
+        algorithm = cell.config["algorithm"]["name"]
+        group = ScoreGroup({**trial, **texts}, task, algorithm, setting.title, wanted=len(cell.rows))
+        for row in cell.rows:
+            if row.id in collection.scored:
+                group.seeds.append(row.seed)
+                for place, value in scores[row.id].items():
+                    group.scores[place].append(value)
+        groups += [group] if group.seeds else []
+    return groups
+
+
+def _ranked_scores(setting: Setting, group: ScoreGroup) -> ScoreGroup:
+    """A group with the scores of one policy and vehicle alone, those by which its setting is sorted."""
+    place = (setting.policy, "" if setting.vehicle == TOTAL else setting.vehicle)
+    return replace(group, scores={name: values for name, values in group.scores.items() if name[:2] == place})
+
+
+def best_cells(setting: Setting, groups: Sequence[ScoreGroup], top: int, width: int) -> Rows:
+    """The best cells of a setting for the terminal: short names of their keys, and the scores of one policy.
+
+    Args:
+        setting: the cells.
+        groups: their scores, in the same order.
+        top: cells at most.
+        width: columns of the terminal.
+    """
+    cells = setting.ranked[:top]
+    keys = varying([cell.keys for cell in setting.cells])
+    columns = {name: words([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
+    brief = []
+    for i, group in enumerate(groups[: len(cells)]):
+        trial = {name: text for name, text in group.about.items() if name == "trial"}
+        names = {name: texts[i] for name, texts in columns.items()}
+        brief.append(replace(_ranked_scores(setting, group), about={**trial, **names}))
+    rows = scores_table(brief, [setting.metric, *(name for name in TABLE_METRICS if name != setting.metric)])
+    rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in PLACE] for row in rows]
+    return _fitting(rows, rows[0].index(setting.metric) + 1, width)
+
+
+def _fitting(rows: Rows, least: int, width: int) -> Rows:
+    """The rows with as many of the first columns as fit into ``width``, and always ``least``."""
+    widths = [max(len(row[i]) for row in rows) + len("│  ") for i in range(len(rows[0]))]
+    count = max(least, int((np.cumsum(widths) < width).sum()))
+    return [row[:count] for row in rows]

@@ -1,0 +1,180 @@
+"""Names of metrics, and the summary of episodes against sums taken in plain Python."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from algorithms.evaluation import metrics
+from algorithms.evaluation.metrics import (
+    APPROX_KL,
+    RENAMED,
+    end_rates,
+    known_metric,
+    label,
+    lower_is_better,
+    split_name,
+    summarise,
+    title_of,
+)
+
+OBJECTIVES = ("distance", "g_force")
+
+# Names.
+
+
+def test_no_name_is_used_twice() -> None:
+    names = [
+        value for name, value in vars(metrics).items() if name.isupper() and isinstance(value, str) and name[0] != "_"
+    ]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("success", ("", "", "success")),
+        ("greedy/success", ("greedy", "", "success")),
+        ("vehicle_0/end/collision", ("", "vehicle_0", "end/collision")),
+        ("front/hypervolume", ("front", "", "hypervolume")),
+        ("eval/stochastic/vehicle_1/return/jerk", ("stochastic", "vehicle_1", "return/jerk")),
+        ("train/vehicle_0/utility", ("", "vehicle_0", "utility")),
+        ("train/return/jerk", ("", "", "return/jerk")),
+        ("policy/approx_kl", ("", "", "policy/approx_kl")),
+        ("vehicle_1/loss/value", ("", "vehicle_1", "loss/value")),
+    ],
+)
+def test_names_are_split_into_policy_vehicle_and_metric(name: str, parts: tuple[str, str, str]) -> None:
+    assert split_name(name) == parts
+
+
+def test_a_metric_is_known_if_it_is_available() -> None:
+    assert known_metric("greedy/success", ["step", "greedy/success"]) == "greedy/success"
+
+
+@pytest.mark.parametrize("prefix", ["", "vehicle_1/"])
+@pytest.mark.parametrize("old", RENAMED)
+def test_an_old_name_is_refused_with_the_new_one(prefix: str, old: str) -> None:
+    with pytest.raises(ValueError, match=f"metric '{prefix}{old}' was renamed; write '{prefix}{RENAMED[old]}'"):
+        known_metric(prefix + old, [prefix + RENAMED[old]])
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(ValueError, match=r"'policy/aprox_kl' .* did you mean 'policy/approx_kl'\?"):
+        known_metric("policy/aprox_kl", [APPROX_KL, "success"])
+
+
+@pytest.mark.parametrize(
+    ("name", "lower"),
+    [
+        ("front/hypervolume", False),
+        ("eval/front/igd_plus", True),
+        ("greedy/vehicle_0/length", True),
+        ("max_jerk", True),
+        ("mean_g_force", True),
+        ("return/jerk", False),
+        ("end/collision", True),
+        ("end/arrived", False),
+        ("loss/value", True),
+    ],
+)
+def test_some_metrics_are_better_when_lower(name: str, lower: bool) -> None:
+    assert lower_is_better(name) is lower
+
+
+def test_titles_are_plain_words_with_units() -> None:
+    assert title_of("eval/greedy/vehicle_0/success") == "arrival rate"
+    assert title_of("train/utility") == title_of("utility_esr") == "utility per episode"
+    assert title_of("return/jerk") == "jerk (sum, m/s³)"
+    assert title_of("return/objective_0") == "objective 0"
+    assert title_of("max_jerk") == "max jerk"
+
+
+def test_labels_say_what_is_summed() -> None:
+    assert label("jerk") == "jerk (sum, m/s³)"
+    assert label("g_force", "discounted") == "g-force (discounted, g)"
+    assert label("destination") == "destination"
+    assert label("objective_0") == "objective_0"
+
+
+# Summaries.
+
+
+def episodes(count: int, seed: int = 0) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    return {
+        "returns": rng.normal(size=(count, 2)) * (10.0, 3.0),
+        "lengths": rng.integers(1, 60, count),
+        "succeeded": rng.random(count) < 0.4,
+    }
+
+
+def utility(returns: Any) -> Any:
+    return returns[..., 0] - returns[..., 1] ** 2
+
+
+@pytest.mark.parametrize("count", [1, 7, 200])
+def test_a_summary_of_training_has_means_and_the_mean_utility(count: int) -> None:
+    given = episodes(count)
+    summary = summarise(OBJECTIVES, **given, utility=utility)
+    assert list(summary) == ["utility", "success", "length", "return/distance", "return/g_force"]
+    rows = given["returns"].tolist()
+    assert summary["utility"] == pytest.approx(sum(a - b**2 for a, b in rows) / count)
+    assert summary["success"] == pytest.approx(sum(given["succeeded"].tolist()) / count)
+    assert summary["length"] == pytest.approx(sum(given["lengths"].tolist()) / count)
+    assert summary["return/distance"] == pytest.approx(sum(a for a, _ in rows) / count)
+    assert summary["return/g_force"] == pytest.approx(sum(b for _, b in rows) / count)
+    assert all(type(value) is float for value in summary.values())
+
+
+def test_training_logs_keep_their_sums_to_the_last_bit() -> None:
+    given = episodes(257)
+    expected = given["returns"].mean(axis=0)
+    found = summarise(OBJECTIVES, **given)
+    assert [found[f"return/{objective}"] for objective in OBJECTIVES] == expected.tolist()
+    # The same episodes in one array of success, length and returns, as algorithms that learn a front collect them.
+    table = np.stack([np.array([s, n, *r]) for r, n, s in zip(*given.values(), strict=True)])
+    columns = np.mean(list(table), axis=0)
+    again = summarise(OBJECTIVES, table[:, 2:], table[:, 1], table[:, 0])
+    assert list(again.values()) == columns.tolist()
+
+
+def test_evaluations_keep_their_sums_to_the_last_bit() -> None:
+    rng = np.random.default_rng(1)
+    returns, discounted = rng.normal(size=(257, 2, 2)), rng.normal(size=(257, 2, 2))
+    given = episodes(257)
+    given["returns"] = returns[:, 1]
+    found = summarise(OBJECTIVES, **given, utility=utility, discounted=discounted[:, 1])
+    for i, objective in enumerate(OBJECTIVES):
+        assert found[f"return/{objective}"] == returns[:, 1, i].mean()
+        assert found[f"discounted_return/{objective}"] == discounted[:, 1, i].mean()
+    assert found["utility_esr"] == utility(returns[:, 1]).mean()
+    assert found["utility_ser"] == utility(returns[:, 1].mean(axis=0))
+    assert found["discounted_utility_esr"] == utility(discounted[:, 1]).mean()
+    assert found["discounted_utility_ser"] == utility(discounted[:, 1].mean(axis=0))
+    assert "utility" not in found
+
+
+def test_without_a_utility_there_is_none_in_the_summary() -> None:
+    given = episodes(5)
+    assert not [name for name in summarise(OBJECTIVES, **given) if "utility" in name]
+    assert not [name for name in summarise(OBJECTIVES, **given, discounted=given["returns"]) if "utility" in name]
+
+
+def test_comfort_and_ends_are_reported_if_they_are_given() -> None:
+    returns = np.array([[3.0, -8.0], [5.0, -2.0]])
+    summary = summarise(
+        OBJECTIVES,
+        returns,
+        np.array([4, 0]),
+        np.array([True, False]),
+        ends=np.array(["arrived", None], dtype=object),
+        largest=np.array([[1.0, 3.0], [2.0, 2.0]]),
+    )
+    assert summary["end/arrived"] == 0.5
+    assert summary["mean_g_force"] == pytest.approx((8.0 / 4 + 2.0) / 2)
+    assert summary["max_g_force"] == 3.0
+    assert "mean_distance" not in summary
+    assert end_rates(np.array([None, None], dtype=object)) == {}

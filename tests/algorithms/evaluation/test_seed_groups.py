@@ -1,0 +1,83 @@
+"""Which runs differ in their seed alone."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
+
+CONFIG: dict[str, Any] = {
+    "environment": {"id": "a-v0", "arguments": {"time_limit": 60.0}},
+    "utility": {"name": "linear", "arguments": {}, "vehicles": {}},
+    "algorithm": {"name": "mo_a2c", "hidden": [64, 64]},
+    "training": {"total_timesteps": 1000, "num_envs": 2, "seed": 0, "device": "cpu", "threads": 1},
+    "evaluation": {"gamma": 0.99, "reference_point": None},
+    "logging": {"interval": 10, "wandb": None},
+}
+
+
+def changed(key: str, value: Any) -> dict[str, Any]:
+    """The config with another value of ``section.key``."""
+    config = copy.deepcopy(CONFIG)
+    section, name = key.split(".")
+    config[section][name] = value
+    return config
+
+
+def groups(*configs: dict[str, Any]) -> list[list[int]]:
+    return group_by_experiment([Path(f"run{i}") for i in range(len(configs))], configs)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("training.device", "cuda"),
+        ("training.threads", 4),
+        ("logging.interval", 1),
+        ("logging.wandb", {"project": "p"}),
+    ],
+)
+def test_where_a_run_was_made_and_what_it_logged_does_not_matter(key: str, value: Any) -> None:
+    other = changed(key, value)
+    other["training"]["seed"] = 1
+    assert groups(CONFIG, other) == [[0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("environment.arguments", {"time_limit": 30.0}),
+        ("environment.id", "b-v0"),
+        ("utility.name", "nonlinear"),
+        ("algorithm.name", "a2c"),
+        ("algorithm.hidden", [64, 32]),
+        ("training.total_timesteps", 2000),
+        ("training.num_envs", 4),
+        ("evaluation.gamma", 1.0),
+        ("evaluation.reference_point", [0.0, 0.0]),
+    ],
+)
+def test_everything_else_separates_runs(key: str, value: Any) -> None:
+    assert groups(CONFIG, changed(key, value)) == [[0], [1]]
+
+
+def test_groups_and_their_runs_keep_the_order() -> None:
+    other = changed("algorithm.name", "a2c")
+    seeds = [changed("training.seed", seed) for seed in (3, 1)]
+    assert groups(seeds[0], other, seeds[1]) == [[0, 2], [1]]
+
+
+def test_the_order_of_keys_does_not_matter() -> None:
+    backwards = {name: dict(reversed(section.items())) for name, section in reversed(CONFIG.items())}
+    backwards["training"]["seed"] = 1
+    assert groups(CONFIG, backwards) == [[0, 1]]
+    assert list(identifying_settings(backwards)) == sorted(identifying_settings(CONFIG))
+
+
+def test_a_repeated_seed_is_refused_naming_both_runs() -> None:
+    with pytest.raises(ValueError, match="runs 'run0' and 'run2' are the same experiment with the same seed, 0"):
+        groups(CONFIG, changed("training.seed", 1), changed("training.device", "cuda"))

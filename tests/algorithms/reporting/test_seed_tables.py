@@ -1,0 +1,67 @@
+"""Tables over seeds: which runs share a row, and what the row is called; the command line is tested with the script."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from algorithms.common.yaml_io import dump
+from algorithms.experiments.config import make_experiment
+from algorithms.reporting.seed_tables import environment_label, group_runs, utility_label, without_empty_columns
+
+ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
+
+
+def make_run(path: Path, seed: int, **training: Any) -> None:
+    values = {
+        "environment": {"id": ONE},
+        "utility": {"name": "one_waypoint_linear"},
+        "algorithm": {"name": "mo_a2c"},
+        "training": {"total_timesteps": 1000, "num_envs": 2, "seed": seed},
+    }
+    config = make_experiment(values).to_dict()
+    config["training"] |= training
+    path.mkdir()
+    (path / "config.yaml").write_text(dump(config))
+    policies = {"greedy": {"success": {"value": 0.1 * seed, "low": None, "high": None}}}
+    (path / "evaluation.json").write_text(json.dumps({"policies": policies}))
+
+
+def test_runs_on_another_device_or_with_more_threads_share_a_row(tmp_path: Path) -> None:
+    make_run(tmp_path / "a", 0)
+    make_run(tmp_path / "b", 1, device="cuda:7")
+    make_run(tmp_path / "c", 2, threads=4)
+    make_run(tmp_path / "d", 0, num_envs=4)
+    first, second = group_runs([tmp_path], pytest.fail)
+    assert (first.seeds, second.seeds) == ([0, 1, 2], [0])
+    assert first.scores["greedy", "", "success"] == pytest.approx([0.0, 0.1, 0.2])  # type: ignore[index]
+
+
+def test_environments_are_named_by_their_id_and_the_arguments_that_differ_from_the_default() -> None:
+    arguments = make_experiment(
+        {
+            "environment": {"id": TWO, "arguments": {"end_together": True, "time_limit": 30}},
+            "utility": {"name": "intersection_linear"},
+            "algorithm": {"name": "mo_a2c"},
+            "training": {"total_timesteps": 1000, "num_envs": 2},
+        }
+    ).to_dict()["environment"]["arguments"]
+    assert environment_label({"id": TWO, "arguments": arguments}) == f"{TWO} time_limit=30.0 end_together=True"
+    assert environment_label({"id": "deep-sea-treasure-v0", "arguments": {"float_state": True}}) == (
+        "deep-sea-treasure-v0"
+    )
+    assert environment_label({"id": "some.module:unknown-v0"}) == "some.module:unknown-v0"
+
+
+def test_utilities_are_named_with_those_of_other_vehicles() -> None:
+    assert utility_label(None) == ""
+    assert utility_label({"name": "linear"}) == "linear"
+    other = {"name": "linear", "vehicles": {"vehicle_1": {"name": "owa", "arguments": {}}}}
+    assert utility_label(other) == "linear vehicle_1=owa"
+
+
+def test_columns_without_numbers_are_dropped() -> None:
+    assert without_empty_columns([["a", "b"], ["1", ""], ["2", ""]]) == [["a"], ["1"], ["2"]]
