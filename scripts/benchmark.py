@@ -47,8 +47,7 @@ from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from algorithms.sweeps.collection import FOLDER as COLLECTED
-from algorithms.sweeps.manifest import RUNS, write_manifest
-from algorithms.sweeps.manifest import Row as ManifestRow
+from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
 from mo_deepdrive.utilities import make_utility
 
 IDS = {

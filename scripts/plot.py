@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from algorithms.reporting.learning_curves import Group, Scores, drawn, load_groups, plot, plot_scores
 from algorithms.sweeps.collection import Cell, Collection, collect
 from algorithms.sweeps.manifest import is_sweep
-from algorithms.sweeps.ranking import Setting, cell_labels, rank, short_names, varying, words
+from algorithms.sweeps.ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
 
 MOST_CURVES = 8  # cells, as many as there are colours
 
@@ -63,7 +63,7 @@ def plot_sweep(sweep: Path, output: Path) -> None:
         print(f"left out: {missing}", file=sys.stderr)
     when, scores = collection.latest_scores()
     settings = rank(collection.cells, scores)
-    what = f"{when} {' or '.join(dict.fromkeys(setting.what for setting in settings if setting.scores))}"
+    what = f"{when} {' or '.join(dict.fromkeys(setting.score_name for setting in settings if setting.scores))}"
     groups = curves(collection, settings)
     count = len(collection.cells)
     left = count - len(groups)
@@ -84,13 +84,13 @@ def say(groups: Sequence[Group]) -> None:
         print(f"{group.label}: {len(group.runs)} seed{'' if len(group.runs) == 1 else 's'}")
 
 
-def best(settings: Sequence[Setting]) -> list[Cell]:
+def best(settings: Sequence[Ranking]) -> list[Cell]:
     """The best cells: the best of every setting, the second best of every setting, and so on; sorted by setting."""
     places = sorted((place, s) for s, setting in enumerate(settings) for place in range(len(setting.ranked)))
     return [settings[s].cells[place] for s, place in sorted((s, place) for place, s in places[:MOST_CURVES])]
 
 
-def curves(collection: Collection, settings: Sequence[Setting]) -> list[Group]:
+def curves(collection: Collection, settings: Sequence[Ranking]) -> list[Group]:
     """The curves of the best cells: of the runs that have a score, and of several cells the policies that are scored.
 
     Raises:
@@ -104,7 +104,7 @@ def curves(collection: Collection, settings: Sequence[Setting]) -> list[Group]:
         wanted = {name for name in wanted if name.startswith(scored)}
     runs = {run for setting in settings for run in setting.scores}
     found = collection.curves([row.id for cell in cells for row in cell.rows if row.id in runs], sorted(wanted))
-    labels = cell_labels(cells, varying([cell.keys for cell in collection.cells]))
+    labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = [
         Group(text, cell.config, tuple(found[row.id] for row in cell.rows if row.id in found))
         for text, cell in zip(labels, cells, strict=True)
@@ -112,20 +112,20 @@ def curves(collection: Collection, settings: Sequence[Setting]) -> list[Group]:
     return [group for group in groups if group.runs]
 
 
-def against_keys(collection: Collection, setting: Setting) -> Scores:
+def against_keys(collection: Collection, setting: Ranking) -> Scores:
     """The scores of a setting's runs, and the values of each key that varies among them, in the manifest's order."""
     rows = [row for row in collection.rows if row.id in setting.scores]
-    keys = varying([row.cell for row in rows])
+    keys = varying_keys([row.cell for row in rows])
     names = short_names(keys)
     values = {names[key]: numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
-    return Scores(setting.title, setting.what, np.array([setting.scores[row.id] for row in rows]), values)
+    return Scores(setting.title, setting.score_name, np.array([setting.scores[row.id] for row in rows]), values)
 
 
 def numbers_or_words(values: Sequence[Any]) -> NDArray[np.float64] | list[str]:
     """Values of a key: as they are if all are numbers, else in words."""
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
         return np.array(values, dtype=np.float64)
-    return words(values)
+    return value_labels(values)
 
 
 def main(arguments: list[str]) -> int:

@@ -37,21 +37,21 @@ from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.evaluation.statistics import Estimate, bootstrap, interquartile_mean
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.sweeps.collection import PLACE, POLICIES, Collection, Place, as_json, collect, split_place
+from algorithms.sweeps.collection import POLICIES, SCORE_KEYS, Collection, ScoreKey, as_json, collect, split_score_name
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.ranking import (
     TOTAL,
-    Setting,
-    as_text,
+    Ranking,
     environment_label,
     rank,
     short_names,
     totals,
     utility_label,
-    varying,
-    words,
+    value_labels,
+    value_text,
+    varying_keys,
 )
-from algorithms.sweeps.scores import final_metrics
+from algorithms.sweeps.run_scores import final_metrics
 
 METRICS = (
     *("utility_esr", "utility_ser", "success", "end/collision", "return/lane_violation"),
@@ -83,7 +83,7 @@ class Group:
     algorithm: str
     measured: str
     seeds: list[int] = field(default_factory=list)
-    scores: dict[Place, list[float]] = field(default_factory=lambda: defaultdict(list))
+    scores: dict[ScoreKey, list[float]] = field(default_factory=lambda: defaultdict(list))
     wanted: int | None = None
 
     @property
@@ -150,23 +150,23 @@ def group_runs(paths: list[Path]) -> list[Group]:
             raise ValueError(f"{path} repeats seed {seed} of another run of the same experiment")
         group.seeds.append(seed)
         for name, value in scores.items():
-            place = split_place(name)
+            place = split_score_name(name)
             if place[-1] in METRICS:
                 group.scores[place].append(value)
     return sorted(groups.values(), key=lambda group: (*group.setting.values(), group.algorithm))
 
 
-def group_cells(collection: Collection, setting: Setting) -> list[Group]:
+def group_cells(collection: Collection, setting: Ranking) -> list[Group]:
     """The cells of a setting that have final evaluations, in its order."""
     wanted = collection.scores.filter(pl.col("metric").is_in([*METRICS, setting.metric]))
-    known = wanted.select("run", *PLACE, "value").collect()
-    scores: dict[str, dict[Place, float]] = defaultdict(dict)
+    known = wanted.select("run", *SCORE_KEYS, "value").collect()
+    scores: dict[str, dict[ScoreKey, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=setting.metric))]).rows():
         # A total stands in the row of all together where there is nothing else.
         scores[run].setdefault((policy, "" if vehicle == TOTAL else vehicle, metric), value)
     groups = []
     for cell in setting.cells:
-        texts = {key: as_text(value) for key, value in cell.keys.items()}
+        texts = {key: value_text(value) for key, value in cell.keys.items()}
         alike = {key: text for key, text in texts.items() if key not in OF_ALGORITHMS}
         trial = {} if cell.trial is None else {"trial": str(cell.trial)}
         group = Group({**trial, **texts}, alike, cell.config["algorithm"]["name"], setting.title, wanted=len(cell.rows))
@@ -257,24 +257,24 @@ def show(rows: list[list[str]], title: str | None = None) -> None:
     make_console().print(table)
 
 
-def ranked_by(setting: Setting, group: Group) -> Group:
+def ranked_by(setting: Ranking, group: Group) -> Group:
     """A group with the scores of one policy alone, which is the one that its setting is sorted by."""
     place = (setting.policy, "" if setting.vehicle == TOTAL else setting.vehicle)
     return replace(group, scores={name: values for name, values in group.scores.items() if name[:2] == place})
 
 
-def best(setting: Setting, groups: Sequence[Group], top: int) -> list[list[str]]:
+def best(setting: Ranking, groups: Sequence[Group], top: int) -> list[list[str]]:
     """What the terminal shows of a setting: the best cells by their short names, and their scores of one policy."""
     cells = setting.ranked[:top]
-    keys = varying([cell.keys for cell in setting.cells])
-    columns = {name: words([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
+    keys = varying_keys([cell.keys for cell in setting.cells])
+    columns = {name: value_labels([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
     brief = []
     for i, group in enumerate(groups[: len(cells)]):
         trial = {name: text for name, text in group.about.items() if name == "trial"}
         names = {name: texts[i] for name, texts in columns.items()}
         brief.append(replace(ranked_by(setting, group), about={**trial, **names}))
     rows = scores_table(brief, [setting.metric, *(name for name in METRICS if name != setting.metric)])
-    rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in PLACE] for row in rows]
+    rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in SCORE_KEYS] for row in rows]
     return fitting(rows, rows[0].index(setting.metric) + 1)
 
 
@@ -328,7 +328,7 @@ def tables_of_sweep(sweep: Path, metric: str | None, top: int, whole: bool) -> l
         to_compare += [ranked_by(setting, group) for group in groups]
         if setting.ranked:
             shown = min(top, len(setting.ranked))
-            title = f"{setting.title}: {shown} of {len(setting.cells)} cells, by {setting.what}"
+            title = f"{setting.title}: {shown} of {len(setting.cells)} cells, by {setting.score_name}"
             show(best(setting, groups, top), title)
         elif groups:
             print(f"left out: no run has {metric} in {setting.title}", file=sys.stderr)

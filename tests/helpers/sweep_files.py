@@ -1,4 +1,4 @@
-"""Sweeps of runs of a second or less, and the command line that makes them."""
+"""Sweeps whose runs take a second or less, and scripts/sweep.py to train them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from tests.helpers.paths import REPOSITORY
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole
 
 ROOT = REPOSITORY
-LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # some seconds
+LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # several seconds
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A sweep's file, and the directory of that sweep as this machine makes it without interruption."""
+    """A sweep's file, and its directory after training on this machine without interruption."""
 
     file: Path
     directory: Path
 
 
 def write_sweep(folder: Path, **settings: Any) -> Path:
-    """A sweep's file in ``folder``, with the short experiment as its base, and two learning rates unless told."""
+    """A sweep's file in ``folder``, based on the short experiment, by default with two learning rates."""
     base = folder / "base.yaml"
     base.write_text(yaml.safe_dump(VALUES))
     if "search" not in settings:
@@ -55,7 +55,7 @@ def sweep_command(file: Path, *options: str | Path) -> list[str]:
 def run_sweep(
     file: Path, *options: str | Path, environment: Mapping[str, str] | None = None, timeout: float = 300.0
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command line to its end; prints what it says, for pytest to show where a test fails."""
+    """Run the script; its output is printed, so that pytest shows it if the test fails."""
     done = subprocess.run(
         sweep_command(file, *options),
         env=dict(environment or os.environ),
@@ -73,7 +73,7 @@ def run_sweep(
 def start_sweep(
     file: Path, *options: str | Path, environment: Mapping[str, str] | None = None
 ) -> Iterator[subprocess.Popen[str]]:
-    """Begin the command line; at the end of the context it does not go on."""
+    """Start the script; it is killed at the end of the context."""
     process = subprocess.Popen(
         sweep_command(file, *options),
         env=dict(environment or os.environ),
@@ -92,12 +92,12 @@ def start_sweep(
 
 
 def runs(sweep: Path) -> list[Path]:
-    """The run directories that a sweep's manifest names."""
+    """The run directories in a sweep's manifest."""
     return [sweep / json.loads(line)["directory"] for line in (sweep / "manifest.jsonl").read_text().splitlines()]
 
 
 def status(run: Path) -> dict[str, Any]:
-    """What a run's status.json says."""
+    """The content of a run's status.json; empty if there is none."""
     try:
         return json.loads((run / "status.json").read_text())
     except FileNotFoundError:
@@ -105,7 +105,7 @@ def status(run: Path) -> dict[str, Any]:
 
 
 def begun(sweep: Path) -> list[Path]:
-    """Runs that have a checkpoint and go on."""
+    """Runs that are in progress and have a checkpoint."""
     return [
         run
         for run in (sweep / "runs").glob("*")
@@ -114,7 +114,7 @@ def begun(sweep: Path) -> list[Path]:
 
 
 def broken_utility(folder: Path, where: str) -> str:
-    """A user's own utility in ``folder`` that fails where the environment has a variable; its name for the YAML."""
+    """Write a utility that fails if an environment variable is set; returns its name for the YAML file."""
     (folder / "broken.py").write_text(
         "import os\n"
         "def utility(returns):\n"
@@ -126,15 +126,15 @@ def broken_utility(folder: Path, where: str) -> str:
 
 
 def eventually(condition: Callable[[], Any], seconds: float = 120.0) -> None:
-    """Wait until the condition holds."""
+    """Wait until the condition holds; fails after ``seconds``."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, "it did not come to that"
+        assert time.monotonic() < deadline, "the condition did not hold in time"
         time.sleep(0.05)
 
 
 def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tuple[int, str]:
-    """Send a signal; the exit code and what was printed."""
+    """Send a signal; returns the exit code and the output."""
     process.send_signal(number)
     out, _ = process.communicate(timeout=120)
     print(out)
@@ -142,7 +142,7 @@ def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tu
 
 
 def assert_same_sweep(first: Path, second: Path) -> None:
-    """The same manifest, byte for byte, and the same runs: weights, curves, final metrics; each run once and whole."""
+    """Both have the same manifest, byte for byte, and the same complete runs: weights, curves and final metrics."""
     assert (first / "manifest.jsonl").read_bytes() == (second / "manifest.jsonl").read_bytes()
     for sweep in (first, second):
         wanted = runs(sweep)
@@ -155,7 +155,7 @@ def assert_same_sweep(first: Path, second: Path) -> None:
 
 
 def load_script() -> Any:
-    """scripts/sweep.py as a module: ``main`` is what the command line runs."""
+    """scripts/sweep.py as a module with the function ``main``."""
     spec = importlib.util.spec_from_file_location("sweep_script", ROOT / "scripts" / "sweep.py")
     assert spec is not None
     assert spec.loader is not None
@@ -166,7 +166,7 @@ def load_script() -> Any:
 
 @contextlib.contextmanager
 def forked_workers() -> Iterator[None]:
-    """Worker processes as forks of this one, which has imported everything, instead of new interpreters."""
+    """Fork worker processes from this one, which has imported everything, instead of starting new interpreters."""
     context = multiprocessing.get_context("fork")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -177,15 +177,15 @@ def forked_workers() -> Iterator[None]:
 
 @contextlib.contextmanager
 def small_disk(folder: Path, kilobytes: int) -> Iterator[None]:
-    """A file system of its own in ``folder``; the test is skipped where this process may not mount one."""
+    """A small file system at ``folder``; skips the test if this process may not mount one."""
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "none", str(folder)]
     try:
         mounted = subprocess.run(command, capture_output=True, text=True, check=False)
     except FileNotFoundError:
-        pytest.skip("there is no mount command here")
+        pytest.skip("there is no mount command")
     if mounted.returncode:
-        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+        pytest.skip(f"this process cannot mount a file system: {mounted.stderr.strip()}")
     try:
         yield
     finally:
