@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import multiprocessing
 import os
@@ -152,16 +151,6 @@ def assert_same_sweep(first: Path, second: Path) -> None:
         assert_same_run(one, other)
         assert_whole(one)
         assert_whole(other)
-
-
-def load_script() -> Any:
-    """scripts/sweep.py as a module with the function ``main``."""
-    spec = importlib.util.spec_from_file_location("sweep_script", ROOT / "scripts" / "sweep.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @contextlib.contextmanager

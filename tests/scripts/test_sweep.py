@@ -19,6 +19,7 @@ from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
 from algorithms.sweeps import runner
+from tests.helpers.scripts import load_script
 from tests.helpers.short_runs import assert_same_run, job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
@@ -26,7 +27,6 @@ from tests.helpers.sweep_files import (
     eventually,
     forked_workers,
     interrupt,
-    load_script,
     run_sweep,
     runs,
     small_disk,
@@ -50,7 +50,7 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The script, with forked workers: this process has compiled everything, so they start at once."""
     perform(job(tmp_path_factory.mktemp("warm")))
     with forked_workers():
-        yield load_script()
+        yield load_script("sweep")
 
 
 @pytest.fixture
