@@ -56,13 +56,13 @@ def overview() -> Table:
         table.add_column(column)
     for name, peer in PEERS.items():
         objectives = "any" if peer.objectives is None else "{} to {}".format(*peer.objectives)
-        obstacle = peer.obstacle()
+        reason = peer.unavailable_reason()
         table.add_row(
             name,
             "a known utility" if peer.known_utility else "a front",
             ", ".join(peer.actions),
             objectives,
-            "yes" if obstacle is None else f"no: {obstacle}".replace("[", r"\["),
+            "yes" if reason is None else f"no: {reason}".replace("[", r"\["),
         )
     return table
 

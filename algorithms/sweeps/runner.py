@@ -143,14 +143,21 @@ class SweepRunner:
         """Train the runs on the backend; returns those that failed, each with its reason."""
         backend, settings = self._backend, self._settings
         if backend.name == "local":
-            workers = backend.workers or max(1, int(_available_cores() / settings.resources.cpus))
-            return perform_all(jobs, workers, monitor, retries=settings.retries, stop=stop)
+            default = max(1, int(_available_cores() / settings.resources.cpus))
+            return perform_all(jobs, backend.workers or default, monitor, retries=settings.retries, stop=stop)
         # Ray and submitit are optional dependencies.
         if backend.name == "ray":
             from algorithms.sweeps.ray_tune import run_on_ray
 
-            address, workers = backend.address, backend.workers
-            return run_on_ray(jobs, settings, self._directory, monitor, stop=stop, address=address, workers=workers)
+            return run_on_ray(
+                jobs,
+                settings,
+                self._directory,
+                monitor,
+                stop=stop,
+                address=backend.address,
+                workers=backend.workers,
+            )
         from algorithms.sweeps.slurm import run_on_slurm
 
         return run_on_slurm(jobs, settings, self._directory, monitor, stop=stop, wait=backend.wait)
