@@ -2,8 +2,8 @@
 
 A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
 contains the limit. A claim is reproduced if all criteria pass, not reproduced if one fails, and inconclusive otherwise.
-Scores are interquartile means over seeds (Agarwal et al. 2021) of the final evaluation of the stochastic policy, which is
-the policy that actor-critics optimise.
+Scores are interquartile means over seeds (Agarwal et al. 2021) of the final evaluation of the stochastic policy, which
+is the policy that actor-critics optimise.
 """
 
 from __future__ import annotations
