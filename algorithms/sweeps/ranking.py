@@ -159,7 +159,7 @@ def environment_label(settings: EnvironmentSettings) -> str:
 
 
 def utility_label(settings: UtilitySettings | None) -> str:
-    """The name, followed by vehicles with a utility of their own; "" if the utility is unknown."""
+    """The name, followed by the vehicles with a different utility; "" if the utility is unknown."""
     if settings is None:
         return ""
     return " ".join([settings.name, *(f"{vehicle}={own.name}" for vehicle, own in settings.vehicles.items())])

@@ -220,7 +220,7 @@ def run_on_ray(
     wanted = [job for job in jobs if asha is not None or not job.done]
     # Early stopping should hear of the runs that have already started first.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
-    listener = _ProgressCallback(wanted, monitor)
+    progress = _ProgressCallback(wanted, monitor)
     _connect(address)
     try:
         tuner = tune.Tuner(
@@ -241,22 +241,22 @@ def run_on_ray(
                 storage_path=str(sweep.resolve() / "ray"),
                 checkpoint_config=tune.CheckpointConfig(checkpoint_at_end=False),  # a run's directory is its checkpoint
                 failure_config=tune.FailureConfig(max_failures=settings.retries),
-                callbacks=[listener],
-                stop=_StopWhenAsked(lambda: stop() or listener.disk_full is not None),
+                callbacks=[progress],
+                stop=_StopWhenAsked(lambda: stop() or progress.disk_full is not None),
                 verbose=0,
             ),
         )
         tuner.fit()
     finally:
         ray.shutdown()
-    if listener.disk_full is not None:
-        raise DiskFull(listener.disk_full)
+    if progress.disk_full is not None:
+        raise DiskFull(progress.disk_full)
     pruned = set() if asha is None else asha.pruned
     for job in wanted:
         if job.id in pruned and not job.done:
             run = Run.open(job.path)
             run.set_status("pruned", run.status.get("step", 0))
-    return {job: reason for job, reason in listener.failed.items() if not job.done}
+    return {job: reason for job, reason in progress.failed.items() if not job.done}
 
 
 def _steps(job: Job) -> int:

@@ -19,12 +19,12 @@ from tests.helpers.slurm import free_ports
 from tests.helpers.sweep_files import (
     Reference,
     assert_same_sweep,
-    begun,
     broken_utility,
     eventually,
     interrupt,
     run_sweep,
     runs,
+    runs_in_progress,
     start_sweep,
     status,
     write_sweep,
@@ -75,7 +75,7 @@ def test_embedded_ray_gives_the_same_results_and_reports_every_objective(short: 
 
 def test_killed_actors_resume_from_their_checkpoints(long: Reference, tmp_path: Path) -> None:
     with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray") as process:
-        eventually(lambda: begun(tmp_path / "ray"))
+        eventually(lambda: runs_in_progress(tmp_path / "ray"))
         assert kill("ray::ResourceTrainable") >= 1
         out, _ = process.communicate(timeout=300)
     assert process.returncode == 0, out
@@ -84,7 +84,7 @@ def test_killed_actors_resume_from_their_checkpoints(long: Reference, tmp_path: 
 
 def test_an_interrupted_sweep_is_saved_and_resumed_by_the_same_command(long: Reference, tmp_path: Path) -> None:
     with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray", "--workers", "1") as process:
-        eventually(lambda: begun(tmp_path / "ray"))
+        eventually(lambda: runs_in_progress(tmp_path / "ray"))
         code, out = interrupt(process)
     assert code == 130
     assert "the same command resumes" in out
@@ -166,7 +166,7 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
     sweep = tmp_path / "ray"
     options = ("--on", "ray", "--address", "auto", "--output", sweep)
     with start_sweep(long.file, *options, environment=head.environment) as process:
-        eventually(lambda: begun(sweep))
+        eventually(lambda: runs_in_progress(sweep))
         head.kill()
         os.killpg(process.pid, signal.SIGKILL)  # it would only notice after a minute
         process.communicate(timeout=60)

@@ -16,12 +16,12 @@ from tests.helpers.slurm import SlurmCluster, slurm_cluster, unavailable
 from tests.helpers.sweep_files import (
     Reference,
     assert_same_sweep,
-    begun,
     broken_utility,
     eventually,
     interrupt,
     run_sweep,
     runs,
+    runs_in_progress,
     start_sweep,
     status,
     write_sweep,
@@ -88,10 +88,10 @@ def test_the_dry_run_prints_a_script_that_sbatch_accepts(cluster: SlurmCluster, 
     assert "\nexport GREETING=hello\n" in done.stdout
     script = tmp_path / "script.sh"
     script.write_text(done.stdout)
-    told = subprocess.run(
+    answer = subprocess.run(
         ["sbatch", "--test-only", str(script)], env=cluster.environment, capture_output=True, text=True, check=False
     )
-    assert told.returncode == 0, told.stderr
+    assert answer.returncode == 0, answer.stderr
 
 
 def test_a_job_near_its_time_limit_saves_requeues_itself_and_resumes(
@@ -99,7 +99,7 @@ def test_a_job_near_its_time_limit_saves_requeues_itself_and_resumes(
 ) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: len(begun(sweep)) == 2)
+        eventually(lambda: len(runs_in_progress(sweep)) == 2)
         submitted = jobs(sweep)
         for job in submitted:
             cluster.run("scancel", "--signal=USR2", job)
@@ -114,7 +114,7 @@ def test_a_job_near_its_time_limit_saves_requeues_itself_and_resumes(
 def test_pre_empted_jobs_are_saved_and_resume(cluster: SlurmCluster, long: Reference, tmp_path: Path) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: len(begun(sweep)) == 2)
+        eventually(lambda: len(runs_in_progress(sweep)) == 2)
         submitted = jobs(sweep)
         cluster.run("sbatch", "--partition=urgent", "--cpus-per-task=2", "--output=/dev/null", "--wrap=sleep 1")
         eventually(lambda: interrupted(sweep), 60)
@@ -129,7 +129,7 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
 ) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: len(begun(sweep)) == 2)
+        eventually(lambda: len(runs_in_progress(sweep)) == 2)
         first, second = jobs(sweep)
         kill_job(cluster, first)
         cluster.run("scancel", second)
@@ -151,7 +151,7 @@ def test_the_submitting_command_can_be_interrupted_and_repeated_after_a_restart_
     submitted = jobs(sweep)
     assert len(submitted) == 2
     with start_sweep(long.file, *options, environment=cluster.environment) as process:
-        eventually(lambda: begun(sweep))
+        eventually(lambda: runs_in_progress(sweep))
         code, out = interrupt(process, signal.SIGINT)
     assert code == 130
     assert f"scancel {submitted[0].partition('_')[0]}" in out

@@ -283,8 +283,9 @@ def slurm_cluster(
 
     Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of a job in ``main`` pre-empts
     it: the steps of the latter get a signal, and unless it ends or requeues itself it is killed and requeued
-    ``grace`` to ``grace`` + 10 seconds later. With ``signal_on_preemption`` the signal is the one that the job requested with
-    ``--signal``; otherwise, or without such a request, it is SIGTERM. SIGKILL follows SIGTERM after five seconds.
+    ``grace`` to ``grace`` + 10 seconds later. With ``signal_on_preemption`` the signal is the one that the job
+    requested with ``--signal``; otherwise, or without such a request, it is SIGTERM. SIGKILL follows SIGTERM after
+    five seconds.
 
     Jobs of a partition start in the order of submission, without backfill: Slurm does not write the start of a
     backfilled job to disk. Raises RuntimeError with the ends of the logs if the cluster does not start.

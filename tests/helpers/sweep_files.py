@@ -103,7 +103,7 @@ def status(run: Path) -> dict[str, Any]:
         return {}
 
 
-def begun(sweep: Path) -> list[Path]:
+def runs_in_progress(sweep: Path) -> list[Path]:
     """Runs that are in progress and have a checkpoint."""
     return [
         run

@@ -23,7 +23,13 @@ from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, exaggerate
 SHIPPED = Path(zoo.__file__).resolve().parent
 KILOBYTE = 1000
 LINEAR = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
-SMALL_PCN = {"learning_rate": 1e-2, "hidden": [32, 32], "persistence": 0.95, "horizon_reduction": 0, "horizon_scale": 20.0}
+SMALL_PCN = {
+    "learning_rate": 1e-2,
+    "hidden": [32, 32],
+    "persistence": 0.95,
+    "horizon_reduction": 0,
+    "horizon_scale": 20.0,
+}
 
 
 def experiment_of(name: str, env_id: str, arguments: dict[str, Any], **hyperparameters: Any) -> Experiment:

@@ -48,7 +48,7 @@ VALUES: dict[str, dict[str, Any]] = {
 class Server(ThreadingHTTPServer):
     """A fake of W&B's server with what a sweep and a sync need.
 
-    It starts the two runs of VALUES at once, stops the long one while it trains, and ends the agent when no run is left.
+    It starts both runs of VALUES at once, stops the long one while it trains, and ends the agent when no run is left.
 
     Attributes:
         sweep: the request of `wandb sweep`.
