@@ -271,6 +271,7 @@ def test_every_value_of_the_sweep_is_valid_for_the_experiment() -> None:
     assert experiment.logging.wandb.project == definition["project"]
 
 
+@pytest.mark.slow
 def test_runs_have_the_values_and_ids_from_the_agent(sweep: Sweep) -> None:
     for run_id, values in VALUES.items():
         config = read_mapping(sweep.run(run_id) / "config.yaml")
@@ -281,6 +282,7 @@ def test_runs_have_the_values_and_ids_from_the_agent(sweep: Sweep) -> None:
     assert "when running a sweep" not in sweep.output  # W&B's warning about ignored arguments
 
 
+@pytest.mark.slow
 def test_the_metric_of_the_sweep_is_logged(sweep: Sweep) -> None:
     sent = yaml.safe_load(sweep.server.sweep["config"])
     assert sent == yaml.safe_load((REPOSITORY / DEFINITION).read_text())
@@ -307,6 +309,7 @@ def interrupt_after(step: int, run: Path, sweep: Sweep) -> int:
         process.kill()
 
 
+@pytest.mark.slow
 def test_a_stopped_run_can_be_resumed_and_both_parts_are_synced_as_one_run(sweep: Sweep) -> None:
     run = sweep.run(LONG)
     before = read_metrics(run / "metrics.csv")["step"]
