@@ -51,8 +51,7 @@ from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from algorithms.sweeps.collection import FOLDER as COLLECTED
-from algorithms.sweeps.manifest import RUNS, write_manifest
-from algorithms.sweeps.manifest import Row as ManifestRow
+from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
 from mo_deepdrive.utilities import make_utility
 
 IDS = {
@@ -251,7 +250,7 @@ def peer_pcn() -> tuple[float, float] | None:
     """The same for morl-baselines' PCN with the arguments of its example; None if it is not installed."""
     experiment = load_experiment(DEEP_SEA / "morl_baselines_pcn.yaml")
     peer = PEERS[experiment.algorithm["name"]]
-    if peer.obstacle() is not None:
+    if peer.unavailable_reason() is not None:
         return None
     task = prepare(experiment, lambda _step, _metrics: None)
     with contextlib.redirect_stdout(io.StringIO()):

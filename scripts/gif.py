@@ -18,11 +18,11 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 
+from algorithms.experiments.build import load_policy
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.training import build
 from algorithms.reporting.animated_gif import Frame, write_gif
-from algorithms.reporting.videos import episode_frames, make_world
+from algorithms.reporting.videos import episode_frames, make_render_env
 
 POLICIES = ("one_waypoint_nonlinear-mo_ppo", "static_obstacle_nonlinear-mo_ppo", "intersection_nonlinear-mo_ppo")
 TITLES = {"one_waypoint": "OneWaypoint", "static_obstacle": "StaticObstacle", "intersection": "Intersection"}
@@ -53,9 +53,9 @@ def open_policy(name: str, seed: int) -> tuple[str, Iterator[list[Frame]]]:
     run = Run.open(name, device="cpu")
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies; choose one with scripts/choose.py --video instead")
-    agent = build(run.experiment, num_envs=1)
-    agent.load(run.checkpoint, policy_only=True)
-    env = make_world(run.experiment.environment)
+    agent = load_policy(run)
+    environment = run.experiment.environment
+    env = make_render_env(environment.id, environment.arguments)
     scenario = find_environment(run.experiment.environment.id).kwargs.get("scenario", "")
 
     title = TITLES.get(scenario, run.experiment.environment.id)

@@ -1,8 +1,8 @@
-"""Other libraries' algorithms by name, on our environments and any other of MO-Gymnasium's.
+"""Peers: algorithms of other libraries, trained and evaluated on any MO-Gymnasium environment like our own.
 
-A peer is a row of :data:`PEERS`. Its adapter trains it on one environment in the form of `algorithms.peers.environment`
-and gives back policies in that of `algorithms.peers.task`; `algorithms.peers.running` makes a run of it, like one of
-our own algorithms. The libraries are imported when a peer trains: ``pip install "mo-deepdrive[peers]"``.
+:data:`PEERS` lists them. The adapter of a peer trains it on :class:`algorithms.peers.peer_env.PeerEnv` and returns
+:class:`algorithms.peers.peer_task.PeerPolicies`; :mod:`algorithms.peers.running` makes it a run like those of our own
+algorithms. The libraries are only imported when a peer is trained: ``pip install "mo-deepdrive[peers]"``.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from algorithms.peers import morl, sb3
-from algorithms.peers.task import PeerConfig, Policies, ScalarConfig, Task, WeightedConfig
+from algorithms.peers.peer_task import PeerConfig, PeerPolicies, PeerTask, ScalarConfig, WeightedConfig
 
-__all__ = ["PEERS", "Peer", "PeerConfig", "Policies", "ScalarConfig", "Task", "WeightedConfig"]
+__all__ = ["PEERS", "Peer", "PeerConfig", "PeerPolicies", "PeerTask", "ScalarConfig", "WeightedConfig"]
 
 DISCRETE, CONTINUOUS = "discrete", "continuous"
 
@@ -24,60 +24,62 @@ class Peer:
     """An algorithm of another library.
 
     Attributes:
-        path: "module:class" where it is.
-        package: what to install for it.
-        known_utility: whether it learns for a utility that it is given, or a front for every utility.
-        actions: the kinds of action that it takes.
-        adapter: trains it and gives its policies.
-        Config: its settings.
-        objectives: least and greatest number of objectives that it takes; None for any.
+        path: "module:class" of its implementation.
+        package: that has to be installed.
+        known_utility: whether it learns one policy for a known utility, or else a front.
+        actions: kinds of actions that it supports.
+        adapter: trains it and returns its policies.
+        Config: class of its settings.
+        objectives: minimum and maximum number of objectives that it supports; None for any.
     """
 
     path: str
     package: str
     known_utility: bool
     actions: tuple[str, ...]
-    adapter: Callable[[Task], Policies]
+    adapter: Callable[[PeerTask], PeerPolicies]
     Config: type[PeerConfig] = PeerConfig
     objectives: tuple[int, int] | None = None
 
-    def obstacle(self) -> str | None:
-        """Why it cannot run in this Python, as the import says; None where it can."""
+    def unavailable_reason(self) -> str | None:
+        """Why it cannot run here, which is the error of its import; None if it can."""
         module, _, name = self.path.partition(":")
         try:
             getattr(importlib.import_module(module), name)
-        except Exception as error:  # whatever a foreign library raises when it is imported
+        except Exception as error:  # other libraries may raise anything on import
             return f"{type(error).__name__}: {error}"
         return None
 
-    def check(self, name: str, task: Task) -> None:
-        """Whether it fits what it is to learn.
+    def check(self, name: str, task: PeerTask) -> None:
+        """Check that the peer supports a task.
 
         Args:
-            name: its own, for the message.
-            task: the environment, the utility and the settings.
+            name: of the peer, for error messages.
+            task: environment, utility and settings.
 
         Raises:
-            ValueError: saying what it needs.
+            ValueError: naming what the peer does not support.
         """
-        worlds, d = task.env, len(task.objectives)
-        if worlds.vehicles != 1:
-            raise ValueError(f"algorithm {name!r} drives one vehicle; the environment has {worlds.vehicles}")
-        kind = CONTINUOUS if worlds.continuous else DISCRETE
+        env, d = task.env, len(task.objectives)
+        if env.vehicles != 1:
+            raise ValueError(f"algorithm {name!r} supports one vehicle; the environment has {env.vehicles}")
+        kind = CONTINUOUS if env.continuous else DISCRETE
         if kind not in self.actions:
-            raise ValueError(f"algorithm {name!r} takes {self.actions[0]} actions; the environment has {kind} ones")
+            raise ValueError(
+                f"algorithm {name!r} supports {self.actions[0]} actions; the environment has {kind} actions"
+            )
         if self.objectives is not None and not self.objectives[0] <= d <= self.objectives[1]:
             least, most = self.objectives
-            raise ValueError(f"algorithm {name!r} takes {least} to {most} objectives; the environment has {d}")
+            raise ValueError(f"algorithm {name!r} supports {least} to {most} objectives; the environment has {d}")
         if self.known_utility and task.utility is None:
-            raise ValueError(f"algorithm {name!r} learns for a known utility; give one in the section 'utility'")
+            raise ValueError(f"algorithm {name!r} needs a known utility; set one in the section 'utility'")
         if not self.known_utility and task.utility is not None:
-            raise ValueError(f"algorithm {name!r} learns a front; it takes no utility")
+            raise ValueError(f"algorithm {name!r} learns a front; remove the section 'utility'")
 
 
 def _morl(
     path: str,
-    adapter: Callable[[Task], Policies],
+    adapter: Callable[[PeerTask], PeerPolicies],
     *actions: str,
     known_utility: bool = False,
     config: type[PeerConfig] = PeerConfig,
@@ -86,7 +88,7 @@ def _morl(
     return Peer(f"morl_baselines.{path}", "morl-baselines", known_utility, actions, adapter, config, objectives)
 
 
-def _sb3(path: str, adapter: Callable[[Task], Policies]) -> Peer:
+def _sb3(path: str, adapter: Callable[[PeerTask], PeerPolicies]) -> Peer:
     return Peer(f"stable_baselines3.{path}", "stable-baselines3", True, (DISCRETE, CONTINUOUS), adapter, ScalarConfig)
 
 

@@ -16,7 +16,7 @@ def peers_table() -> Table:
         table.add_column(column)
     for name, peer in PEERS.items():
         objectives = "any" if peer.objectives is None else "{} to {}".format(*peer.objectives)
-        reason = peer.obstacle()
+        reason = peer.unavailable_reason()
         table.add_row(
             name,
             "a known utility" if peer.known_utility else "a front",

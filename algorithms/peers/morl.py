@@ -1,8 +1,8 @@
-"""Adapters of morl-baselines: what its algorithms need here, and how the policies that they find act.
+"""Adapters of morl-baselines: how its algorithms are trained, and how the resulting policies act.
 
-Every adapter trains its algorithm in the library's own loop on `PeerEnv` worlds and keeps its defaults, apart from what
-stands in the code with the reason. `log=False` throughout: its metrics go to Weights & Biases alone; ours are written
-by the recorder.
+Every adapter trains an algorithm with the library's own training loop and defaults on
+:class:`algorithms.peers.peer_env.PeerEnv`; comments explain exceptions. ``log=False`` because the library only logs to
+Weights & Biases; the recorder logs the training instead.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import torch
 from numpy.typing import NDArray
 
 from algorithms.common.pareto import evenly_spaced_weights, non_dominated
-from algorithms.peers.task import Policies, Seen, Task, WeightedConfig
+from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, WeightedConfig
 
-EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training
-# Weights that the algorithms make at the beginning, by a slow optimisation, for evaluations that they only log.
+EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training, which are not reported
+# Number of weights for evaluations that the algorithms only log; computing them at the start is slow.
 LOGGED_WEIGHTS = 10
-# Arguments that YAML gives as lists and the library wants as arrays.
+# Arguments that are lists in YAML, but have to be arrays for the library.
 ARRAYS = ("scaling_factor", "max_return", "ref_point", "origin")
 HORIZON_SCALE = 0.1  # of PCN's and LCN's horizons, as in the library's examples
-UNBOUNDED = 100.0  # where the library itself caps a desired return that has no bound
+UNBOUNDED = 100.0  # the library's own limit of desired returns without a bound
 
 
 def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
@@ -34,55 +34,67 @@ def _with_arrays(arguments: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _reference(task: Task) -> NDArray[np.float32]:
-    """The reference point in the peer's units; zeros where there is none, for peers that only log a hypervolume."""
+def _reference(task: PeerTask) -> NDArray[np.float32]:
+    """The reference point in the peer's units; zeros if there is none, for peers that only log the hypervolume."""
     if task.reference_point is None:
         return np.zeros(len(task.objectives), dtype=np.float32)
     return (task.reference_point / task.reward_scales).astype(np.float32)
 
 
 def _sample(probabilities: torch.Tensor, generator: torch.Generator | None) -> NDArray[Any]:
-    """Indices (N,) drawn from ``probabilities`` (N, actions), or the most probable ones."""
+    """Actions (N,) sampled from ``probabilities`` (N, actions), or the most probable ones without a generator."""
     if generator is None:
         return probabilities.argmax(-1).cpu().numpy()
     return torch.multinomial(probabilities, 1, generator=generator)[:, 0].cpu().numpy()
 
 
 def _networks(
-    task: Task, acts: Sequence[Callable[[Seen], Any]], prefix: str, vectors: Sequence[Any], gamma: float = 1.0
-) -> Policies:
-    """Policies that are a network each: ``acts`` gives their actions, ``vectors`` (d,) what each was trained for."""
+    task: PeerTask,
+    acts: Sequence[Callable[[PolicyInputs], Any]],
+    prefix: str,
+    vectors: Sequence[Any],
+    gamma: float = 1.0,
+) -> PeerPolicies:
+    """One policy per network.
+
+    Args:
+        task: of the peer.
+        acts: functions from the inputs of a network to its actions.
+        prefix: of the names of the conditions.
+        vectors: (d,) the weights or preferences that each network was trained for.
+        gamma: discount of the accrued rewards in the inputs.
+    """
     shape = (task.env.actions,) if task.env.continuous else ()
     kind = np.float32 if task.env.continuous else np.int64
 
-    def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
+    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
         actions = np.zeros((len(rows), *shape), dtype=kind)
         for policy in np.unique(rows):
             mine = rows == policy
-            actions[mine] = np.asarray(acts[policy](seen.take(mine)))
+            actions[mine] = np.asarray(acts[policy](inputs.select(mine)))
         return actions
 
-    # Several networks may have been trained for the same vector: a number tells them apart.
+    # Several networks may have been trained for the same vector, so conditions start with a number.
     conditions = np.column_stack([np.arange(len(acts)), np.array(vectors, dtype=np.float64)])
     names = ("network", *(f"{prefix}/{name}" for name in task.objectives))
-    return Policies(task, choose, conditions, names, gamma)
+    return PeerPolicies(task, choose, conditions, names, gamma)
 
 
-def _weighted(task: Task, act: Callable[[torch.Tensor, torch.Tensor], Any]) -> Policies:
-    """One network whose policy takes weights: a policy per weight. ``act`` takes (N, o) and (N, d)."""
+def _weighted(task: PeerTask, act: Callable[[torch.Tensor, torch.Tensor], Any]) -> PeerPolicies:
+    """One policy per weight vector of a network that takes weights; ``act`` takes (N, o) and (N, d)."""
     config = task.config
     assert isinstance(config, WeightedConfig)
     d = len(task.objectives)
     weights = evenly_spaced_weights(d, max(config.policies, d))
 
-    def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        return act(task.tensor(seen.observations), task.tensor(weights[rows]))
+    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+        return np.asarray(act(task.tensor(inputs.observations), task.tensor(weights[rows])))
 
-    return Policies(task, choose, weights, tuple(f"weight/{name}" for name in task.objectives))
+    return PeerPolicies(task, choose, weights, tuple(f"weight/{name}" for name in task.objectives))
 
 
-def _one_by_one(agent: Any) -> Callable[[torch.Tensor, torch.Tensor], Any]:
-    """``agent.eval`` of observations and weights, for algorithms that act for one world at a time."""
+def _single_actions(agent: Any) -> Callable[[torch.Tensor, torch.Tensor], Any]:
+    """``agent.eval`` for each observation, for algorithms that do not support batches of observations."""
 
     def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
         pairs = zip(observations.cpu().numpy(), weights.cpu().numpy(), strict=True)
@@ -94,65 +106,66 @@ def _one_by_one(agent: Any) -> Callable[[torch.Tensor, torch.Tensor], Any]:
 # ------------------------------------------------------------------------------------------- conditioned on commands
 
 
-def pcn(task: Task) -> Policies:
+def pcn(task: PeerTask) -> PeerPolicies:
     """Pareto Conditioned Networks (Reymond et al. 2022)."""
     from morl_baselines.multi_policy.pcn.pcn import PCN
 
-    return _commanded(task, PCN)
+    return _conditioned_on_returns(task, PCN)
 
 
-def lcn(task: Task) -> Policies:
+def lcn(task: PeerTask) -> PeerPolicies:
     """Lorenz Conditioned Networks (Michailidis et al. 2026)."""
     from morl_baselines.multi_policy.lcn.lcn import LCN
 
-    return _commanded(task, LCN)
+    return _conditioned_on_returns(task, LCN)
 
 
-def _commanded(task: Task, algorithm: Any) -> Policies:
+def _conditioned_on_returns(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """Train PCN or LCN; one policy per non-dominated episode in the replay buffer."""
     env = task.make()
     scaling = np.array([*(task.reward_scales / task.env.objective_scales), HORIZON_SCALE])
     options = task.arguments(
         scaling_factor=scaling, gamma=task.config.gamma, seed=task.seed, device=task.device, log=False
     )
     agent = algorithm(env, **_with_arrays(options))
-    # It would write its network to the working directory hundreds of times.
+    # It would write its network into the working directory hundreds of times.
     agent.save = lambda *_, **__: None
-    # A cost's return to go is at most 0, as in the library's example; without that it asks for the impossible.
+    # The return of a cost is at most 0, as in the library's example; otherwise it desires impossible returns.
     high = np.asarray(env.unwrapped.reward_space.high, dtype=np.float32)  # type: ignore[attr-defined]
     trained = task.train_arguments(
         max_return=np.where(high <= 0.0, 0.0, UNBOUNDED).astype(np.float32),
-        # It evaluates that many commands up to a thousand times, only to log them.
+        # It evaluates this many desired returns up to a thousand times, only to log them.
         num_points_pf=1,
         ref_point=_reference(task),
     )
     trained = _with_arrays(trained)
     agent.train(total_timesteps=task.steps, eval_env=task.make(recorded=False), **trained)
 
-    # The commands: what the non-dominated episodes that it keeps got, in how many decisions.
+    # Desired returns and horizons are those of the non-dominated episodes in the replay buffer.
     returns = np.array([episode[2][0].reward for episode in agent.experience_replay])
     horizons = np.array([len(episode[2]) for episode in agent.experience_replay], dtype=np.float32)
     kept = non_dominated(returns)
     returns, horizons = returns[kept], horizons[kept]
-    most = trained["max_return"]
+    max_return = trained["max_return"]
 
-    def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        # It takes undiscounted rewards off a discounted return, so the accrued ones here are undiscounted too.
-        desired = returns[rows] - seen.accrued
-        desired = np.where(seen.decisions[:, None] > 0, np.minimum(desired, most), desired)
-        left = np.maximum(horizons[rows] - seen.decisions, 1.0)
-        outputs = agent.model(task.tensor(seen.observations), task.tensor(desired), task.tensor(left)[:, None])
+    def choose(rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+        # It subtracts undiscounted rewards from a discounted return, so the accrued rewards are undiscounted here.
+        desired = returns[rows] - inputs.accrued
+        desired = np.where(inputs.decisions[:, None] > 0, np.minimum(desired, max_return), desired)
+        left = np.maximum(horizons[rows] - inputs.decisions, 1.0)
+        outputs = agent.model(task.tensor(inputs.observations), task.tensor(desired), task.tensor(left)[:, None])
         if agent.continuous_action:
-            return outputs.cpu().numpy()
-        return _sample(outputs.exp(), seen.generator)
+            return np.asarray(outputs.cpu().numpy())
+        return _sample(outputs.exp(), inputs.generator)
 
     names = (*(f"desired_return/{name}" for name in task.objectives), "horizon")
-    return Policies(task, choose, np.column_stack([returns * task.reward_scales, horizons]), names)
+    return PeerPolicies(task, choose, np.column_stack([returns * task.reward_scales, horizons]), names)
 
 
 # -------------------------------------------------------------------------------------------- conditioned on weights
 
 
-def envelope(task: Task) -> Policies:
+def envelope(task: PeerTask) -> PeerPolicies:
     """Envelope Q-learning (Yang et al. 2019)."""
     from morl_baselines.multi_policy.envelope.envelope import Envelope
 
@@ -165,44 +178,45 @@ def envelope(task: Task) -> Policies:
 
     def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
         values = agent.q_net(observations, weights)
-        return torch.einsum("nr,nar->na", weights, values).argmax(-1).cpu().numpy()
+        return np.asarray(torch.einsum("nr,nar->na", weights, values).argmax(-1).cpu().numpy())
 
     return _weighted(task, act)
 
 
-def gpi_ls(task: Task) -> Policies:
+def gpi_ls(task: PeerTask) -> PeerPolicies:
     """Generalised policy improvement with linear support, discrete actions (Alegre et al. 2023)."""
     from morl_baselines.multi_policy.gpi_pd.gpi_pd import GPILS
 
     return _gpi(task, GPILS)
 
 
-def gpi_ls_continuous(task: Task) -> Policies:
+def gpi_ls_continuous(task: PeerTask) -> PeerPolicies:
     """Generalised policy improvement with linear support, continuous actions (Alegre et al. 2023)."""
     from morl_baselines.multi_policy.gpi_pd.gpi_pd_continuous_action import GPILSContinuousAction
 
     return _gpi(task, GPILSContinuousAction)
 
 
-def _gpi(task: Task, algorithm: Any) -> Policies:
+def _gpi(task: PeerTask, algorithm: Any) -> PeerPolicies:
+    """Train GPI-LS, for discrete or continuous actions."""
     options = task.arguments(
         gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
     )
     agent = algorithm(task.make(), **options)
     trained = task.train_arguments(
         ref_point=_reference(task),
-        # It trains in whole iterations, and not at all where one is longer than the training.
+        # It trains in whole iterations, and not at all if one is longer than the training.
         timesteps_per_iter=max(1, min(10_000, task.steps // 5)),
-        # Every choice of a weight evaluates every corner of the weights once per corner.
+        # To choose a weight, it evaluates all corner weights once per corner weight.
         num_eval_episodes_for_front=EVALUATION_EPISODES,
         num_eval_weights_for_front=LOGGED_WEIGHTS,
         checkpoints=False,
     )
     agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
-    return _weighted(task, _one_by_one(agent))
+    return _weighted(task, _single_actions(agent))
 
 
-def capql(task: Task) -> Policies:
+def capql(task: PeerTask) -> PeerPolicies:
     """Concave-augmented Pareto Q-learning (Lu et al. 2023)."""
     from morl_baselines.multi_policy.capql.capql import CAPQL
 
@@ -214,7 +228,7 @@ def capql(task: Task) -> Policies:
     agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
 
     def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
-        return agent.policy.get_action(observations, weights).cpu().numpy()
+        return np.asarray(agent.policy.get_action(observations, weights).cpu().numpy())
 
     return _weighted(task, act)
 
@@ -222,7 +236,7 @@ def capql(task: Task) -> Policies:
 # ------------------------------------------------------------------------------------------------- a network per policy
 
 
-def morld(task: Task) -> Policies:
+def morld(task: PeerTask) -> PeerPolicies:
     """Decomposition into weights, a soft actor-critic for each (Felten et al. 2024)."""
     from morl_baselines.multi_policy.morld.morld import MORLD
 
@@ -233,9 +247,9 @@ def morld(task: Task) -> Policies:
         seed=task.seed,
         device=task.device,
         log=False,
-        # It takes turns after this many steps; every policy shall have two turns at least.
+        # Policies are trained in turns of this many steps; every policy should have at least two turns.
         exchange_every=max(1, min(40_000, task.steps // 12)),
-        # It hands no device on. It copies the buffers of all policies with every archived one: no larger than needed.
+        # It does not pass on the device. It copies all buffers whenever it archives a policy, so they should be small.
         policy_args={"device": task.device, "buffer_size": task.steps, "learning_starts": task.steps // 50},
     )
     agent = MORLD(task.make(), **options)
@@ -244,18 +258,18 @@ def morld(task: Task) -> Policies:
     )
     agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
 
-    def act(policy: Any) -> Callable[[Seen], Any]:
+    def act(policy: Any) -> Callable[[PolicyInputs], Any]:
         actor = policy.wrapped.actor
         if continuous:
-            return lambda seen: actor.get_action(task.tensor(seen.observations))[2].cpu().numpy()
-        return lambda seen: _sample(actor(task.tensor(seen.observations)).softmax(-1), seen.generator)
+            return lambda inputs: actor.get_action(task.tensor(inputs.observations))[2].cpu().numpy()
+        return lambda inputs: _sample(actor(task.tensor(inputs.observations)).softmax(-1), inputs.generator)
 
     found = agent.archive.individuals
     return _networks(task, [act(policy) for policy in found], "weight", [policy.weights for policy in found])
 
 
 class _Normalised(gymnasium.ObservationWrapper[Any, Any, Any]):
-    """Observations by the running statistics of ``source``, a NormalizeObservation wrapper, clipped as PGMORL does."""
+    """Normalises observations with the statistics of ``source``, a NormalizeObservation wrapper, and clips them."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], source: Any):
         super().__init__(env)
@@ -266,33 +280,35 @@ class _Normalised(gymnasium.ObservationWrapper[Any, Any, Any]):
 
 
 def _normalise(observations: NDArray[Any], source: Any) -> NDArray[np.float32]:
+    """Observations normalised and clipped as PGMORL does it."""
     statistics = source.obs_rms
     normal = (observations - statistics.mean) / np.sqrt(statistics.var + source.epsilon)
-    return np.clip(normal, -10.0, 10.0).astype(np.float32)
+    return np.asarray(np.clip(normal, -10.0, 10.0), dtype=np.float32)
 
 
 def _find_wrapper(env: Any, kind: type) -> Any:
+    """The wrapper of a type around an environment."""
     while not isinstance(env, kind):
         env = env.env
     return env
 
 
-def pgmorl(task: Task) -> Policies:
+def pgmorl(task: PeerTask) -> PeerPolicies:
     """Prediction-guided multi-objective reinforcement learning (Xu et al. 2020)."""
     from gymnasium.wrappers import NormalizeObservation
     from morl_baselines.multi_policy.pgmorl.pgmorl import PGMORL
 
     if task.reference_point is None:
-        raise ValueError("algorithm 'morl_baselines.pgmorl' needs evaluation.reference_point: it steers by it")
-    population, worlds = 6, task.num_envs
-    # Ten iterations of all policies, half of them warm-up, and one choice of weights between: a choice fits a model
-    # to every policy under every weight. An iteration fills the 32 minibatches at least.
-    per_iteration = max(-(-32 // worlds), min(2048, task.steps // (10 * population * worlds)))
+        raise ValueError("algorithm 'morl_baselines.pgmorl' maximises hypervolume: set evaluation.reference_point")
+    population, num_envs = 6, task.num_envs
+    # Ten iterations of all policies, half of them warm-up. Between them it chooses weights, which is slow: it fits a
+    # model to every policy under every weight. An iteration has to fill 32 minibatches.
+    per_iteration = max(-(-32 // num_envs), min(2048, task.steps // (10 * population * num_envs)))
     options = task.arguments(
-        # It takes an id and makes its worlds itself; a specification that Gymnasium makes does as well.
+        # It makes the environments itself from an id; a specification works, too.
         env_id=task.spec(),
         origin=_reference(task),
-        num_envs=worlds,
+        num_envs=num_envs,
         pop_size=population,
         steps_per_iteration=per_iteration,
         warmup_iterations=5,
@@ -303,31 +319,34 @@ def pgmorl(task: Task) -> Policies:
         log=False,
     )
     agent = PGMORL(**_with_arrays(options))
-    # Its training worlds normalise observations, each by its own statistics; its evaluations would not.
+    # Its training environments normalise observations, each with separate statistics; its evaluations would not.
     source = _find_wrapper(agent.env.envs[0], NormalizeObservation)
     trained = task.train_arguments(ref_point=_reference(task))
     agent.train(task.steps, eval_env=_Normalised(task.make(recorded=False), source), **_with_arrays(trained))
 
-    def act(policy: Any) -> Callable[[Seen], Any]:
-        return lambda seen: policy.networks.actor_mean(task.tensor(_normalise(seen.observations, source))).cpu().numpy()
+    def act(policy: Any) -> Callable[[PolicyInputs], Any]:
+        return lambda inputs: (
+            policy.networks.actor_mean(task.tensor(_normalise(inputs.observations, source))).cpu().numpy()
+        )
 
     found = agent.archive.individuals
     weights = [policy.weights.cpu().numpy() for policy in found]
     return _networks(task, [act(policy) for policy in found], "weight", weights)
 
 
-def _vector_env(task: Task) -> Any:
+def _vector_env(task: PeerTask) -> Any:
+    """The training environments as MO-Gymnasium's vector environment."""
     from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
     return MOSyncVectorEnv(iter([lambda index=index: task.make(index) for index in range(task.num_envs)]))
 
 
-def ipro(task: Task) -> Policies:
+def ipro(task: PeerTask) -> PeerPolicies:
     """Iterated Pareto Referent Optimisation (Roepke et al. 2024)."""
     from morl_baselines.multi_policy.ipro.ipro import IPRO
 
-    class Remembering(IPRO):
-        """Its Pareto set holds networks without the preference vector that each was trained with and takes."""
+    class IPROWithPreferences(IPRO):  # type: ignore[misc]  # the library is not typed
+        """Keeps the preference vector of each network, which the network needs as input, in the Pareto set."""
 
         def linear_train(self, weight_vec: Any, *args: Any, **kwargs: Any) -> Any:
             vector, network = super().linear_train(weight_vec, *args, **kwargs)
@@ -338,33 +357,33 @@ def ipro(task: Task) -> Policies:
             return vector, (network, np.asarray(referent, dtype=np.float32))
 
     d, iterations = len(task.objectives), int(task.config.arguments.get("max_iterations", 8))
-    rounds = 2 * d + iterations  # the best and the worst of every objective come first
+    rounds = 2 * d + iterations  # it starts with the best and the worst value of every objective
     options = task.arguments(
         max_iterations=iterations,
         iter_total_timesteps=task.steps // rounds,
         num_steps=max(1, min(128, task.steps // rounds // task.num_envs)),
-        # Otherwise all solutions are the same network, as the last round left it.
+        # Otherwise all solutions share one network, with the weights of the last round.
         reset_agent=True,
         gamma=task.config.gamma,
         seed=task.seed,
         device=task.device,
         log=False,
     )
-    agent = Remembering(_vector_env(task), **options)
+    agent = IPROWithPreferences(_vector_env(task), **options)
     evaluate = agent.agent.policy_evaluate
-    # A hundred episodes after every round are its default, and no argument of `train`.
+    # By default it evaluates a hundred episodes after every round; `train` has no argument for this.
     agent.agent.policy_evaluate = lambda env, eval_episodes=EVALUATION_EPISODES, **rest: evaluate(
         env, eval_episodes, **rest
     )
     trained = task.train_arguments(ref_point=_reference(task), deterministic=True)
     solutions = agent.train(task.make(recorded=False), **_with_arrays(trained))
-    # Where it replays its history it puts a vector in the place of some networks.
+    # When it replays its history, it replaces some networks by vectors.
     found = [solution for _, solution in solutions if isinstance(solution, tuple)]
 
-    def act(network: Any, preference: NDArray[np.float32]) -> Callable[[Seen], Any]:
-        return lambda seen: (
+    def act(network: Any, preference: NDArray[np.float32]) -> Callable[[PolicyInputs], Any]:
+        return lambda inputs: (
             network.get_greedy_action(
-                task.tensor(seen.observations), task.tensor(seen.accrued), task.tensor(preference)
+                task.tensor(inputs.observations), task.tensor(inputs.accrued), task.tensor(preference)
             )
             .cpu()
             .numpy()
@@ -377,15 +396,15 @@ def ipro(task: Task) -> Policies:
 # ------------------------------------------------------------------------------------------------------ known utility
 
 
-def eupg(task: Task) -> Policies:
+def eupg(task: PeerTask) -> PeerPolicies:
     """Expected utility policy gradient (Roijers et al. 2018)."""
     from morl_baselines.common.accrued_reward_buffer import AccruedRewardReplayBuffer
     from morl_baselines.single_policy.esr.eupg import EUPG
 
     options = task.arguments(gamma=task.config.gamma, seed=task.seed, device=task.device, log=False)
-    # It scalarises one return as NumPy with weights and an episode's returns to go as torch without.
+    # It calls the utility for a NumPy return with weights, and for an episode's torch returns without weights.
     agent = EUPG(task.make(), scalarization=task.utility_of_scaled, **options)
-    # Its own buffer keeps observations as integers.
+    # Its default buffer stores observations as integers.
     agent.buffer = AccruedRewardReplayBuffer(
         obs_shape=agent.observation_shape,
         action_shape=agent.action_shape,
@@ -396,15 +415,15 @@ def eupg(task: Task) -> Policies:
     )
     agent.train(task.steps, **task.train_arguments())
 
-    def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        # The network divides by the sum over all observations that it is given; a distribution divides again.
-        shares = agent.net(task.tensor(seen.observations), task.tensor(seen.accrued))
-        return _sample(shares / shares.sum(-1, keepdim=True), seen.generator)
+    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+        # The network normalises over all observations of the batch, so probabilities are normalised per row here.
+        shares = agent.net(task.tensor(inputs.observations), task.tensor(inputs.accrued))
+        return _sample(shares / shares.sum(-1, keepdim=True), inputs.generator)
 
-    return Policies(task, choose)
+    return PeerPolicies(task, choose)
 
 
-def nl_mo_ppo(task: Task) -> Policies:
+def nl_mo_ppo(task: PeerTask) -> PeerPolicies:
     """Proximal policy optimisation of a non-linear utility of the expected return (Roepke et al. 2024)."""
     from morl_baselines.single_policy.ser.nl_mo_ppo import NLMOPPO
 
@@ -418,13 +437,14 @@ def nl_mo_ppo(task: Task) -> Policies:
     )
     agent = NLMOPPO(0, _vector_env(task), **options)
     evaluate = agent.policy_evaluate
-    # As for IPRO: its evaluation at the end is not what is reported here.
+    # As for IPRO: the evaluation at the end is not reported.
     agent.policy_evaluate = lambda env, eval_episodes=EVALUATION_EPISODES, **rest: evaluate(env, eval_episodes, **rest)
     agent.train(task.make(recorded=False), u_func=task.utility_of_scaled, **task.train_arguments())
 
-    def choose(rows: NDArray[np.intp], seen: Seen) -> NDArray[Any]:
-        network, inputs = agent.agent, (task.tensor(seen.observations), task.tensor(seen.accrued))
-        logits = network.actor(network._build_aug_obs(*inputs, None))
-        return _sample(logits.softmax(-1), seen.generator)
+    def choose(_rows: NDArray[np.intp], inputs: PolicyInputs) -> NDArray[Any]:
+        network = agent.agent
+        augmented = network._build_aug_obs(task.tensor(inputs.observations), task.tensor(inputs.accrued), None)
+        logits = network.actor(augmented)
+        return _sample(logits.softmax(-1), inputs.generator)
 
-    return Policies(task, choose, gamma=agent.gamma)
+    return PeerPolicies(task, choose, gamma=agent.gamma)

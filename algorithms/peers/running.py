@@ -1,4 +1,4 @@
-"""From an experiment with a peer to a finished run: train it, evaluate what it has learnt as if it were ours."""
+"""Runs of peers: train a peer, and evaluate its policies like those of our own algorithms."""
 
 from __future__ import annotations
 
@@ -23,47 +23,47 @@ from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, POLICIES, evaluate_policies, evaluation_env
 from algorithms.experiments.run_directory import Run
 from algorithms.peers import PEERS
-from algorithms.peers.environment import Recorder
-from algorithms.peers.task import Policies, Task
+from algorithms.peers.peer_env import Recorder
+from algorithms.peers.peer_task import PeerPolicies, PeerTask
 from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.learning_curves import load_groups, plot
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import make_utility
 
-LINES = 100  # of training metrics in a run
+LOGGED_ROWS = 100  # of training metrics in a run
 
 
-def prepare(experiment: Experiment, log: Log) -> Task:
-    """What the experiment's peer is to learn.
+def prepare(experiment: Experiment, log: Log) -> PeerTask:
+    """The task of the peer in an experiment.
 
     Args:
-        experiment: with the name of a peer as its algorithm.
-        log: called as ``log(step, metrics)`` while it trains.
+        experiment: whose algorithm is a peer.
+        log: called as ``log(step, metrics)`` during training.
 
     Raises:
-        ValueError: if peer, environment and utility do not fit together, or the peer is not installed.
+        ValueError: if the peer is not installed, or does not support the environment or the utility.
     """
     name = experiment.algorithm["name"]
     peer, settings, training = PEERS[name], experiment.environment, experiment.training
-    obstacle = peer.obstacle()
-    if obstacle is not None:
-        raise ValueError(f"algorithm {name!r} cannot run here: {obstacle}; see docs/peers.md")
-    worlds = EnvAdapter(make_environment(settings, 1))
+    reason = peer.unavailable_reason()
+    if reason is not None:
+        raise ValueError(f"algorithm {name!r} cannot run here: {reason}; see docs/peers.md")
+    env = EnvAdapter(make_environment(settings, 1))
     utility = None
     if experiment.utility is None:
-        check_reference_point(experiment.evaluation.reference_point, worlds.objectives)
+        check_reference_point(experiment.evaluation.reference_point, env.objectives)
     else:
         chosen = experiment.utility
-        utility = make_utility(chosen.name, worlds.objectives, cost_sign=worlds.cost_sign, **chosen.arguments)
+        utility = make_utility(chosen.name, env.objectives, cost_sign=env.cost_sign, **chosen.arguments)
     point = experiment.evaluation.reference_point
 
-    def new(render_mode: str | None = None) -> Any:
+    def make_single_env(render_mode: str | None = None) -> Any:
         return mo_gymnasium.make(settings.id, render_mode=render_mode, **settings.arguments)
 
-    task = Task(
-        new=new,
-        env=worlds,
+    task = PeerTask(
+        make_single_env=make_single_env,
+        env=env,
         config=parse(peer.Config, experiment.hyperparameters, f"settings of algorithm {name!r}"),
         utility=utility,
         steps=training.total_timesteps,
@@ -71,17 +71,17 @@ def prepare(experiment: Experiment, log: Log) -> Task:
         seed=training.seed,
         device=training.device,
         reference_point=None if point is None else np.array(point),
-        recorder=Recorder(worlds.objectives, utility, max(1, training.total_timesteps // LINES), log),
+        recorder=Recorder(env.objectives, utility, max(1, training.total_timesteps // LOGGED_ROWS), log),
     )
     peer.check(name, task)
     return task
 
 
 def run_peer(run: Run, console: Console) -> None:
-    """Train the run's peer, evaluate what it has learnt on raw environments and our seeds, write and draw it.
+    """Train a peer, evaluate its policies on unmodified environments and our seeds, and write all results.
 
-    What it prints goes to ``peer.log``, what the recorder sees to ``metrics.csv``. Seeding the global generators, from
-    which peers draw, is the caller's part.
+    Its output goes to ``peer.log``, the recorder's metrics to ``metrics.csv``. Peers use the global random generators,
+    which the caller has to seed.
 
     Raises:
         ValueError: as :func:`prepare`.
@@ -111,9 +111,9 @@ def run_peer(run: Run, console: Console) -> None:
 
 
 def _finish_policy(
-    run: Run, policies: Policies, steps: int, about: dict[str, Any], console: Console
+    run: Run, policies: PeerPolicies, steps: int, about: dict[str, Any], console: Console
 ) -> dict[str, float]:
-    """Evaluate, report and film the one policy; its metrics by name."""
+    """Evaluate the single policy, write the report and a video; returns its metrics by name."""
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
     found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
@@ -125,9 +125,9 @@ def _finish_policy(
 
 
 def _finish_front(
-    run: Run, policies: Policies, steps: int, about: dict[str, Any], console: Console
+    run: Run, policies: PeerPolicies, steps: int, about: dict[str, Any], console: Console
 ) -> dict[str, float]:
-    """Evaluate all policies, report and film the non-dominated ones; the indicators by name."""
+    """Evaluate all policies, write a report and a video of the non-dominated ones; returns the metrics by name."""
     front = evaluate_front(policies, run.experiment)
     FrontsFile(run.path / "fronts.csv").write(steps, front)
     environment, settings = run.experiment.environment, run.experiment.evaluation
@@ -148,8 +148,8 @@ def _finish_front(
     return {f"eval/front/{name}": value for name, value in measured.items()}
 
 
-def evaluate_front(policies: Policies, experiment: Experiment) -> Front:
-    """The non-dominated ones of ``policies``, as greedy episodes with the experiment's evaluation seeds show them."""
+def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:
+    """The front of ``policies``: the non-dominated ones in greedy episodes with the experiment's evaluation seeds."""
     settings = experiment.evaluation
     env = evaluation_env(experiment, min(FRONT_EPISODES, settings.final_episodes * len(policies)))
     try:

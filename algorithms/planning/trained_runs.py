@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import Policy
+from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.build import build
 from algorithms.pcn import PCN
 from mo_deepdrive.reference_fronts import front_config
 

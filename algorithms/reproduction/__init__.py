@@ -1,1 +1,6 @@
-"""The paper's figures and claims, made again: plan, scores, verdicts, pictures, report."""
+"""Reproduction of the paper's figures and claims.
+
+The plan (configs/reproduce.yaml) lists what is trained. A *task* is a scenario under a utility. A *protocol* is how a
+task is trained and evaluated: with the hyperparameters as printed in the paper, with tuned ones (best effort), or an
+ablation. The *variants* of a protocol, such as A2C and MO-A2C, are compared with each other over several seeds.
+"""

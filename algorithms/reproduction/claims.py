@@ -1,8 +1,9 @@
-"""The paper's claims and the tests that each has to pass, stated before the runs were made.
+"""The paper's claims and the criteria that decide them; both were fixed before the runs were trained.
 
-A test is decided by a 95% bootstrap interval over seeds: it holds, it fails, or the interval leaves it open. A claim
-comes out if every test holds, does not if one fails, and is undecided otherwise. Scores are interquartile means of the
-final evaluation of the stochastic policy, which is the one that an actor-critic learns.
+A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
+contains the limit. A claim is reproduced if all criteria pass, not reproduced if one fails, and inconclusive otherwise.
+Scores are interquartile means over seeds (Agarwal et al. 2021) of the final evaluation of the stochastic policy, which
+is the policy that actor-critics optimise.
 """
 
 from __future__ import annotations
@@ -14,36 +15,46 @@ from typing import Literal
 import numpy as np
 
 from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement, spread_ratio
-from algorithms.reproduction.results import FARTHEST, NEAREST, TOTAL_UTILITY, Results
+from algorithms.reproduction.results import FARTHEST, NEAREST, TOTAL_UTILITY, ReproductionResults
 
-# The two algorithms of every arm, by the keys of their variants.
+# The two algorithms that are compared, by the keys of their variants.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
-# Limits of the tests.
-SOLVED, FAILED, UNLEARNT = 0.95, 0.05, 0.5  # share of episodes that arrive
-ALIKE = 0.05  # of the baseline's utility
-POLICIES = 10  # of a front that is broad
-NEAR, FAR = 1.0, 10.0  # m of progress: from standing still to arriving
+# Limits of the criteria.
+SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
+SIMILAR = 0.05  # relative to the baseline's utility
+MIN_POLICIES = 10  # of a broad front
+SHORT_PROGRESS, LONG_PROGRESS = 1.0, 10.0  # m: from standing still to arriving
 
-Word = Literal["comes out", "does not come out", "undecided"]
+Conclusion = Literal["reproduced", "not reproduced", "inconclusive"]
 
 
 @dataclass(frozen=True)
 class Check:
-    """One test: what it asks, what was measured, and whether it holds (None: the interval leaves it open)."""
+    """A criterion applied to results.
 
-    asks: str
+    Attributes:
+        criterion: in words.
+        measured: the measured value with its interval.
+        passed: None if the interval is inconclusive.
+    """
+
+    criterion: str
     measured: str
-    holds: bool | None
+    passed: bool | None
+
+
+Criterion = Callable[[ReproductionResults, str], Check]  # of the results and the key of a protocol
+Decision = Callable[[Estimate], bool | None]
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Both algorithms in one cell: interquartile means over seeds, their difference, and how often MO-A2C is higher.
+class AlgorithmComparison:
+    """A2C and MO-A2C on a task.
 
     Attributes:
-        baseline, multi_objective: interquartile means.
-        difference: of the second over the first.
-        improvement: probability that a run of the second is above one of the first.
+        baseline, multi_objective: interquartile means over seeds.
+        difference: multi_objective - baseline.
+        improvement: probability that a run of MO-A2C scores higher than a run of A2C.
     """
 
     baseline: Estimate
@@ -54,11 +65,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a claim in one arm."""
+    """Whether a claim is reproduced under a protocol, and the checks that decide it."""
 
     claim: Claim
-    arm: str
-    word: Word
+    protocol: str
+    conclusion: Conclusion
     checks: tuple[Check, ...]
 
 
@@ -69,37 +80,43 @@ class Claim:
     Attributes:
         number: as in the documentation.
         figures: of the paper.
-        statement: the claim.
-        cells: of the plan, which it is about.
-        tests: what has to hold, each from the results and the name of an arm.
+        statement: the claim in words.
+        tasks: keys of the tasks in the plan that the claim is about.
+        criteria: which decide it.
     """
 
     number: int
     figures: tuple[int, ...]
     statement: str
-    cells: tuple[str, ...]
-    tests: Sequence[Callable[[Results, str], Check]]
+    tasks: tuple[str, ...]
+    criteria: Sequence[Criterion]
 
-    def judge(self, results: Results, arm: str) -> Verdict | None:
-        """The verdict in an arm; None where it has no results."""
+    def judge(self, results: ReproductionResults, protocol: str) -> Verdict | None:
+        """The verdict under a protocol; None if results are missing."""
         try:
-            checks = tuple(test(results, arm) for test in self.tests)
+            checks = tuple(criterion(results, protocol) for criterion in self.criteria)
         except KeyError:
             return None
-        answers = [check.holds for check in checks]
-        word: Word = "does not come out" if False in answers else "undecided" if None in answers else "comes out"
-        return Verdict(self, arm, word, checks)
+        passed = [check.passed for check in checks]
+        conclusion: Conclusion = "reproduced"
+        if False in passed:
+            conclusion = "not reproduced"
+        elif None in passed:
+            conclusion = "inconclusive"
+        return Verdict(self, protocol, conclusion, checks)
 
 
-def compare(results: Results, cell: str, arm: str, metric: str, policy: str = "stochastic") -> Comparison:
-    """Both algorithms by a metric.
+def compare(
+    results: ReproductionResults, task: str, protocol: str, metric: str, policy: str = "stochastic"
+) -> AlgorithmComparison:
+    """Compare A2C and MO-A2C by a metric.
 
     Raises:
-        KeyError: if a run of either is missing.
+        KeyError: if either has no run with the metric.
     """
-    baseline = results.values(cell, arm, BASELINE, metric, policy)
-    multi_objective = results.values(cell, arm, MULTI_OBJECTIVE, metric, policy)
-    return Comparison(
+    baseline = results.values(task, protocol, BASELINE, metric, policy)
+    multi_objective = results.values(task, protocol, MULTI_OBJECTIVE, metric, policy)
+    return AlgorithmComparison(
         iqm(baseline),
         iqm(multi_objective),
         iqm_difference(multi_objective, baseline),
@@ -107,185 +124,190 @@ def compare(results: Results, cell: str, arm: str, metric: str, policy: str = "s
     )
 
 
-def utility_metric(cell: str) -> str:
-    """What an episode's utility is called: with two vehicles it is the sum of theirs."""
-    return TOTAL_UTILITY if cell.startswith("intersection") else "utility_esr"
+def utility_metric(task: str) -> str:
+    """The name of the metric for an episode's utility; with two vehicles it is the sum of their utilities."""
+    return TOTAL_UTILITY if task.startswith("intersection") else "utility_esr"
 
 
-def utility_kind(cell: str) -> str:
-    """Linear or not."""
-    return "non-linear" if cell.endswith("nonlinear") else "linear"
+def utility_kind(task: str) -> str:
+    """Either "linear" or "non-linear"."""
+    return "non-linear" if task.endswith("nonlinear") else "linear"
 
 
-def above(estimate: Estimate, limit: float) -> bool | None:
-    """Whether a value lies above a limit: by its interval, which must not reach it; open without one."""
-    low, high = _ends(estimate)
+def is_above(estimate: Estimate, limit: float) -> bool | None:
+    """Whether the interval of an estimate is entirely above the limit; None if it contains the limit."""
+    low, high = _interval(estimate)
     return True if low > limit else False if high < limit else None
 
 
-def _below(estimate: Estimate, limit: float) -> bool | None:
-    answer = above(estimate, limit)
-    return None if answer is None else not answer
+def _is_below(estimate: Estimate, limit: float) -> bool | None:
+    above = is_above(estimate, limit)
+    return None if above is None else not above
 
 
-def _within(estimate: Estimate, margin: float) -> bool | None:
-    low, high = _ends(estimate)
+def _is_within(estimate: Estimate, margin: float) -> bool | None:
+    """Whether the interval of an estimate is inside [-margin, margin]; None if it is partly inside."""
+    low, high = _interval(estimate)
     return True if -margin <= low and high <= margin else False if low > margin or high < -margin else None
 
 
-def _ends(estimate: Estimate) -> tuple[float, float]:
-    """The interval; of one run it is open on both sides."""
+def _interval(estimate: Estimate) -> tuple[float, float]:
+    """The interval of an estimate; unbounded if there is only one run."""
     if estimate.low is None or estimate.high is None:
         return -np.inf, np.inf
     return estimate.low, estimate.high
 
 
-def _name(variant: str) -> str:
+def percent(estimate: Estimate) -> str:
+    """A fraction in percent, with its interval."""
+    bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
+    return f"{Estimate(100.0 * estimate.value, *bounds).text()}%"
+
+
+def _label(variant: str) -> str:
     return "A2C" if variant == BASELINE else "MO-A2C"
 
 
-def _arrivals(cell: str, variant: str, asks: str, holds: Callable[[Estimate], bool | None]) -> Callable[..., Check]:
-    def test(results: Results, arm: str) -> Check:
-        found = iqm(results.values(cell, arm, variant, "success"))
-        return Check(f"{_name(variant)} {asks}", f"arrivals {percent(found)}", holds(found))
+def _success_rate(task: str, variant: str, condition: str, passes: Decision) -> Criterion:
+    """A criterion on the share of episodes in which the vehicle, or all vehicles, arrive."""
 
-    return test
+    def criterion(results: ReproductionResults, protocol: str) -> Check:
+        rate = iqm(results.values(task, protocol, variant, "success"))
+        return Check(f"{_label(variant)}: success rate {condition}", f"success rate {percent(rate)}", passes(rate))
 
-
-def percent(estimate: Estimate) -> str:
-    """A share in percent, with its interval."""
-    ends = [None if end is None else 100.0 * end for end in (estimate.low, estimate.high)]
-    return f"{Estimate(100.0 * estimate.value, *ends).text()}%"
+    return criterion
 
 
-def solves(cell: str, variant: str) -> Callable[[Results, str], Check]:
-    """Arrives in more than SOLVED of the episodes."""
-    return _arrivals(cell, variant, f"arrives in over {SOLVED:.0%}", lambda found: above(found, SOLVED))
+def solves(task: str, variant: str) -> Criterion:
+    """The success rate is above SOLVED."""
+    return _success_rate(task, variant, f"above {SOLVED:.0%}", lambda rate: is_above(rate, SOLVED))
 
 
-def fails(cell: str, variant: str) -> Callable[[Results, str], Check]:
-    """Arrives in fewer than FAILED of the episodes."""
-    asks = f"arrives in under {FAILED:.0%} ({utility_kind(cell)} utility)"
-    return _arrivals(cell, variant, asks, lambda found: _below(found, FAILED))
+def fails(task: str, variant: str) -> Criterion:
+    """The success rate is below FAILED."""
+    condition = f"below {FAILED:.0%} ({utility_kind(task)} utility)"
+    return _success_rate(task, variant, condition, lambda rate: _is_below(rate, FAILED))
 
 
-def learns(cell: str, variant: str) -> Callable[[Results, str], Check]:
-    """Arrives in more than UNLEARNT of the episodes."""
-    return _arrivals(cell, variant, f"arrives in over {UNLEARNT:.0%}", lambda found: above(found, UNLEARNT))
+def learns(task: str, variant: str) -> Criterion:
+    """The success rate is above LEARNED."""
+    return _success_rate(task, variant, f"above {LEARNED:.0%}", lambda rate: is_above(rate, LEARNED))
 
 
-def does_not_learn(cell: str, variant: str) -> Callable[[Results, str], Check]:
-    """Arrives in fewer than UNLEARNT of the episodes."""
-    return _arrivals(cell, variant, f"arrives in under {UNLEARNT:.0%}", lambda found: _below(found, UNLEARNT))
+def does_not_learn(task: str, variant: str) -> Criterion:
+    """The success rate is below LEARNED."""
+    return _success_rate(task, variant, f"below {LEARNED:.0%}", lambda rate: _is_below(rate, LEARNED))
 
 
-def drives_away(cell: str, variant: str) -> Callable[[Results, str], Check]:
-    """Ends farther from the destination than it began."""
+def moves_away(task: str, variant: str) -> Criterion:
+    """Episodes end farther from the destination than they start."""
 
-    def test(results: Results, arm: str) -> Check:
-        found = iqm(results.values(cell, arm, variant, "return/distance"))
-        return Check(f"{_name(variant)} drives away", f"progress {found.text()} m", _below(found, 0.0))
+    def criterion(results: ReproductionResults, protocol: str) -> Check:
+        progress = iqm(results.values(task, protocol, variant, "return/distance"))
+        name = f"{_label(variant)} moves away from the destination"
+        return Check(name, f"progress {progress.text()} m", _is_below(progress, 0.0))
 
-    return test
+    return criterion
 
 
-def alike(cell: str) -> Callable[[Results, str], Check]:
-    """The utilities differ by less than ALIKE of the baseline's."""
+def similar_utility(task: str) -> Criterion:
+    """The utilities differ by less than SIMILAR of the baseline's."""
 
-    def test(results: Results, arm: str) -> Check:
-        found = compare(results, cell, arm, utility_metric(cell))
-        margin = ALIKE * abs(found.baseline.value)
+    def criterion(results: ReproductionResults, protocol: str) -> Check:
+        found = compare(results, task, protocol, utility_metric(task))
+        margin = SIMILAR * abs(found.baseline.value)
         return Check(
-            f"the utilities differ by less than {ALIKE:.0%}",
-            f"difference {found.difference.text()}, {ALIKE:.0%} is {margin:.2g}",
-            _within(found.difference, margin),
+            f"the utilities differ by less than {SIMILAR:.0%}",
+            f"difference {found.difference.text()}, {SIMILAR:.0%} is {margin:.2g}",
+            _is_within(found.difference, margin),
         )
 
-    return test
+    return criterion
 
 
-def higher(cell: str) -> Callable[[Results, str], Check]:
-    """MO-A2C has the higher utility."""
+def higher_utility(task: str) -> Criterion:
+    """MO-A2C has a higher utility than A2C."""
 
-    def test(results: Results, arm: str) -> Check:
-        found = compare(results, cell, arm, utility_metric(cell))
-        return Check(
-            "MO-A2C has the higher utility", f"difference {found.difference.text()}", above(found.difference, 0.0)
-        )
+    def criterion(results: ReproductionResults, protocol: str) -> Check:
+        difference = compare(results, task, protocol, utility_metric(task)).difference
+        return Check("MO-A2C has the higher utility", f"difference {difference.text()}", is_above(difference, 0.0))
 
-    return test
+    return criterion
 
 
-def steadier(cell: str) -> Callable[[Results, str], Check]:
-    """The seeds of MO-A2C spread less."""
+def more_consistent(task: str) -> Criterion:
+    """The utility of MO-A2C varies less between seeds than that of A2C."""
 
-    def test(results: Results, arm: str) -> Check:
-        metric = utility_metric(cell)
-        pair = (results.values(cell, arm, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
-        found = spread_ratio(*pair)
-        return Check("MO-A2C varies less between seeds", f"ratio of deviations {found.text()}", _below(found, 1.0))
+    def criterion(results: ReproductionResults, protocol: str) -> Check:
+        metric = utility_metric(task)
+        pair = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
+        ratio = spread_ratio(*pair)
+        return Check("MO-A2C varies less between seeds", f"ratio of deviations {ratio.text()}", _is_below(ratio, 1.0))
 
-    return test
+    return criterion
 
 
-def _front(metric: str, asks: str, holds: Callable[[Estimate], bool | None], unit: str = "") -> Callable[..., Check]:
-    def test(results: Results, arm: str) -> Check:
-        found = iqm(results.values("one_waypoint_front", arm, "pcn", metric, "front"))
-        return Check(asks, f"{found.text()}{unit}", holds(found))
+def _front_metric(metric: str, condition: str, passes: Decision, unit: str = "") -> Criterion:
+    """A criterion on a metric of PCN's front."""
 
-    return test
+    def criterion(results: ReproductionResults, protocol: str) -> Check:
+        found = iqm(results.values("one_waypoint_front", protocol, "pcn", metric, "front"))
+        return Check(condition, f"{found.text()}{unit}", passes(found))
+
+    return criterion
 
 
 CLAIMS = (
     Claim(
         1,
         (4,),
-        "OneWaypoint, linear utility: A2C and MO-A2C both solve it, alike (fig. 4a)",
+        "OneWaypoint, linear utility: A2C and MO-A2C both solve it, with similar utility (fig. 4a)",
         ("one_waypoint_linear",),
         [
             solves("one_waypoint_linear", BASELINE),
             solves("one_waypoint_linear", MULTI_OBJECTIVE),
-            alike("one_waypoint_linear"),
+            similar_utility("one_waypoint_linear"),
         ],
     ),
     Claim(
         2,
         (4,),
-        "OneWaypoint, non-linear utility: MO-A2C ends higher and more consistent (fig. 4b)",
+        "OneWaypoint, non-linear utility: MO-A2C reaches a higher utility, more consistently (fig. 4b)",
         ("one_waypoint_nonlinear",),
-        [higher("one_waypoint_nonlinear"), steadier("one_waypoint_nonlinear")],
+        [higher_utility("one_waypoint_nonlinear"), more_consistent("one_waypoint_nonlinear")],
     ),
     Claim(
         3,
         (5,),
-        "StaticObstacle, linear utility: A2C and MO-A2C are alike (fig. 5a)",
+        "StaticObstacle, linear utility: A2C and MO-A2C reach similar utility (fig. 5a)",
         ("static_obstacle_linear",),
-        [alike("static_obstacle_linear")],
+        [similar_utility("static_obstacle_linear")],
     ),
     Claim(
         4,
         (5,),
-        "StaticObstacle, non-linear utility: MO-A2C learns, A2C does not and drives away (fig. 5b)",
+        "StaticObstacle, non-linear utility: MO-A2C learns; A2C does not, and moves away from the destination "
+        "(fig. 5b)",
         ("static_obstacle_nonlinear",),
         [
             learns("static_obstacle_nonlinear", MULTI_OBJECTIVE),
             does_not_learn("static_obstacle_nonlinear", BASELINE),
-            drives_away("static_obstacle_nonlinear", BASELINE),
+            moves_away("static_obstacle_nonlinear", BASELINE),
         ],
     ),
     Claim(
         5,
         (6, 8, 9),
-        "Intersection: independent learners of either kind fail, MO-A2C less under the non-linear utility "
+        "Intersection: independent learners of both kinds fail; MO-A2C fails less badly under the non-linear utility "
         "(fig. 6, 8, 9)",
         ("intersection_linear", "intersection_nonlinear"),
         [
             *(
-                fails(cell, variant)
-                for cell in ("intersection_linear", "intersection_nonlinear")
+                fails(task, variant)
+                for task in ("intersection_linear", "intersection_nonlinear")
                 for variant in (BASELINE, MULTI_OBJECTIVE)
             ),
-            higher("intersection_nonlinear"),
+            higher_utility("intersection_nonlinear"),
         ],
     ),
     Claim(
@@ -294,9 +316,23 @@ CLAIMS = (
         "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
         ("one_waypoint_front",),
         [
-            _front("cardinality", f"over {POLICIES} non-dominated policies", lambda found: above(found, POLICIES)),
-            _front(NEAREST, f"one goes less than {NEAR:g} m", lambda found: _below(found, NEAR), " m"),
-            _front(FARTHEST, f"one goes over {FAR:g} m", lambda found: above(found, FAR), " m"),
+            _front_metric(
+                "cardinality",
+                f"over {MIN_POLICIES} non-dominated policies",
+                lambda found: is_above(found, MIN_POLICIES),
+            ),
+            _front_metric(
+                NEAREST,
+                f"some policy progresses less than {SHORT_PROGRESS:g} m",
+                lambda found: _is_below(found, SHORT_PROGRESS),
+                " m",
+            ),
+            _front_metric(
+                FARTHEST,
+                f"some policy progresses over {LONG_PROGRESS:g} m",
+                lambda found: is_above(found, LONG_PROGRESS),
+                " m",
+            ),
         ],
     ),
 )

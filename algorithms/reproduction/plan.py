@@ -1,4 +1,4 @@
-"""What is trained to reproduce the paper: cells of arms of variants, read from a YAML file, turned into jobs."""
+"""The plan of the reproduction: tasks, protocols and variants from a YAML file, and the runs that they need."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from algorithms.experiments.config import Count, load_experiment
 from algorithms.experiments.jobs import Job
 from mo_deepdrive.config import Settings, nearest, parse
 
-QUICK_EVALUATIONS = 5  # on the way
+QUICK_EVALUATIONS = 5  # during training, in a quick reproduction
 
 
 class Variant(Settings):
-    """One line of a figure, one row of a table: a config and how it differs from its file.
+    """One curve of a figure, one row of a table: an experiment's config with overrides.
 
     Attributes:
-        label: its name in figures and tables.
-        config: the experiment's YAML file, relative to the root of the repository.
-        overrides: keys of the experiment and their values.
+        label: name in figures and tables.
+        config: YAML file of the experiment, relative to the root of the repository.
+        overrides: values of keys of the experiment.
     """
 
     label: str
@@ -32,16 +32,16 @@ class Variant(Settings):
     overrides: dict[str, Any] = {}
 
 
-class Arm(Settings):
-    """Variants that are compared with each other, under the same conditions.
+class Protocol(Settings):
+    """Variants that are trained under the same conditions and compared with each other.
 
     Attributes:
-        title: what they have in common.
-        seeds: runs of each; None for the plan's number.
-        first_seed: None for the plan's; another where the plan's were looked at before the settings were final.
-        quick_timesteps: environment steps of each in a quick reproduction; None leaves the arm out of it.
+        title: describes the conditions.
+        seeds: number of runs of each variant; None for the plan's.
+        first_seed: None for the plan's; a different one if settings were chosen on the plan's seeds.
+        quick_timesteps: environment steps in a quick reproduction; None to leave out the protocol there.
         overrides: of every variant.
-        variants: by key; the key names the runs' folder.
+        variants: by key, which is also the name of the folder of their runs.
     """
 
     title: str
@@ -52,51 +52,55 @@ class Arm(Settings):
     variants: dict[str, Variant] = Field(min_length=1)
 
 
-class Cell(Settings):
-    """One scenario under one utility (or under none): what a panel of a figure shows.
+class PlannedTask(Settings):
+    """One scenario under one utility, or with an unknown utility.
 
     Attributes:
-        title: of the panel.
-        arms: by key.
+        title: scenario and utility.
+        protocols: by key.
     """
 
+    renamed = {"arms": "protocols"}
+
     title: str
-    arms: dict[str, Arm] = Field(min_length=1)
+    protocols: dict[str, Protocol] = Field(min_length=1)
 
 
 class Plan(Settings):
     """The whole reproduction.
 
     Attributes:
-        first_seed: runs have this seed and the following ones.
-        seeds: runs of each variant.
+        first_seed: seed of the first run of each variant; the others follow.
+        seeds: number of runs of each variant.
         quick_seeds: the same in a quick reproduction.
         overrides: of every run.
         quick_overrides: of every run of a quick reproduction.
-        cells: by key.
+        tasks: by key.
     """
+
+    renamed = {"cells": "tasks"}
 
     first_seed: Annotated[int, Field(ge=0)]
     seeds: Annotated[int, Field(ge=1)]
     quick_seeds: Annotated[int, Field(ge=1)]
     overrides: dict[str, Any] = {}
     quick_overrides: dict[str, Any] = {}
-    cells: dict[str, Cell] = Field(min_length=1)
+    tasks: dict[str, PlannedTask] = Field(min_length=1)
 
 
 @dataclass(frozen=True)
-class Entry:
+class PlannedRun:
     """A run of the plan.
 
     Attributes:
-        cell, arm, variant: its keys.
+        task, protocol, variant: their keys.
         label: of the variant.
         seed: of the run.
-        job: the run itself.
+        job: trains the run.
     """
 
-    cell: str
-    arm: str
+    task: str
+    protocol: str
     variant: str
     label: str
     seed: int
@@ -107,67 +111,72 @@ def load_plan(path: str | Path) -> Plan:
     """Read a plan.
 
     Raises:
-        ValueError: naming the file and every key that is wrong.
+        ValueError: naming the file and every invalid key.
     """
     return parse(Plan, read_mapping(path), f"plan {str(path)!r}")
 
 
-def entries(
+def planned_runs(
     plan: Plan,
-    cells: Sequence[str],
-    runs: Path,
+    tasks: Sequence[str],
+    folder: Path,
     *,
     seeds: int | None = None,
     quick: bool = False,
     root: Path = Path(),
-) -> list[Entry]:
-    """The runs of some cells; every config is resolved and checked.
+) -> list[PlannedRun]:
+    """The runs of some tasks; every config is resolved and checked.
 
     Args:
-        plan: what there is.
-        cells: keys of the plan's cells.
-        runs: folder of the run directories.
-        seeds: runs of each variant, instead of what plan and arms say (arms with fewer keep their number).
-        quick: fewer seeds, fewer steps, and without the arms that have no quick form.
-        root: the folder that the configs are relative to.
+        plan: the whole reproduction.
+        tasks: keys of the tasks.
+        folder: of the run directories.
+        seeds: number of runs of each variant, instead of the plan's; protocols with fewer keep their number.
+        quick: fewer seeds and steps, without protocols that have no ``quick_timesteps``.
+        root: folder to which the paths of configs are relative.
 
     Raises:
-        ValueError: for unknown cells, or naming the cell, arm and variant whose config is wrong.
+        ValueError: for an unknown task, or naming the task, protocol and variant with an invalid config.
     """
-    for key in cells:
-        if key not in plan.cells:
-            raise ValueError(f"cell {key!r} is unknown; {nearest(key, plan.cells)}")
+    for key in tasks:
+        if key not in plan.tasks:
+            raise ValueError(f"task {key!r} is unknown; {nearest(key, plan.tasks)}")
     return [
-        entry
-        for key in cells
-        for name, arm in plan.cells[key].arms.items()
-        if not (quick and arm.quick_timesteps is None)
-        for entry in _of_arm(plan, key, name, arm, runs, seeds, quick, root)
+        run
+        for key in tasks
+        for name, protocol in plan.tasks[key].protocols.items()
+        if not (quick and protocol.quick_timesteps is None)
+        for run in _protocol_runs(plan, key, name, folder, seeds, quick, root)
     ]
 
 
-def _of_arm(
-    plan: Plan, cell: str, name: str, arm: Arm, runs: Path, seeds: int | None, quick: bool, root: Path
-) -> Iterator[Entry]:
-    count = min(arm.seeds or plan.seeds, plan.quick_seeds if quick else arm.seeds or plan.seeds)
+def _protocol_runs(
+    plan: Plan, task: str, protocol_key: str, folder: Path, seeds: int | None, quick: bool, root: Path
+) -> Iterator[PlannedRun]:
+    protocol = plan.tasks[task].protocols[protocol_key]
+    count = min(protocol.seeds or plan.seeds, plan.quick_seeds if quick else protocol.seeds or plan.seeds)
     if seeds is not None:
-        count = min(seeds, arm.seeds) if arm.seeds else seeds
+        count = min(seeds, protocol.seeds) if protocol.seeds else seeds
+    first = plan.first_seed if protocol.first_seed is None else protocol.first_seed
     shortened: dict[str, Any] = {}
-    if quick and arm.quick_timesteps is not None:
-        few = {"evaluation.interval": max(1, arm.quick_timesteps // QUICK_EVALUATIONS)}
-        shortened = {"training.total_timesteps": arm.quick_timesteps, **few, **plan.quick_overrides}
-    for key, variant in arm.variants.items():
-        first = plan.first_seed if arm.first_seed is None else arm.first_seed
+    if quick and protocol.quick_timesteps is not None:
+        shortened = {
+            "training.total_timesteps": protocol.quick_timesteps,
+            "evaluation.interval": max(1, protocol.quick_timesteps // QUICK_EVALUATIONS),
+            **plan.quick_overrides,
+        }
+    for key, variant in protocol.variants.items():
+        name = f"{task}/{protocol_key}/{key}"
         for seed in range(first, first + count):
-            values = {**plan.overrides, **arm.overrides, **variant.overrides, **shortened, "training.seed": seed}
-            where = f"{cell}/{name}/{key}"
+            values = {**plan.overrides, **protocol.overrides, **variant.overrides, **shortened, "training.seed": seed}
             try:
-                experiment = load_experiment(root / variant.config, _as_arguments(values))
+                experiment = load_experiment(root / variant.config, _as_overrides(values))
             except ValueError as error:
-                raise ValueError(f"{where}: {error}") from None
-            job = Job(f"{where}, seed {seed}", experiment, runs / cell / name / key / f"seed{seed}")
-            yield Entry(cell, name, key, variant.label, seed, job)
+                raise ValueError(f"{name}: {error}") from None
+            job = Job(f"{name}, seed {seed}", experiment, folder / task / protocol_key / key / f"seed{seed}")
+            yield PlannedRun(task, protocol_key, key, variant.label, seed, job)
 
 
-def _as_arguments(values: Mapping[str, Any]) -> list[str]:
+def _as_overrides(values: Mapping[str, Any]) -> list[str]:
+    """Command-line overrides of an experiment."""
     return [f"--{key}={json.dumps(value)}" for key, value in values.items()]

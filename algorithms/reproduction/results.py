@@ -1,4 +1,4 @@
-"""What the runs of a reproduction gave, as two tables that are kept: final scores and learning curves."""
+"""The results of the reproduction as two tables: final scores and learning curves."""
 
 from __future__ import annotations
 
@@ -19,54 +19,56 @@ from algorithms.common.metrics_file import read_metrics
 from algorithms.evaluation.front import Front
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.learning_curves import Columns
-from algorithms.reproduction.plan import Entry
+from algorithms.reproduction.plan import PlannedRun
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
-KEYS = ("cell", "arm", "variant", "label", "seed", "steps", "seconds", "policy")
-# Of the final evaluation and of those on the way; with two vehicles each has its own, "vehicle_0/..." and so on.
+KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "policy")
+# Of the final evaluation and of those during training; with several vehicles also "vehicle_0/..." and so on.
 METRICS = ("utility_esr", "utility_ser", "success", "end/collision", "end/off_lane", "end/time_limit", "length")
 FRONT_METRICS = ("hypervolume", "cardinality", "expected_utility", "igd_plus")
-# Sum of the utilities of all vehicles (the paper's figure 6), and the ends of a front's distances.
+# Sum of the utilities of all vehicles (the paper's figure 6), and the range of distances in a front.
 TOTAL_UTILITY, NEAREST, FARTHEST = "total_utility_esr", "lowest_distance", "highest_distance"
 CURVE_POLICIES = ("greedy", "stochastic", "front")
 
-Row = dict[str, Any]
+ResultRow = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Results:
-    """Scores and curves of a reproduction.
+class ReproductionResults:
+    """Scores and learning curves of all runs.
 
     Attributes:
-        scores: one row per run and policy: KEYS, then metrics; a metric that a run does not have is missing.
-        curves: one row per run and evaluation on the way: KEYS without "seconds" and "policy", "step", and metrics
-            whose names begin with the policy.
+        scores: one row per run and policy, with KEYS and metrics; missing metrics have no entry.
+        curves: one row per run and evaluation during training, with KEYS except "seconds" and "policy", "step", and
+            metrics whose names start with the policy.
     """
 
-    scores: list[Row]
-    curves: list[Row]
+    scores: list[ResultRow]
+    curves: list[ResultRow]
 
-    def values(self, cell: str, arm: str, variant: str, metric: str, policy: str = "stochastic") -> NDArray[np.float64]:
-        """(seeds,) one number per run, in the order of the seeds.
+    def values(
+        self, task: str, protocol: str, variant: str, metric: str, policy: str = "stochastic"
+    ) -> NDArray[np.float64]:
+        """Values (seeds,) of a metric, one per run, in the order of seeds.
 
         Raises:
-            KeyError: if there are none.
+            KeyError: if no run has the metric.
         """
-        where = (cell, arm, variant, policy)
+        where = (task, protocol, variant, policy)
         found = [
             (row["seed"], row[metric])
             for row in self.scores
-            if (row["cell"], row["arm"], row["variant"], row["policy"]) == where and metric in row
+            if (row["task"], row["protocol"], row["variant"], row["policy"]) == where and metric in row
         ]
         if not found:
-            raise KeyError(f"no run of {cell}/{arm}/{variant} has {metric!r} of the {policy} policy")
+            raise KeyError(f"no run of {task}/{protocol}/{variant} has {metric!r} of the {policy} policy")
         return np.array([value for _, value in sorted(found)], dtype=np.float64)
 
-    def runs(self, cell: str, arm: str, variant: str) -> list[Columns]:
-        """The curves of every run of a variant, in the order of the seeds."""
-        by_seed: dict[int, list[Row]] = {}
+    def learning_curves(self, task: str, protocol: str, variant: str) -> list[Columns]:
+        """Learning curves of all runs of a variant, in the order of seeds."""
+        by_seed: dict[int, list[ResultRow]] = {}
         for row in self.curves:
-            if (row["cell"], row["arm"], row["variant"]) == (cell, arm, variant):
+            if (row["task"], row["protocol"], row["variant"]) == (task, protocol, variant):
                 by_seed.setdefault(row["seed"], []).append(row)
         found = []
         for _, rows in sorted(by_seed.items()):
@@ -74,67 +76,69 @@ class Results:
             found.append({name: np.array([row.get(name, np.nan) for row in rows], dtype=np.float64) for name in names})
         return found
 
-    def variants(self, cell: str, arm: str) -> dict[str, str]:
-        """Keys and labels of the variants that have scores."""
-        return {row["variant"]: row["label"] for row in self.scores if (row["cell"], row["arm"]) == (cell, arm)}
+    def variants(self, task: str, protocol: str) -> dict[str, str]:
+        """Labels of the variants with scores, by key."""
+        return {
+            row["variant"]: row["label"] for row in self.scores if (row["task"], row["protocol"]) == (task, protocol)
+        }
 
-    def arms(self, cell: str) -> list[str]:
-        """Keys of the arms that have scores."""
-        return list(dict.fromkeys(row["arm"] for row in self.scores if row["cell"] == cell))
+    def protocols(self, task: str) -> list[str]:
+        """Keys of the protocols with scores."""
+        return list(dict.fromkeys(row["protocol"] for row in self.scores if row["task"] == task))
 
     def write(self, directory: Path) -> None:
         """Write both tables.
 
         Raises:
-            OSError: if a file cannot be written; each is whole or as it was.
+            OSError: if a file cannot be written; no file is left half written.
         """
-        atomic_write(directory / SCORES_FILE, _table(self.scores, KEYS))
+        atomic_write(directory / SCORES_FILE, _csv(self.scores, KEYS))
         curve_keys = (*(key for key in KEYS if key not in ("seconds", "policy")), "step")
-        # No name and no time in the header: the same curves are the same bytes.
-        atomic_write(directory / CURVES_FILE, gzip.compress(_table(self.curves, curve_keys), mtime=0))
+        # Without name and time in the header, equal curves give equal bytes.
+        atomic_write(directory / CURVES_FILE, gzip.compress(_csv(self.curves, curve_keys), mtime=0))
 
     @classmethod
-    def read(cls, directory: Path) -> Results:
-        """What :meth:`write` left.
+    def read(cls, directory: Path) -> ReproductionResults:
+        """Read both tables from the directory that :meth:`write` wrote to.
 
         Raises:
             ValueError: if a file is missing or broken.
         """
         try:
-            scores = _rows((directory / SCORES_FILE).read_text())
-            curves = _rows(gzip.decompress((directory / CURVES_FILE).read_bytes()).decode())
+            scores = _read_csv((directory / SCORES_FILE).read_text())
+            curves = _read_csv(gzip.decompress((directory / CURVES_FILE).read_bytes()).decode())
         except (OSError, EOFError, KeyError, ValueError) as error:
             raise ValueError(f"no results of a reproduction in {str(directory)!r}: {error}") from None
         return cls(scores, curves)
 
 
-def gather(entries: Iterable[Entry]) -> Results:
-    """The results of finished runs; the others are passed over."""
-    scores: list[Row] = []
-    curves: list[Row] = []
-    for entry in entries:
-        if not entry.job.done:
+def gather(runs: Iterable[PlannedRun]) -> ReproductionResults:
+    """The results of all finished runs."""
+    scores: list[ResultRow] = []
+    curves: list[ResultRow] = []
+    for run in runs:
+        if not run.job.done:
             continue
         keys = {
-            "cell": entry.cell,
-            "arm": entry.arm,
-            "variant": entry.variant,
-            "label": entry.label,
-            "seed": entry.seed,
-            "steps": entry.job.experiment.training.total_timesteps,
+            "task": run.task,
+            "protocol": run.protocol,
+            "variant": run.variant,
+            "label": run.label,
+            "seed": run.seed,
+            "steps": run.job.experiment.training.total_timesteps,
         }
-        seconds = float(Run.open(entry.job.path).status.get("seconds", 0.0))
-        for policy, metrics in _final(entry.job.path).items():
+        seconds = float(Run.open(run.job.path).status.get("seconds", 0.0))
+        for policy, metrics in _final_scores(run.job.path).items():
             scores.append({**keys, "seconds": seconds, "policy": policy, **metrics})
-        curves += [{**keys, **row} for row in _curve(entry.job.path)]
-    return Results(scores, curves)
+        curves += [{**keys, **row} for row in _learning_curve(run.job.path)]
+    return ReproductionResults(scores, curves)
 
 
-def _final(path: Path) -> dict[str, dict[str, float]]:
-    """The numbers of the final evaluation per policy."""
+def _final_scores(path: Path) -> dict[str, dict[str, float]]:
+    """The metrics of the final evaluation of the run in ``path``, by policy."""
     found = {}
     for policy, estimates in json.loads((path / "evaluation.json").read_text())["policies"].items():
-        metrics = {name: float(each["value"]) for name, each in estimates.items() if _wanted(name)}
+        metrics = {name: float(each["value"]) for name, each in estimates.items() if _is_kept(name)}
         if policy == "front":
             distances = _distances(Front.read(path))
             metrics |= {NEAREST: float(distances.min()), FARTHEST: float(distances.max())}
@@ -143,31 +147,33 @@ def _final(path: Path) -> dict[str, dict[str, float]]:
 
 
 def _distances(front: Front) -> NDArray[np.float64]:
+    """The returns (n,) of the objective "distance"; NaN if there is none."""
     if "distance" not in front.objectives:
         return np.full(1, np.nan)
     return front.returns[:, front.objectives.index("distance")]
 
 
-def _curve(path: Path) -> list[Row]:
-    """The evaluations on the way."""
+def _learning_curve(path: Path) -> list[ResultRow]:
+    """The evaluations during training of the run in ``path``."""
     columns = read_metrics(path / "metrics.csv")
     rows = []
     for policy in CURVE_POLICIES:
         prefix = f"eval/{policy}/"
-        names = [name for name in columns if name.startswith(prefix) and _wanted(name.removeprefix(prefix))]
+        names = [name for name in columns if name.startswith(prefix) and _is_kept(name.removeprefix(prefix))]
         for i, step in enumerate(columns["step"]):
             metrics = {name.removeprefix(prefix): float(columns[name][i]) for name in names}
             metrics = {name: value for name, value in metrics.items() if np.isfinite(value)}
             if metrics:
                 inner = {f"{policy}/{name}": value for name, value in _with_total(metrics).items()}
                 rows.append((int(step), inner))
-    merged: dict[int, Row] = {}
+    merged: dict[int, ResultRow] = {}
     for step, metrics in rows:
         merged.setdefault(step, {"step": step}).update(metrics)
     return [merged[step] for step in sorted(merged)]
 
 
-def _wanted(name: str) -> bool:
+def _is_kept(name: str) -> bool:
+    """Whether the tables have a metric."""
     vehicle, slash, rest = name.partition("/")
     plain = rest if slash and vehicle.startswith("vehicle_") else name
     return plain in METRICS or plain in FRONT_METRICS or plain.startswith("return/")
@@ -180,21 +186,29 @@ def _with_total(metrics: dict[str, float]) -> dict[str, float]:
     return {**metrics, TOTAL_UTILITY: sum(utilities)} if utilities else metrics
 
 
-def _table(rows: Sequence[Row], keys: Sequence[str]) -> bytes:
-    """A CSV of ``rows``: ``keys`` first, then every metric that some row has; numbers to seven digits."""
+def _csv(rows: Sequence[ResultRow], keys: Sequence[str]) -> bytes:
+    """``rows`` as CSV: ``keys`` first, then every metric of any row; numbers have seven significant digits."""
     names = [*keys, *dict.fromkeys(name for row in rows for name in row if name not in keys)]
 
-    def cell(value: Any) -> str:
+    def formatted(value: Any) -> str:
         return f"{value:.7g}" if isinstance(value, float) else str(value)
 
-    return csv_bytes([names, *([cell(row.get(name, "")) for name in names] for row in rows)])
+    return csv_bytes([names, *([formatted(row.get(name, "")) for name in names] for row in rows)])
 
 
-def _rows(text: str) -> list[Row]:
-    """The rows of a CSV that :func:`_table` wrote."""
+def _read_csv(text: str) -> list[ResultRow]:
+    """The rows of a CSV that :func:`_csv` wrote.
+
+    Raises:
+        ValueError: if it has other columns, or values of the wrong type.
+    """
+    reader = csv.DictReader(io.StringIO(text))
+    missing = {"task", "protocol", "variant", "seed"} - set(reader.fieldnames or ())
+    if missing:
+        raise ValueError(f"column {min(missing)!r} is missing; versions before 0.2 had 'cell' and 'arm'")
     rows = []
-    for line in csv.DictReader(io.StringIO(text)):
-        row: Row = {}
+    for line in reader:
+        row: ResultRow = {}
         for name, value in line.items():
             if value == "":
                 continue

@@ -1,19 +1,19 @@
-"""What the runs of a sweep have logged and scored, as Parquet files that are brought up to date when they are needed.
+"""The metrics and scores of all runs of a sweep as Parquet files, updated on demand.
 
 ``SWEEP/collected/`` is for anything that reads Parquet: ``pl.scan_parquet("SWEEP/collected/metrics/*.parquet")``,
-``pandas.read_parquet("SWEEP/collected/scores.parquet")``. A run is named by its id in all three:
+``pandas.read_parquet("SWEEP/collected/scores.parquet")``. In every file the column "run" has the run's id:
 
 ``runs.parquet``, one row per run of the manifest:
-    run, directory (within SWEEP), cell (its keys and values in words), trial (of a search, else null), seed,
-    state ("finished", "pruned", "failed", "running", "interrupted", "trained"; "waiting" before it has begun),
-    step (environment steps made), rows (of its metrics); then a column per key of the cell: numbers, truth values
-    and words as they are, anything else as JSON.
-``scores.parquet``, one row per number of the final evaluation of each finished run:
+    run, directory (relative to SWEEP), cell (its keys and values as text), trial (of a search, else null), seed,
+    state ("finished", "pruned", "failed", "running", "interrupted", "trained"; "waiting" before it starts),
+    step (environment steps so far), rows (of its metrics); then a column per key of the cell: numbers, booleans and
+    strings as they are, other values as JSON.
+``scores.parquet``, one row per metric in the final evaluation of each finished run:
     run, policy ("greedy", "stochastic" or "front"), vehicle ("" for one vehicle, or all together), metric, value,
-    low and high (95% interval over the episodes, null where there is none); then the columns of ``runs.parquet``
+    low and high (95% interval over the episodes, null if there is none); then the columns of ``runs.parquet``
     without directory, step and rows.
 ``metrics/part-*.parquet``, one row per row of each run's metrics.csv, unfinished runs included:
-    run, step; then every metric that any of the runs has, null where this one or this row has none.
+    run, step; then every metric of any run, null where a run or a row does not have it.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ import polars as pl
 from algorithms.common.atomic_io import leftovers
 from algorithms.experiments.run_directory import read_status
 from algorithms.reporting.learning_curves import MAX_POINTS, Columns
-from algorithms.sweeps.manifest import Row, label, read_manifest
-from algorithms.sweeps.metric_parts import Log, part_files, update_metrics, write_parquet
+from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
+from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
 
 if os.name == "posix":
     import fcntl
 
 FOLDER = "collected"
-NAMED = 3  # runs that are named in a message; the others are counted
-PLACE = ("policy", "vehicle", "metric")
-Place = tuple[str, str, str]
+MAX_NAMED = 3  # runs that a message lists by name
+SCORE_KEYS = ("policy", "vehicle", "metric")  # what identifies a score of a run
+ScoreKey = tuple[str, str, str]
 NUMBERS = ("value", "low", "high")
 POLICIES = ("greedy", "stochastic", "front")
 
@@ -53,54 +53,54 @@ class Cell:
     """Runs that differ in their seed alone.
 
     Attributes:
-        keys: the values that set it apart, as in the manifest.
-        trial: number of the search's point; None without a search.
-        rows: of the manifest.
+        keys: the varied values, by key, as in the manifest.
+        trial: number of the point in a hyperparameter search; None without a search.
+        rows: the runs in the manifest.
     """
 
     keys: dict[str, Any]
     trial: int | None
-    rows: tuple[Row, ...]
+    rows: tuple[ManifestRow, ...]
 
     @property
     def config(self) -> dict[str, Any]:
-        """The resolved experiment of one of the runs."""
+        """The resolved experiment of the first run."""
         return self.rows[0].config
 
 
 @dataclass(frozen=True)
 class Collection:
-    """The collected results of a sweep; :func:`collect` makes one.
+    """The collected results of a sweep, as returned by :func:`collect`.
 
     Attributes:
         sweep: its directory.
         rows: its manifest.
         states: of all runs, by id.
-        logs: of the runs that have a metrics.csv, by id.
-        scored: ids of the runs that have scores.
+        logs: of the runs with a metrics.csv, by id.
+        scored: ids of the runs with scores.
         problems: final evaluations that cannot be read.
     """
 
     sweep: Path
-    rows: tuple[Row, ...]
+    rows: tuple[ManifestRow, ...]
     states: dict[str, str]
-    logs: dict[str, Log]
+    logs: dict[str, LogState]
     scored: frozenset[str]
     problems: tuple[str, ...]
 
     @property
     def runs(self) -> pl.LazyFrame:
-        """``runs.parquet``."""
+        """Lazy frame of ``runs.parquet``."""
         return pl.scan_parquet(self.sweep / FOLDER / "runs.parquet", glob=False)
 
     @property
     def scores(self) -> pl.LazyFrame:
-        """``scores.parquet``."""
+        """Lazy frame of ``scores.parquet``."""
         return pl.scan_parquet(self.sweep / FOLDER / "scores.parquet", glob=False)
 
     @property
     def metrics(self) -> pl.LazyFrame:
-        """The metrics of all runs.
+        """Lazy frame of the metrics of all runs.
 
         Raises:
             ValueError: if no run has any.
@@ -108,43 +108,43 @@ class Collection:
         if not any(log.rows for log in self.logs.values()):
             raise ValueError(
                 f"no run of sweep {str(self.sweep)!r} has any metrics yet: scripts/sweep.py with --output {self.sweep} "
-                "makes the runs"
+                "trains the runs"
             )
         return pl.scan_parquet(part_files(self.sweep / FOLDER / "metrics"), glob=False)
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
-        """In the order of the manifest."""
-        found: dict[tuple[int | None, str], list[Row]] = {}
+        """The cells, in the order of the manifest."""
+        found: dict[tuple[int | None, str], list[ManifestRow]] = {}
         for row in self.rows:
             found.setdefault((row.trial, as_json(row.cell)), []).append(row)
         return tuple(Cell(rows[0].cell, rows[0].trial, tuple(rows)) for rows in found.values())
 
     @property
     def remarks(self) -> list[str]:
-        """What is missing, a line each."""
+        """Messages about missing and unreadable results, one line each."""
         found = []
         without = [row for row in self.rows if row.id not in self.scored]
         if without:
             counts = Counter(self.states[row.id] for row in without).most_common()
             states = ", ".join(f"{number} {state}" for state, number in counts)
-            which = _some([row.directory for row in without])
-            found.append(f"{len(without)} of {len(self.rows)} runs have no final evaluation ({states}): {which}")
+            names = _shortened([row.directory for row in without])
+            found.append(f"{len(without)} of {len(self.rows)} runs have no final evaluation ({states}): {names}")
         broken = [*self.problems, *(log.problem for log in self.logs.values() if log.problem)]
         if broken:
-            found.append(f"{len(broken)} files cannot be read: {_some(broken)}")
+            found.append(f"{len(broken)} files cannot be read: {_shortened(broken)}")
         return found
 
     def curves(self, runs: Sequence[str], names: Sequence[str], points: int = MAX_POINTS) -> dict[str, Columns]:
-        """Metrics of some runs, each averaged over ``points`` equal intervals of the steps.
+        """Learning curves of some runs, averaged within equal intervals of environment steps.
 
         Args:
             runs: ids.
             names: metrics.
-            points: at most so many per run and metric.
+            points: number of intervals, hence the maximum number of points per run and metric.
 
         Returns:
-            Columns by run, as :func:`algorithms.common.metrics_file.read_metrics` gives them.
+            Columns by run, as from :func:`algorithms.common.metrics_file.read_metrics`.
         """
         if not names:
             return {}
@@ -171,14 +171,15 @@ class Collection:
         }
 
     def latest_scores(self) -> tuple[str, pl.DataFrame]:
-        """The final evaluations ("final"); where no run has one, the last evaluation of each while it trains ("last").
+        """The best scores that are known: final evaluations, or the last evaluations during training if there are none.
 
-        The columns are run, policy, vehicle, metric and value.
+        Returns:
+            "final" or "last", and a frame with the columns run, policy, vehicle, metric and value.
 
         Raises:
             ValueError: if no run has any metrics.
         """
-        final = self.scores.select("run", *PLACE, "value").collect()
+        final = self.scores.select("run", *SCORE_KEYS, "value").collect()
         if self.scored:
             return "final", final
         metrics = self.metrics
@@ -193,26 +194,28 @@ class Collection:
             .agg(pl.col("value").sort_by("step").last())
             .collect(engine="streaming")
         )
-        places = [split_place(name.removeprefix("eval/")) for name in long["name"]]
-        columns = [pl.Series(name, [place[i] for place in places], pl.String) for i, name in enumerate(PLACE)]
+        keys = [split_score_name(name.removeprefix("eval/")) for name in long["name"]]
+        columns = [pl.Series(name, [key[i] for key in keys], pl.String) for i, name in enumerate(SCORE_KEYS)]
         return "last", long.with_columns(columns).drop("name")
 
 
 def collect(sweep: Path) -> Collection:
-    """Bring ``SWEEP/collected/`` up to date; the module says what is in it.
+    """Update ``SWEEP/collected/``; the module's docstring describes its files.
 
     Args:
         sweep: a directory with a manifest.
 
     Raises:
         ValueError: if there is no manifest, or it is broken or empty.
-        OSError: if something cannot be written; every file is whole.
+        OSError: if something cannot be written; no file is left half written.
     """
     rows = tuple(read_manifest(sweep))
     if not rows:
-        raise ValueError(f"sweep {str(sweep)!r} is empty: its manifest has no runs; scripts/sweep.py writes it")
+        raise ValueError(
+            f"sweep {str(sweep)!r} is empty: its manifest has no runs; scripts/sweep.py writes the manifest"
+        )
     folder = sweep / FOLDER
-    with _alone(folder):
+    with _locked(folder):
         status = {row.id: read_status(sweep / row.directory) for row in rows}
         states = {run: str(each.get("state", "waiting")) for run, each in status.items()}
         logs = update_metrics(folder / "metrics", {row.id: sweep / row.directory / "metrics.csv" for row in rows})
@@ -226,8 +229,8 @@ def collect(sweep: Path) -> Collection:
 
 
 @contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Make the folders; of several processes that collect the same sweep one waits for the other."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Create the folders, and hold a lock so that processes that collect the same sweep wait for each other."""
     (folder / "metrics").mkdir(parents=True, exist_ok=True)
     with (folder / ".lock").open("w") as lock:
         if os.name == "posix":
@@ -238,8 +241,9 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _runs_frame(
-    rows: Sequence[Row], states: Mapping[str, str], steps: Sequence[int], logs: Mapping[str, Log]
+    rows: Sequence[ManifestRow], states: Mapping[str, str], steps: Sequence[int], logs: Mapping[str, LogState]
 ) -> pl.DataFrame:
+    """The table of ``runs.parquet``."""
     keys = dict.fromkeys(key for row in rows for key in row.cell)
     return pl.DataFrame(
         [
@@ -257,6 +261,7 @@ def _runs_frame(
 
 
 def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
+    """A column of values of a varied key, in the narrowest type that holds them all; else as JSON."""
     types = {type(value) for value in values if value is not None}
     for wanted, kind in (({bool}, pl.Boolean), ({int}, pl.Int64), ({int, float}, pl.Float64), ({str}, pl.String)):
         if types <= wanted:
@@ -264,8 +269,8 @@ def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
     return pl.Series(key, [as_json(value) for value in values], pl.String)
 
 
-def _scores_frame(rows: Iterable[Row], sweep: Path) -> tuple[pl.DataFrame, list[str]]:
-    """The final evaluations, and those that cannot be read."""
+def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFrame, list[str]]:
+    """The final evaluations, and messages about those that cannot be read."""
     found: list[tuple[Any, ...]] = []
     problems = []
     for row in rows:
@@ -280,18 +285,18 @@ def _scores_frame(rows: Iterable[Row], sweep: Path) -> tuple[pl.DataFrame, list[
             continue
         except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
             problems.append(f"{path}: {error}")
-    types = {**dict.fromkeys(("run", *PLACE), pl.String()), **dict.fromkeys(NUMBERS, pl.Float64())}
+    types = {**dict.fromkeys(("run", *SCORE_KEYS), pl.String()), **dict.fromkeys(NUMBERS, pl.Float64())}
     return pl.DataFrame(found, types, orient="row"), problems
 
 
 def _split_vehicle(name: str) -> tuple[str, str]:
-    """``vehicle_0/end/collision`` as ``("vehicle_0", "end/collision")``; the vehicle is "" where none is named."""
+    """``vehicle_0/end/collision`` as ``("vehicle_0", "end/collision")``; without a vehicle, it is ""."""
     vehicle, slash, metric = name.partition("/")
     return (vehicle, metric) if slash and vehicle.startswith("vehicle_") else ("", name)
 
 
-def split_place(name: str) -> Place:
-    """``greedy/vehicle_0/success`` as ``("greedy", "vehicle_0", "success")``; the policy is "" where none is named."""
+def split_score_name(name: str) -> ScoreKey:
+    """``greedy/vehicle_0/success`` as ``("greedy", "vehicle_0", "success")``; without a policy, it is ""."""
     policy, slash, rest = name.partition("/")
     if not slash or policy not in POLICIES:
         policy, rest = "", name
@@ -300,10 +305,11 @@ def split_place(name: str) -> Place:
 
 
 def as_json(value: Any) -> str:
-    """JSON with sorted keys: the same text for equal values."""
+    """JSON with sorted keys: equal values have equal texts."""
     return json.dumps(value, sort_keys=True)
 
 
-def _some(names: Sequence[str]) -> str:
-    more = len(names) - NAMED
-    return ", ".join([*names[:NAMED], *([f"and {more} more"] if more > 0 else [])])
+def _shortened(names: Sequence[str]) -> str:
+    """The first few names, and the number of the others."""
+    more = len(names) - MAX_NAMED
+    return ", ".join([*names[:MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

@@ -1,4 +1,4 @@
-"""From a sweep to its manifest: one line of JSON per run, the same bytes on every machine and for every engine."""
+"""The manifest of a sweep: one line of JSON per run, byte for byte the same on every machine and for every backend."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment, override
 from algorithms.experiments.jobs import NOT_COMPARED, Job
-from algorithms.sweeps.search import Scores, propose
-from algorithms.sweeps.settings import SweepSettings
+from algorithms.sweeps.hyperparameter_search import Scores, propose_points
+from algorithms.sweeps.sweep_settings import SweepSettings
 
 FILE = "manifest.jsonl"
 RUNS = "runs"
-MOST_PROBLEMS = 5
+MAX_PROBLEMS = 5  # invalid cells that an error message lists
 ID_DIGITS = 12
 
 
 @dataclass(frozen=True)
-class Row:
-    """A line of the manifest: a run that is wanted.
+class ManifestRow:
+    """A line of the manifest: one run of the sweep.
 
     Attributes:
-        id: hexadecimal; a hash of everything in ``config`` that changes what comes out of the run.
-        directory: of the run, within the sweep's; it has algorithm, seed and id.
-        cell: what distinguishes the run's cell from the others, by key.
+        id: a hexadecimal hash of everything in ``config`` that affects the result of the run.
+        directory: of the run, relative to the sweep's; its name has the algorithm, the seed and the id.
+        cell: the varied values, by key.
         seed: of the run.
-        trial: number of the search's point; None without a search.
+        trial: number of the point in a hyperparameter search; None without a search.
         config: the resolved experiment.
     """
 
@@ -47,51 +47,51 @@ class Row:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """A readable name for messages."""
         return f"{label(self.cell)} seed {self.seed} ({self.id})".strip()
 
     def job(self, sweep: Path) -> Job:
-        """The run of a sweep that has the directory ``sweep``."""
+        """The job that trains this run of the sweep in the directory ``sweep``."""
         return Job(self.name, make_experiment(self.config, here=False), sweep / self.directory, self.id)
 
 
 def label(cell: Mapping[str, Any]) -> str:
-    """A cell in words: ``algorithm.learning_rate=0.001 training.num_envs=16``."""
+    """A cell as text: ``algorithm.learning_rate=0.001 training.num_envs=16``."""
     return " ".join(
         f"{key}={value if isinstance(value, str) else json.dumps(value, default=str)}" for key, value in cell.items()
     )
 
 
 def run_id(config: Mapping[str, Any]) -> str:
-    """The id of a resolved experiment: the beginning of the SHA-256 of its canonical JSON.
+    """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
 
-    Where it runs (device, threads) and what it logs are left out, for they do not change what comes out.
+    Device, threads and logging are left out: they do not affect the result.
     """
-    counted = copy.deepcopy(dict(config))
+    hashed = copy.deepcopy(dict(config))
     for key in NOT_COMPARED:
         *sections, last = key.split(".")
-        place = counted
+        place = hashed
         for section in sections:
             place = place[section]
         place.pop(last, None)
-    text = json.dumps(counted, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
 
 
-def expand(settings: SweepSettings, scores: Scores) -> list[Row]:
-    """The runs of a sweep, every experiment resolved and every cell built once.
+def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
+    """The runs of a sweep; every experiment is resolved, and every cell is built once to check it.
 
     Args:
         settings: the sweep.
-        scores: of the runs that have ended, by id; a search goes on from them, so that the last rows are those of the
-            batch that has not ended.
+        scores: of the runs that have ended, by id. A search continues from them, so that the last rows are those of
+            its unfinished batch.
 
     Raises:
-        ValueError: naming each cell that is wrong, and what is wrong with it; or two cells that are the same run.
+        ValueError: naming each invalid cell and its problem, or two cells with the same run.
     """
     bases = {path: read_mapping(path) for path in settings.config}
-    names = _names(settings.config)
-    rows: list[Row] = []
+    names = _short_names(settings.config)
+    rows: list[ManifestRow] = []
     problems: list[str] = []
     combinations = list(product(bases, *settings.grid.values()))
     for path, *values in combinations:
@@ -99,106 +99,109 @@ def expand(settings: SweepSettings, scores: Scores) -> list[Row]:
         cell = {"config": names[path], **grid} if len(bases) > 1 else grid
         try:
             base = _overridden(bases[path], {**settings.overrides, **grid}, cell)
-            rows += _searched(settings, cell, base, scores) if settings.search else _seeds(settings, cell, base)
+            rows += _search_rows(settings, cell, base, scores) if settings.search else _cell_rows(settings, cell, base)
         except ValueError as error:
             problems.append(str(error))
     if problems:
-        more = len(problems) - MOST_PROBLEMS
-        shown = [*problems[:MOST_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
-        raise ValueError(f"{len(problems)} of {len(combinations)} cells are wrong:\n  " + "\n  ".join(shown))
-    _refuse_repeated(rows)
+        more = len(problems) - MAX_PROBLEMS
+        shown = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
+        raise ValueError(f"{len(problems)} of {len(combinations)} cells are invalid:\n  " + "\n  ".join(shown))
+    _refuse_duplicates(rows)
     return rows
 
 
-def _searched(settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any], scores: Scores) -> list[Row]:
+def _search_rows(
+    settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any], scores: Scores
+) -> list[ManifestRow]:
+    """The rows of a hyperparameter search within one cell of the grid."""
     assert settings.search is not None
-    rows: list[Row] = []
+    rows: list[ManifestRow] = []
 
     def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
-        here = {**cell, **point}
-        found = _seeds(settings, here, _overridden(base, point, here), trial)
-        known = {row.id for row in rows}  # a point may be chosen again
+        point_cell = {**cell, **point}
+        found = _cell_rows(settings, point_cell, _overridden(base, point, point_cell), trial)
+        known = {row.id for row in rows}  # a search may choose a point twice
         rows.extend(row for row in found if row.id not in known)
         return [row.id for row in found]
 
-    propose(settings.search, runs_of, scores)
+    propose_points(settings.search, runs_of, scores)
     return rows
 
 
-def _seeds(
+def _cell_rows(
     settings: SweepSettings, cell: dict[str, Any], values: dict[str, Any], trial: int | None = None
-) -> list[Row]:
-    """The rows of one cell."""
-    where = _place(cell)
-    rows: list[Row] = []
+) -> list[ManifestRow]:
+    """The rows of one cell, one per seed."""
+    where = _cell_name(cell)
+    rows: list[ManifestRow] = []
     for seed in settings.seeds:
         experiment = make_experiment(_overridden(values, {"training.seed": seed}, cell), where, here=False)
         if not rows:
-            _try(experiment, where)
+            _check_buildable(experiment, where)
         config = _sorted(experiment.to_dict())
         name = run_id(config)
         directory = f"{RUNS}/{experiment.algorithm['name']}-seed{seed}-{name}"
-        rows.append(Row(name, directory, cell, seed, trial, config))
+        rows.append(ManifestRow(name, directory, cell, seed, trial, config))
     return rows
 
 
-def _try(experiment: Experiment, where: str) -> None:
-    """Refuse what would be refused when the run begins."""
-    settings = experiment.training.model_copy(update={"device": "cpu"})  # the run's may be on another machine
+def _check_buildable(experiment: Experiment, where: str) -> None:
+    """Raise now the error that the run would raise when it starts."""
+    settings = experiment.training.model_copy(update={"device": "cpu"})  # this machine may not have the run's device
     try:
         build(experiment.model_copy(update={"training": settings}), num_envs=1)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _place(cell: Mapping[str, Any]) -> str:
-    """For messages."""
+def _cell_name(cell: Mapping[str, Any]) -> str:
+    """The name of a cell in messages."""
     return f"cell [{label(cell)}]"
 
 
 def _overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
-    """The values with the changes; errors name the cell."""
+    """A copy of ``values`` with ``changes`` applied; errors name the cell."""
     result = copy.deepcopy(dict(values))
     try:
         for key, value in changes.items():
             override(result, key, copy.deepcopy(value))
     except ValueError as error:
-        raise ValueError(f"{_place(cell)}: {error}") from None
+        raise ValueError(f"{_cell_name(cell)}: {error}") from None
     return result
 
 
 def _sorted(value: Any) -> Any:
-    """The same, whatever the order in which the keys of its mappings were written."""
+    """The value with the keys of all its mappings in alphabetical order."""
     if isinstance(value, Mapping):
         return {key: _sorted(value[key]) for key in sorted(value)}
     return [_sorted(each) for each in value] if isinstance(value, list) else value
 
 
-def _names(paths: Sequence[str]) -> dict[str, str]:
-    """Short names of config files: their stems, or the paths where stems repeat."""
+def _short_names(paths: Sequence[str]) -> dict[str, str]:
+    """Short names of config files: their stems, or the paths if two stems are equal."""
     stems = [Path(path).stem for path in paths]
     return dict(zip(paths, stems if len(set(stems)) == len(stems) else paths, strict=True))
 
 
-def _refuse_repeated(rows: Sequence[Row]) -> None:
-    seen: dict[str, Row] = {}
+def _refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
+    seen: dict[str, ManifestRow] = {}
     for row in rows:
         other = seen.setdefault(row.id, row)
         if other is not row:
             raise ValueError(
                 f"cells [{label(other.cell)}] and [{label(row.cell)}] have the same run (seed {row.seed}, {row.id}): "
-                "they differ in nothing that changes what comes out of it"
+                "they do not differ in anything that affects its result"
             )
 
 
-def manifest_bytes(rows: Sequence[Row]) -> bytes:
-    """The text of a manifest."""
+def manifest_bytes(rows: Sequence[ManifestRow]) -> bytes:
+    """The content of a manifest file."""
     lines = [json.dumps(asdict(row), separators=(",", ":"), allow_nan=False) for row in rows]
     return "".join(line + "\n" for line in lines).encode()
 
 
-def write_manifest(sweep: Path, rows: Sequence[Row]) -> Path:
-    """Write the manifest into a sweep's directory, atomically; its path.
+def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
+    """Write the manifest into a sweep's directory, atomically; returns its path.
 
     Raises:
         OSError: if it cannot be written.
@@ -210,11 +213,11 @@ def write_manifest(sweep: Path, rows: Sequence[Row]) -> Path:
 
 
 def is_sweep(path: Path) -> bool:
-    """Whether a directory is a sweep's."""
+    """Whether a directory is that of a sweep."""
     return (path / FILE).is_file()
 
 
-def read_manifest(sweep: Path) -> list[Row]:
+def read_manifest(sweep: Path) -> list[ManifestRow]:
     """The rows of a sweep's manifest.
 
     Raises:
@@ -226,7 +229,7 @@ def read_manifest(sweep: Path) -> list[Row]:
     rows = []
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         try:
-            rows.append(Row(**json.loads(line)))
+            rows.append(ManifestRow(**json.loads(line)))
         except (TypeError, ValueError) as error:
             raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {error}") from None
     return rows

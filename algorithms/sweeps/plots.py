@@ -13,7 +13,7 @@ from algorithms.evaluation.metrics import evaluation_prefix
 from algorithms.reporting.learning_curves import CurveGroup, describe, drawn, plot
 from algorithms.reporting.sweep_effects import VariedScores, plot_effects
 from algorithms.sweeps.collection import Cell, Collection, collect
-from algorithms.sweeps.ranking import Setting, cell_labels, rank, short_names, varying, words
+from algorithms.sweeps.ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
 
 MAX_CURVES = 8  # cells, as many as there are colours
 
@@ -36,7 +36,7 @@ def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Call
         warn(f"left out: {remark}")
     when, scores = collection.latest_scores()
     settings = rank(collection.cells, scores)
-    what = f"{when} {' or '.join(dict.fromkeys(setting.what for setting in settings if setting.scores))}"
+    what = f"{when} {' or '.join(dict.fromkeys(setting.score_name for setting in settings if setting.scores))}"
     groups = best_curves(collection, settings)
     count = len(collection.cells)
     left_out = count - len(groups)
@@ -51,7 +51,7 @@ def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Call
         say(str(path))
 
 
-def best_cells(settings: Sequence[Setting]) -> list[Cell]:
+def best_cells(settings: Sequence[Ranking]) -> list[Cell]:
     """The best cells: the best of every setting, then the second best of every setting, and so on, up to MAX_CURVES.
 
     They are returned by setting.
@@ -60,7 +60,7 @@ def best_cells(settings: Sequence[Setting]) -> list[Cell]:
     return [settings[s].cells[place] for s, place in sorted((s, place) for place, s in places[:MAX_CURVES])]
 
 
-def best_curves(collection: Collection, settings: Sequence[Setting]) -> list[CurveGroup]:
+def best_curves(collection: Collection, settings: Sequence[Ranking]) -> list[CurveGroup]:
     """The curves of the best cells, of those runs that have a score; with several cells of the ranked policies alone.
 
     Raises:
@@ -74,7 +74,7 @@ def best_curves(collection: Collection, settings: Sequence[Setting]) -> list[Cur
         wanted = {name for name in wanted if name.startswith(ranked)}
     runs = {run for setting in settings for run in setting.scores}
     found = collection.curves([row.id for cell in cells for row in cell.rows if row.id in runs], sorted(wanted))
-    labels = cell_labels(cells, varying([cell.keys for cell in collection.cells]))
+    labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = [
         CurveGroup(text, cell.config, tuple(found[row.id] for row in cell.rows if row.id in found))
         for text, cell in zip(labels, cells, strict=True)
@@ -82,17 +82,17 @@ def best_curves(collection: Collection, settings: Sequence[Setting]) -> list[Cur
     return [group for group in groups if group.runs]
 
 
-def varied_scores(collection: Collection, setting: Setting) -> VariedScores:
+def varied_scores(collection: Collection, setting: Ranking) -> VariedScores:
     """The scores of a setting's runs, and the values of each key that varies among them, in the manifest's order."""
     rows = [row for row in collection.rows if row.id in setting.scores]
-    keys = varying([row.cell for row in rows])
+    keys = varying_keys([row.cell for row in rows])
     names = short_names(keys)
     values = {names[key]: _numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
-    return VariedScores(setting.title, setting.what, np.array([setting.scores[row.id] for row in rows]), values)
+    return VariedScores(setting.title, setting.score_name, np.array([setting.scores[row.id] for row in rows]), values)
 
 
 def _numbers_or_words(values: Sequence[Any]) -> NDArray[np.float64] | list[str]:
-    """Values of a key: as they are if all are numbers, else as words."""
+    """Values of a key: as they are if all are numbers, else as value_labels."""
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
         return np.array(values, dtype=np.float64)
-    return words(values)
+    return value_labels(values)

@@ -1,4 +1,4 @@
-"""A sweep on Ray Tune: embedded in this process, or on a cluster that is running."""
+"""The Ray Tune backend: runs a sweep on Ray started in this process, or on an existing cluster."""
 
 from __future__ import annotations
 
@@ -23,39 +23,43 @@ from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.sweeps.manifest import read_manifest
-from algorithms.sweeps.scores import final_metrics
-from algorithms.sweeps.settings import AshaSettings, SweepSettings
+from algorithms.sweeps.run_scores import final_metrics
+from algorithms.sweeps.sweep_settings import AshaSettings, SweepSettings
 
-Report = dict[str, Any]
+TuneReport = dict[str, Any]
 GIB = 2**30
-KNOCK = 10.0  # s
+CONNECT_TIMEOUT = 10.0  # s, to find out whether a cluster can be reached
 
 
-class RunTrainable(tune.Trainable):
-    """A run of the sweep as a Tune trial: it reports every evaluation, per objective, and the final one.
+class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not checked
+    """A run of the sweep as a Tune trial, which reports every evaluation during training and the final one.
 
-    The run's directory is its checkpoint: a trial that is begun again, by whatever actor, goes on from there. Training
-    has a thread of its own, so that Tune is answered, and its wish to stop heard, at any time.
+    The run's directory is its checkpoint: a restarted trial resumes from it, on whatever actor. Training runs in a
+    separate thread, so that the actor can respond to Tune at any time.
     """
 
     def setup(self, config: dict[str, Any]) -> None:
-        """Begin."""
-        self._reports: queue.SimpleQueue[Report | BaseException] = queue.SimpleQueue()
+        """Start the training thread."""
+        self._reports: queue.SimpleQueue[TuneReport | BaseException] = queue.SimpleQueue()
         self._stop = threading.Event()
-        self._last: Report = {}
+        self._last: TuneReport = {}
         self._thread = threading.Thread(
-            target=self._work, args=(config, self._reports, self._stop), daemon=True, name="training"
+            target=self._run_job, args=(config, self._reports, self._stop), daemon=True, name="training"
         )
         self._thread.start()
 
     def reset_config(self, new_config: dict[str, Any]) -> bool:
-        """Begin another run in the same process."""
+        """Start another run in the same process."""
         self.cleanup()
         self.setup(new_config)
         return True
 
-    def step(self) -> Report:
-        """The next report; raises what the run raised where another try may help."""
+    def step(self) -> TuneReport:
+        """Wait for the next report.
+
+        Raises:
+            RuntimeError: if the run failed for a reason for which Tune should retry it.
+        """
         report = self._reports.get()
         if isinstance(report, BaseException):
             raise report
@@ -63,13 +67,13 @@ class RunTrainable(tune.Trainable):
         return self._last
 
     def cleanup(self) -> None:
-        """Stop, which saves."""
+        """Stop training, which saves a checkpoint."""
         self._stop.set()
         self._thread.join()
 
     @staticmethod
-    def _work(
-        config: dict[str, Any], reports: queue.SimpleQueue[Report | BaseException], stop: threading.Event
+    def _run_job(
+        config: dict[str, Any], reports: queue.SimpleQueue[TuneReport | BaseException], stop: threading.Event
     ) -> None:
         def watch(step: int, metrics: Mapping[str, float]) -> None:
             if any(name.startswith("eval/") for name in metrics):
@@ -78,7 +82,7 @@ class RunTrainable(tune.Trainable):
         try:
             sweep = Path(config["sweep"])
             (job,) = (row.job(sweep) for row in read_manifest(sweep) if row.id == config["run"]["id"])
-            for step, metrics in _evaluations(job):
+            for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():
                 try:
@@ -94,12 +98,12 @@ class RunTrainable(tune.Trainable):
             reports.put({"done": True, "error": describe(error), "disk_full": True})
         except (Stopped, OSError) as error:
             reports.put(RuntimeError(describe(error)))
-        except Exception as error:  # it would only repeat itself
+        except Exception as error:  # a retry would fail in the same way
             reports.put({"done": True, "error": describe(error)})
 
 
-def _evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
-    """What a run that has been begun has already logged up to its last checkpoint: early stopping must know it."""
+def _logged_evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
+    """The evaluations that a resumed run logged up to its last checkpoint, which early stopping needs."""
     path = job.path / "metrics.csv"
     if not path.is_file():
         return []
@@ -113,37 +117,37 @@ def _evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
     ]
 
 
-class _Asha(ASHAScheduler):
-    """Successive halving that remembers whom it stopped."""
+class _RecordingAsha(ASHAScheduler):  # type: ignore[misc]  # Ray's types are not checked
+    """Asynchronous successive halving that records which runs it pruned."""
 
-    def __init__(self, settings: AshaSettings, most: int):
+    def __init__(self, settings: AshaSettings, max_steps: int):
         super().__init__(
             time_attr="step",
             metric=f"eval/{settings.metric}",
             mode=settings.direction[:3],
-            max_t=most,
-            grace_period=min(settings.grace_period, most),
+            max_t=max_steps,
+            grace_period=min(settings.grace_period, max_steps),
             reduction_factor=settings.reduction_factor,
             stop_last_trials=False,
         )
         self.pruned: set[str] = set()
 
-    def on_trial_result(self, tune_controller: Any, trial: Any, result: Report) -> str:
-        decision = super().on_trial_result(tune_controller, trial, result)
+    def on_trial_result(self, tune_controller: Any, trial: Any, result: TuneReport) -> str:
+        decision: str = super().on_trial_result(tune_controller, trial, result)
         if decision == TrialScheduler.STOP and not result.get("done"):
             self.pruned.add(trial.config["run"]["id"])
         return decision
 
 
-class _Here:
-    """Belongs to this process: of what Tune saves of a sweep nothing is read again, the run directories tell."""
+class _NotPickled:
+    """Has no state in Tune's own checkpoints, which are not read again: the run directories have all the state."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {}
 
 
-class _Listener(_Here, tune.Callback):
-    """Shows the progress and keeps the errors."""
+class _ProgressCallback(_NotPickled, tune.Callback):  # type: ignore[misc]  # Ray's types are not checked
+    """Updates the dashboard and collects errors."""
 
     def __init__(self, jobs: Sequence[Job], monitor: Dashboard):
         self._jobs = {job.id: job for job in jobs}
@@ -151,40 +155,40 @@ class _Listener(_Here, tune.Callback):
         self.failed: dict[Job, str] = {}
         self.disk_full: str | None = None
 
-    def on_step_end(self, iteration: int, trials: list[Any], **info: Any) -> None:
+    def on_step_end(self, *_arguments: Any, **_info: Any) -> None:
         self._monitor.update()
 
-    def on_trial_result(self, iteration: int, trials: list[Any], trial: Any, result: Report, **info: Any) -> None:
+    def on_trial_result(self, *_arguments: Any, trial: Any, result: TuneReport, **_info: Any) -> None:
         if "error" in result:
-            self._note(trial, result["error"])
+            self._record(trial, result["error"])
         if "disk_full" in result:
             self.disk_full = result["error"]
 
-    def on_trial_error(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
+    def on_trial_error(self, *_arguments: Any, trial: Any, **_info: Any) -> None:
         text = str(trial.get_error() or trial.get_pickled_error() or "")
         died = "ActorDiedError" in text or "ActorUnavailableError" in text or "OutOfMemoryError" in text
-        self._note(trial, DIED if died else text.strip().splitlines()[-1])
+        self._record(trial, DIED if died else text.strip().splitlines()[-1])
 
-    def _note(self, trial: Any, reason: str) -> None:
+    def _record(self, trial: Any, reason: str) -> None:
         job = self._jobs[trial.config["run"]["id"]]
         self.failed[job] = reason
         self._monitor.failed(job, reason)
 
 
-class _Stopper(_Here, tune.Stopper):
-    """Ends everything when asked to; what is going on is saved."""
+class _StopWhenAsked(_NotPickled, tune.Stopper):  # type: ignore[misc]  # Ray's types are not checked
+    """Stops all trials once ``stop`` returns True; each saves a checkpoint."""
 
     def __init__(self, stop: Callable[[], bool]):
-        self._asked = stop
+        self._stop = stop
 
-    def __call__(self, trial_id: str, result: Report) -> bool:
+    def __call__(self, _trial_id: str, _result: TuneReport) -> bool:
         return False
 
     def stop_all(self) -> bool:
-        return self._asked()
+        return self._stop()
 
 
-def make_on_ray(
+def run_on_ray(
     jobs: Sequence[Job],
     settings: SweepSettings,
     sweep: Path,
@@ -194,29 +198,29 @@ def make_on_ray(
     address: str | None = None,
     workers: int | None = None,
 ) -> dict[Job, str]:
-    """Make the runs as trials of Ray Tune.
+    """Train the runs as trials of Ray Tune.
 
     Args:
-        jobs: the runs; those that are done are passed over (with early stopping, reported from their files).
-        settings: the sweep's.
-        sweep: its directory, which all nodes see under the same path.
+        jobs: the runs; finished ones are skipped (with early stopping, their logged evaluations are reported).
+        settings: of the sweep.
+        sweep: its directory, which all nodes must see under the same path.
         monitor: shows the progress.
-        stop: asked several times a second; True saves what is going on and returns.
-        address: of a running cluster, or "auto"; None starts Ray within this process and ends it afterwards.
-        workers: runs at a time; None for as many as Ray has resources for.
+        stop: called several times a second; once it returns True, the running trials are saved and this returns.
+        address: of a running cluster, or "auto"; None starts Ray in this process and shuts it down afterwards.
+        workers: maximum number of concurrent runs; None for as many as Ray has resources for.
 
     Returns:
         The jobs that failed, each with its reason.
 
     Raises:
-        Stopped: if there is no such cluster.
-        DiskFull: when there is no space left.
+        Stopped: if the cluster cannot be reached.
+        DiskFull: if there is no space left.
     """
-    asha = None if settings.ray.asha is None else _Asha(settings.ray.asha, max(map(_steps, jobs)))
+    asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, max(map(_steps, jobs)))
     wanted = [job for job in jobs if asha is not None or not job.done]
-    # Runs that have been begun tell early stopping first how they were.
+    # Early stopping should hear of the runs that have already started first.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
-    listener = _Listener(wanted, monitor)
+    progress = _ProgressCallback(wanted, monitor)
     _connect(address)
     try:
         tuner = tune.Tuner(
@@ -229,37 +233,37 @@ def make_on_ray(
                 scheduler=asha,
                 reuse_actors=True,
                 max_concurrent_trials=workers,
-                trial_name_creator=_name,
-                trial_dirname_creator=_name,
+                trial_name_creator=_trial_name,
+                trial_dirname_creator=_trial_name,
             ),
             run_config=tune.RunConfig(
                 name=time.strftime("%Y%m%d-%H%M%S"),
                 storage_path=str(sweep.resolve() / "ray"),
                 checkpoint_config=tune.CheckpointConfig(checkpoint_at_end=False),  # a run's directory is its checkpoint
                 failure_config=tune.FailureConfig(max_failures=settings.retries),
-                callbacks=[listener],
-                stop=_Stopper(lambda: stop() or listener.disk_full is not None),
+                callbacks=[progress],
+                stop=_StopWhenAsked(lambda: stop() or progress.disk_full is not None),
                 verbose=0,
             ),
         )
         tuner.fit()
     finally:
         ray.shutdown()
-    if listener.disk_full is not None:
-        raise DiskFull(listener.disk_full)
+    if progress.disk_full is not None:
+        raise DiskFull(progress.disk_full)
     pruned = set() if asha is None else asha.pruned
     for job in wanted:
         if job.id in pruned and not job.done:
             run = Run.open(job.path)
             run.set_status("pruned", run.status.get("step", 0))
-    return {job: reason for job, reason in listener.failed.items() if not job.done}
+    return {job: reason for job, reason in progress.failed.items() if not job.done}
 
 
 def _steps(job: Job) -> int:
     return job.experiment.training.total_timesteps
 
 
-def _name(trial: Any) -> str:
+def _trial_name(trial: Any) -> str:
     return str(trial.config["run"]["id"])
 
 
@@ -270,29 +274,29 @@ def _resources(settings: SweepSettings) -> dict[str, float]:
 
 
 def _connect(address: str | None) -> None:
-    """Begin with Ray: embedded, or on a running cluster.
+    """Start Ray in this process, or connect to a running cluster.
 
     Raises:
-        Stopped: if there is none.
+        Stopped: if the cluster cannot be reached.
     """
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     try:
         if address is None:
             ray.init(address="local", include_dashboard=False, **quiet)
         else:
-            _knock(address)
+            _check_reachable(address)
             ray.init(address=address, **quiet)
     except (OSError, ValueError) as error:
         hint = "if the cluster asks for a token, set RAY_AUTH_MODE=token"
         raise Stopped(f"--address {address}: {' '.join(str(error).split())} ({hint})") from None
 
 
-def _knock(address: str) -> None:
-    """Find out quickly whether anybody is at ``host:port``; Ray itself tries for minutes.
+def _check_reachable(address: str) -> None:
+    """Check that something listens at ``host:port``; Ray itself would keep trying for minutes.
 
     Raises:
-        OSError: if nobody is.
+        OSError: if nothing does.
     """
     host, _, port = address.rpartition(":")
     if host and port.isdecimal() and "/" not in host:
-        socket.create_connection((host, int(port)), timeout=KNOCK).close()
+        socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()

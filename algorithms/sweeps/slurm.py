@@ -1,9 +1,12 @@
-"""A sweep on Slurm: one job array through submitit, whose tasks save and requeue themselves when they must go."""
+"""The Slurm backend: submits a sweep as a job array through submitit, and watches it.
+
+The batch script is in :mod:`algorithms.sweeps.slurm_script`. Before the time limit, or when pre-empted, a task saves
+its runs and requeues itself.
+"""
 
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import signal
 import subprocess
@@ -25,30 +28,30 @@ from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.manifest import read_manifest
-from algorithms.sweeps.settings import SweepSettings
+from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, sbatch_options, slurm_folder
+from algorithms.sweeps.sweep_settings import SweepSettings
 
-POLL = 5.0  # s between looks at the queue
-ARRAY = 1000  # tasks of an array; Slurm takes no more unless it is told to
-ASKED = 500  # jobs per look, for a command line has its limits
-# States of a Slurm job that will not run again.
-ENDED = (
+POLL = 5.0  # s between queries of the queue
+JOBS_PER_QUERY = 500  # the length of a command line is limited
+# States of a Slurm job that will not run (again).
+FINAL_STATES = (
     *("BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL"),
     *("OUT_OF_MEMORY", "PREEMPTED", "REVOKED", "TIMEOUT"),
 )
 
 
 @dataclass
-class Chunk:
-    """What one task of the array does: the runs of a part of the manifest.
+class ArrayTask:
+    """What one task of the job array does: train some of the runs in the manifest.
 
-    Told to go, it saves what is going on and requeues itself: by SIGUSR2, which submitit catches, before the job's time
-    is over; by SIGTERM when it is pre-empted. Begun again it goes on, for the runs' directories say how far they are.
+    On SIGUSR2, which submitit handles and Slurm sends before the time limit, and on SIGTERM, which Slurm sends on
+    pre-emption, it saves its runs and requeues itself. When it starts again, the runs resume from their directories.
 
     Attributes:
         sweep: the sweep's directory.
         ids: of the runs.
-        side_by_side: how many at a time.
-        retries: as for :func:`algorithms.experiments.worker_pool.perform_all`.
+        side_by_side: number of concurrent runs.
+        retries: as in :func:`algorithms.experiments.worker_pool.perform_all`.
     """
 
     sweep: Path
@@ -59,7 +62,7 @@ class Chunk:
     _ended: threading.Event | None = field(default=None, init=False, repr=False)
 
     def __call__(self) -> list[str]:
-        """Make the runs; the errors of those that failed."""
+        """Train the runs; returns the errors of those that failed."""
         wanted = set(self.ids)
         jobs = [row.job(self.sweep) for row in read_manifest(self.sweep) if row.id in wanted]
         stop, ended = threading.Event(), threading.Event()
@@ -75,8 +78,8 @@ class Chunk:
             finally:
                 ended.set()
 
-        # The main thread is left to the signals, whose handlers can then wait for the work to be saved.
-        signal.signal(signal.SIGTERM, lambda number, frame: stop.set())
+        # The main thread only handles signals, so that a handler can wait until the other thread has saved.
+        signal.signal(signal.SIGTERM, lambda _number, _frame: stop.set())
         threading.Thread(target=work).start()
         while not ended.wait(1.0):
             pass
@@ -88,146 +91,108 @@ class Chunk:
         return [f"{job.name}: {error}" for job, error in outcome.items()]
 
     def checkpoint(self) -> submitit.helpers.DelayedSubmission:
-        """Save what is going on, and ask for the same again; submitit calls it in its signal handler."""
+        """Save the runs, and ask to be submitted again; called by submitit's signal handler."""
         if self._stop is not None and self._ended is not None:
             self._stop.set()
             self._ended.wait()
-        return submitit.helpers.DelayedSubmission(Chunk(self.sweep, self.ids, self.side_by_side, self.retries))
+        return submitit.helpers.DelayedSubmission(ArrayTask(self.sweep, self.ids, self.side_by_side, self.retries))
 
 
 def _requeue(job: str) -> None:
-    """Put a job that must go back into the queue, unless somebody has cancelled it."""
-    if _states([job]) == {job: "RUNNING"}:
+    """Requeue a job, unless it has been cancelled."""
+    if _query_states([job]) == {job: "RUNNING"}:
         subprocess.run(["scontrol", "requeue", job], check=True)
 
 
-def _states(jobs: Sequence[str]) -> dict[str, str] | None:
-    """The state of every job, or task of an array, that Slurm still knows; None if it does not answer."""
+def _query_states(jobs: Sequence[str]) -> dict[str, str] | None:
+    """The states of all jobs and array tasks that Slurm still knows; None if it does not answer."""
     command = ["squeue", "--all", "--states=all", "--array", "--noheader", "--format=%i|%T"]
     found: dict[str, str] = {}
-    for first in range(0, len(jobs), ASKED):
-        asked = subprocess.run(
-            [*command, f"--jobs={','.join(jobs[first : first + ASKED])}"], capture_output=True, text=True, check=False
+    for first in range(0, len(jobs), JOBS_PER_QUERY):
+        answer = subprocess.run(
+            [*command, f"--jobs={','.join(jobs[first : first + JOBS_PER_QUERY])}"],
+            capture_output=True,
+            text=True,
+            check=False,
         )
-        if asked.returncode and "Invalid job id" not in asked.stderr:
+        if answer.returncode and "Invalid job id" not in answer.stderr:
             return None
-        found |= dict(line.split("|") for line in asked.stdout.split())
+        found |= dict(line.split("|") for line in answer.stdout.split())
     return found
 
 
-class _ScriptOnly(submitit.SlurmExecutor):
-    """Also where no Slurm is installed; for the text of the script."""
-
-    @classmethod
-    def affinity(cls) -> int:
-        return 1
-
-
-def chunks(jobs: Sequence[Job], settings: SweepSettings, sweep: Path) -> list[Chunk]:
-    """The tasks of an array that makes the runs."""
+def array_tasks(jobs: Sequence[Job], settings: SweepSettings, sweep: Path) -> list[ArrayTask]:
+    """Divide the runs among tasks of a job array."""
     ids = [str(job.id) for job in jobs]
     size = settings.slurm.runs_per_job
     return [
-        Chunk(sweep.resolve(), tuple(ids[first : first + size]), settings.slurm.side_by_side, settings.retries)
+        ArrayTask(sweep.resolve(), tuple(ids[first : first + size]), settings.slurm.side_by_side, settings.retries)
         for first in range(0, len(ids), size)
     ]
 
 
-def parameters(settings: SweepSettings, name: str) -> dict[str, Any]:
-    """What submitit asks of Slurm for each task of the array."""
-    slurm, needs = settings.slurm, settings.resources
-    cpus = max(1, math.ceil(needs.cpus * slurm.side_by_side))
-    gpus = math.ceil(needs.gpus * slurm.side_by_side)
-    optional = {
-        "partition": slurm.partition,
-        "account": slurm.account,
-        "qos": slurm.qos,
-        "constraint": slurm.constraint,
-        "gpus_per_node": gpus or None,
-        "mem": None if needs.memory_gb is None else f"{math.ceil(1024 * needs.memory_gb * slurm.side_by_side)}MB",
-        "setup": slurm.setup or None,
-    }
-    return {
-        "job_name": name,
-        "time": needs.minutes,
-        "cpus_per_task": cpus,
-        "array_parallelism": slurm.array_parallelism,
-        "signal_delay_s": slurm.signal_delay_s,
-        "stderr_to_stdout": True,
-        # Since Slurm 22.05 a step does not inherit the job's cores.
-        "srun_args": [f"--cpus-per-task={cpus}"],
-        "additional_parameters": {"requeue": True, **slurm.additional},
-        **{key: value for key, value in optional.items() if value is not None},
-    }
+class SlurmQueue:
+    """The submitted jobs of a sweep, stored in slurm/jobs.json so that no run is submitted twice.
 
-
-def script(jobs: Sequence[Job], settings: SweepSettings, sweep: Path) -> str:
-    """The batch script that would be submitted for the runs, or for the first array of them."""
-    executor = _ScriptOnly(_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
-    executor.update_parameters(**parameters(settings, sweep.name))
-    count = min(ARRAY, len(chunks(jobs, settings, sweep)))
-    if count > 1:
-        executor.parameters["map_count"] = count
-    return executor._make_submission_file_text(executor._submitit_command_str, "")
-
-
-class Queue:
-    """The jobs of a sweep that have been submitted, kept in slurm/jobs.json so that no run is submitted twice."""
+    Attributes:
+        jobs: ids of the runs, by id of the job.
+        states: of the jobs, as of the last :meth:`refresh`.
+    """
 
     def __init__(self, sweep: Path):
-        self._file = _folder(sweep) / "jobs.json"
+        self._file = slurm_folder(sweep) / "jobs.json"
         self.jobs: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
         self.states: dict[str, str] = {}
 
-    def submit(self, tasks: Sequence[Chunk], settings: SweepSettings, sweep: Path) -> None:
-        """Put tasks into Slurm's queue, in as few arrays as it takes.
+    def submit(self, tasks: Sequence[ArrayTask], settings: SweepSettings, sweep: Path) -> None:
+        """Submit tasks to Slurm, in as few job arrays as possible.
 
         Raises:
-            Stopped: if Slurm refuses them.
+            Stopped: if Slurm rejects them.
         """
-        executor = submitit.SlurmExecutor(_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
-        executor.update_parameters(**parameters(settings, sweep.name))
-        for first in range(0, len(tasks), ARRAY):
-            array = tasks[first : first + ARRAY]
+        executor = submitit.SlurmExecutor(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
+        executor.update_parameters(**sbatch_options(settings, sweep.name))
+        for first in range(0, len(tasks), MAX_ARRAY_TASKS):
+            array = tasks[first : first + MAX_ARRAY_TASKS]
             try:
                 with executor.batch():
                     submitted = [executor.submit(task) for task in array]
             except (subprocess.CalledProcessError, submitit.core.utils.FailedJobError) as error:
-                raise Stopped(f"Slurm refuses the jobs: {' '.join(str(error).split())}") from None
+                raise Stopped(f"Slurm rejects the jobs: {' '.join(str(error).split())}") from None
             self.jobs |= {job.job_id: list(task.ids) for job, task in zip(submitted, array, strict=True)}
             write_json(self._file, self.jobs)
 
-    def look(self) -> bool:
-        """Ask Slurm for the states; whether it answered."""
-        states = _states(sorted({job.partition("_")[0] for job in self.jobs}, key=int))
+    def refresh(self) -> bool:
+        """Query the states of the jobs; returns whether Slurm answered."""
+        states = _query_states(sorted({job.partition("_")[0] for job in self.jobs}, key=int))
         if states is not None:
             self.states = states
         return states is not None
 
-    def alive(self, job: str) -> bool:
-        """Whether a job is in the queue or runs."""
-        return self.states.get(job, "COMPLETED") not in ENDED
+    def is_active(self, job: str) -> bool:
+        """Whether a job is queued or running."""
+        return self.states.get(job, "COMPLETED") not in FINAL_STATES
 
-    def runs_alive(self) -> set[str]:
-        """Ids of the runs of jobs that are in the queue or run."""
-        return {run for job, runs in self.jobs.items() if self.alive(job) for run in runs}
+    def active_runs(self) -> set[str]:
+        """Ids of the runs of queued and running jobs."""
+        return {run for job, runs in self.jobs.items() if self.is_active(job) for run in runs}
 
     def last_state(self, run: str) -> tuple[str, str]:
-        """The last job that had a run, and its state as Slurm last told it."""
+        """The last job to which a run was assigned, and its last known state."""
         job = [job for job, runs in self.jobs.items() if run in runs][-1]
         return job, self.states.get(job, "gone")
 
-    def log(self, job: str) -> Path:
-        """What a job has printed."""
+    def log_file(self, job: str) -> Path:
+        """The file with the output of a job."""
         return self._file.with_name(f"{job}_0_log.out")
 
     def cancel_command(self) -> str:
-        """What a user types to cancel the jobs that are in the queue or run."""
-        arrays = {job.partition("_")[0] for job in self.jobs if self.alive(job)}
+        """The command that cancels all queued and running jobs."""
+        arrays = {job.partition("_")[0] for job in self.jobs if self.is_active(job)}
         return f"scancel {' '.join(sorted(arrays, key=int))}"
 
 
-def make_on_slurm(
+def run_on_slurm(
     jobs: Sequence[Job],
     settings: SweepSettings,
     sweep: Path,
@@ -236,73 +201,69 @@ def make_on_slurm(
     stop: Callable[[], bool],
     wait: bool = True,
 ) -> dict[Job, str]:
-    """Submit the runs that are neither done nor submitted, and wait for all.
+    """Submit the runs that are neither done nor already submitted, and wait for all runs.
 
     Args:
         jobs: the runs.
-        settings: the sweep's.
-        sweep: its directory, which all nodes see under the same path.
+        settings: of the sweep.
+        sweep: its directory, which all nodes must see under the same path.
         monitor: shows the progress.
-        stop: asked while waiting; True returns, the jobs stay in the queue.
-        wait: False returns after the submission.
+        stop: called while waiting; once it returns True, this returns and the jobs stay in the queue.
+        wait: whether to wait for the jobs after submitting them.
 
     Returns:
         The jobs that failed, each with its reason.
 
     Raises:
-        ValueError: if there is no Slurm.
-        Stopped: if Slurm refuses the jobs.
+        ValueError: if Slurm is not installed.
+        Stopped: if Slurm rejects the jobs.
     """
     if shutil.which("sbatch") is None or shutil.which("squeue") is None:
-        raise ValueError("--on slurm: there is no Slurm here (sbatch and squeue are not on the PATH)")
-    queue = Queue(sweep)
+        raise ValueError("--on slurm: Slurm is not installed (sbatch and squeue are not on the PATH)")
+    queue = SlurmQueue(sweep)
     attempts: Counter[Any] = Counter()
     failed: dict[Job, str] = {}
     missing_before: set[Any] = set()
     first = True
     while True:
-        if queue.look():
-            alive = queue.runs_alive()
+        if queue.refresh():
+            active = queue.active_runs()
             open_jobs = [job for job in jobs if job not in failed and not job.done]
             if not open_jobs:
                 return failed
-            missing = [job for job in open_jobs if job.id not in alive]
-            # A run's directory may be seen later than the end of its job: what is missing must be so twice.
+            missing = [job for job in open_jobs if job.id not in active]
+            # The result of a run may become visible after the end of its job: a run is lost if it is missing twice.
             lost = missing if first else [job for job in missing if job.id in missing_before]
             missing_before = {job.id for job in missing}
-            again = []
+            to_submit = []
             for job in lost:
-                reason = None if first else _reason(job, queue, attempts[job.id], settings.retries)
+                reason = None if first else _failure_reason(job, queue, attempts[job.id], settings.retries)
                 if reason is None:
                     attempts[job.id] += 1
-                    again.append(job)
+                    to_submit.append(job)
                 else:
                     failed[job] = reason
                     monitor.failed(job, reason)
-            if again:
-                queue.submit(chunks(again, settings, sweep), settings, sweep)
+            if to_submit:
+                queue.submit(array_tasks(to_submit, settings, sweep), settings, sweep)
                 missing_before = set()
             first = False
         if not wait:
             return failed
         monitor.update()
-        ends = time.monotonic() + POLL
-        while time.monotonic() < ends:
+        deadline = time.monotonic() + POLL
+        while time.monotonic() < deadline:
             if stop():
                 return failed
             time.sleep(0.2)
 
 
-def _reason(job: Job, queue: Queue, attempts: int, retries: int) -> str | None:
-    """Why a run whose job has ended is given up; None to try again."""
+def _failure_reason(job: Job, queue: SlurmQueue, attempts: int, retries: int) -> str | None:
+    """Why a run whose job has ended is not retried; None to retry it."""
     status = read_status(job.path)
     slurm_job, state = queue.last_state(str(job.id))
     if status.get("state") == "failed" and "reason" in status:
-        return str(status["reason"])  # the job has tried what could be tried
+        return str(status["reason"])  # the job has already retried it
     if state == "CANCELLED" or attempts > retries:
-        return f"Slurm job {slurm_job} ended ({state}) before the run did; see {queue.log(slurm_job)}"
+        return f"Slurm job {slurm_job} ended ({state}) before the run did; see {queue.log_file(slurm_job)}"
     return None
-
-
-def _folder(sweep: Path) -> Path:
-    return sweep.resolve() / "slurm"

@@ -20,8 +20,8 @@ from algorithms.reporting.seed_tables import (
     print_rows,
     scores_table,
 )
-from algorithms.sweeps.collection import PLACE, Collection, collect
-from algorithms.sweeps.ranking import TOTAL, Setting, as_text, rank, short_names, totals, varying, words
+from algorithms.sweeps.collection import SCORE_KEYS, Collection, collect
+from algorithms.sweeps.ranking import TOTAL, Ranking, rank, short_names, totals, value_labels, value_text, varying_keys
 
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 
@@ -69,7 +69,7 @@ def print_sweep(
         to_compare += [_ranked_scores(setting, group) for group in groups]
         if setting.ranked:
             shown = min(top, len(setting.ranked))
-            title = f"{setting.title}: {shown} of {len(setting.cells)} cells, by {setting.what}"
+            title = f"{setting.title}: {shown} of {len(setting.cells)} cells, by {setting.score_name}"
             print_rows(console, best_cells(setting, groups, top, console.width), title)
         elif groups:
             warn(f"left out: no run has {metric} in {setting.title}")
@@ -91,7 +91,7 @@ def check_metric(metric: str, scores: pl.DataFrame) -> None:
     Raises:
         ValueError: as :func:`algorithms.evaluation.metrics.known_metric`.
     """
-    places = scores.select(PLACE).unique().sort(PLACE).rows()
+    places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
     names = ["/".join(filter(None, place)) for place in places]
     shortened = {
         "/".join(filter(None, parts))
@@ -102,17 +102,17 @@ def check_metric(metric: str, scores: pl.DataFrame) -> None:
         known_metric(metric, names)
 
 
-def group_cells(collection: Collection, setting: Setting) -> list[ScoreGroup]:
+def group_cells(collection: Collection, setting: Ranking) -> list[ScoreGroup]:
     """The cells of a setting that have final evaluations, in its order."""
     wanted = collection.scores.filter(pl.col("metric").is_in([*TABLE_METRICS, setting.metric]))
-    known = wanted.select("run", *PLACE, "value").collect()
+    known = wanted.select("run", *SCORE_KEYS, "value").collect()
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=setting.metric))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.
         scores[run].setdefault(MetricName(policy, "" if vehicle == TOTAL else vehicle, metric), value)
     groups = []
     for cell in setting.cells:
-        texts = {key: as_text(value) for key, value in cell.keys.items()}
+        texts = {key: value_text(value) for key, value in cell.keys.items()}
         task = {key: text for key, text in texts.items() if key not in ALGORITHM_KEYS}
         trial = {} if cell.trial is None else {"trial": str(cell.trial)}
         algorithm = cell.config["algorithm"]["name"]
@@ -126,13 +126,13 @@ def group_cells(collection: Collection, setting: Setting) -> list[ScoreGroup]:
     return groups
 
 
-def _ranked_scores(setting: Setting, group: ScoreGroup) -> ScoreGroup:
+def _ranked_scores(setting: Ranking, group: ScoreGroup) -> ScoreGroup:
     """A group with the scores of one policy and vehicle alone, those by which its setting is sorted."""
     place = (setting.policy, "" if setting.vehicle == TOTAL else setting.vehicle)
     return replace(group, scores={name: values for name, values in group.scores.items() if name[:2] == place})
 
 
-def best_cells(setting: Setting, groups: Sequence[ScoreGroup], top: int, width: int) -> Rows:
+def best_cells(setting: Ranking, groups: Sequence[ScoreGroup], top: int, width: int) -> Rows:
     """The best cells of a setting for the terminal: short names of their keys, and the scores of one policy.
 
     Args:
@@ -142,15 +142,15 @@ def best_cells(setting: Setting, groups: Sequence[ScoreGroup], top: int, width: 
         width: columns of the terminal.
     """
     cells = setting.ranked[:top]
-    keys = varying([cell.keys for cell in setting.cells])
-    columns = {name: words([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
+    keys = varying_keys([cell.keys for cell in setting.cells])
+    columns = {name: value_labels([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
     brief = []
     for i, group in enumerate(groups[: len(cells)]):
         trial = {name: text for name, text in group.about.items() if name == "trial"}
         names = {name: texts[i] for name, texts in columns.items()}
         brief.append(replace(_ranked_scores(setting, group), about={**trial, **names}))
     rows = scores_table(brief, [setting.metric, *(name for name in TABLE_METRICS if name != setting.metric)])
-    rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in PLACE] for row in rows]
+    rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in SCORE_KEYS] for row in rows]
     return _fitting(rows, rows[0].index(setting.metric) + 1, width)
 
 

@@ -1,8 +1,9 @@
-"""Trained policies by name: each is a folder here that holds what driving needs, and no more.
+"""The zoo: trained policies by name, each in a subfolder with only the files that are needed to act.
 
-``config.yaml`` is the resolved experiment that trained it, ``checkpoint.safetensors`` the policy alone, ``about.json``
-where it comes from. One that is a front also has its ``front.csv`` and ``evaluation.json``. To every script that reads
-a run a name stands for one. :mod:`algorithms.zoo.exporting` adds to them.
+``config.yaml`` is the resolved experiment that trained the policy, ``checkpoint.safetensors`` has the policy without
+the state of training, and ``about.json`` describes the run it is from. A front also has ``front.csv`` and
+``evaluation.json``. Every script that reads a run also accepts the name of a policy.
+:mod:`algorithms.zoo.exporting` adds policies.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def names() -> list[str]:
 
 
 def is_policy(path: Path) -> bool:
-    """Whether a folder looks like a policy: by its name and files, whatever is in them."""
+    """Whether a folder has the name and files of a policy; the files are not read."""
     return NAME.fullmatch(path.name) is not None and (path / CONFIG).is_file() and (path / CHECKPOINT).is_file()
 
 
@@ -31,7 +32,7 @@ def find(name: str) -> Path:
     """The folder of a policy.
 
     Raises:
-        ValueError: naming the nearest policy that there is.
+        ValueError: for an unknown name, with the nearest known one.
     """
     known = names()
     if name not in known:

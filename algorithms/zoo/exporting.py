@@ -1,8 +1,7 @@
-"""From a run to a policy of the zoo."""
+"""Export the policy of a run to the zoo."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -23,29 +22,29 @@ FILES = {zoo.CONFIG, zoo.CHECKPOINT, ABOUT, FRONT_FILE, EVALUATION_FILE}
 
 
 def export(run: Run, name: str, directory: str | Path | None = None, about: Mapping[str, Any] | None = None) -> Path:
-    """Write the policy of a run's checkpoint to a folder of its own, in the place of the policy that is there.
+    """Write the policy in a run's checkpoint to a folder, replacing an existing policy with the same name.
 
     Args:
-        run: trained; of an algorithm that learns a front, finished.
+        run: a trained run; if the algorithm learns a front, a finished one.
         name: of the policy: lower-case letters, digits, "_" and "-".
-        directory: where the folder goes; the zoo if None.
-        about: anything else for about.json, such as how the run was chosen.
+        directory: parent of the folder; None for the zoo.
+        about: additional content of about.json, such as how the run was chosen.
 
     Returns:
         The folder.
 
     Raises:
-        ValueError: for another form of name, a checkpoint or front that is missing or broken, or a folder in which
-            something else is.
-        OSError: if it cannot be written; what was there is untouched.
+        ValueError: for an invalid name, a checkpoint or front that is missing or broken, or a folder that is not a
+            policy.
+        OSError: if the policy cannot be written; an existing policy is then unchanged.
     """
     if not zoo.NAME.fullmatch(name):
         raise ValueError(f"name {name!r} must be lower-case letters, digits, '_' and '-'")
     parent = zoo.ZOO if directory is None else Path(directory)
     target = parent / name
     if target.exists() and not (target.is_dir() and {path.name for path in target.iterdir()} <= FILES):
-        raise ValueError(f"{str(target)!r} holds something else than a policy; choose another name")
-    experiment = _anywhere(run.experiment)
+        raise ValueError(f"{str(target)!r} is not a policy; choose another name")
+    experiment = _on_cpu(run.experiment)
     agent = build(experiment, num_envs=1)
     agent.load(run.checkpoint, policy_only=True)
     agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
@@ -69,22 +68,22 @@ def export(run: Run, name: str, directory: str | Path | None = None, about: Mapp
     return target
 
 
-def _anywhere(experiment: Experiment) -> Experiment:
-    """The experiment on a CPU, which every machine has."""
+def _on_cpu(experiment: Experiment) -> Experiment:
+    """The experiment with the device "cpu", which exists on every machine."""
     training = experiment.training.model_copy(update={"device": "cpu"})
     return experiment.model_copy(update={"training": training})
 
 
 def _replace(target: Path, staged: Path) -> None:
-    """Move the folder ``staged`` to ``target``, in the place of what may be there."""
+    """Move the folder ``staged`` to ``target``, replacing an existing folder."""
     if not target.exists():
-        os.replace(staged, target)
+        staged.replace(target)
         return
-    aside = staged.with_suffix(".old")  # a folder with something in it cannot be replaced at one stroke
-    os.replace(target, aside)
+    aside = staged.with_suffix(".old")  # a non-empty folder cannot be replaced atomically
+    target.replace(aside)
     try:
-        os.replace(staged, target)
+        staged.replace(target)
     except BaseException:
-        os.replace(aside, target)
+        aside.replace(target)
         raise
     shutil.rmtree(aside, ignore_errors=True)

@@ -1,15 +1,26 @@
-"""What the tests of sweeps on clusters share."""
+"""Fixtures of the tests of sweeps on clusters; all of these tests are marked ``cluster``."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
 from tests.helpers.sweep_files import LONG, Reference, run_sweep, write_sweep
 
+HERE = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test in this folder."""
+    for item in items:
+        if HERE in item.path.parents:
+            item.add_marker(pytest.mark.cluster)
+
 
 @pytest.fixture(scope="session")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """Six runs of a second."""
+    """A sweep of six runs of one second each."""
     folder = tmp_path_factory.mktemp("short")
     reference = Reference(
         write_sweep(folder, seeds=3, resources={"cpus": 0.5}, slurm={"runs_per_job": 2}), folder / "here"
@@ -20,7 +31,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Reference:
 
 @pytest.fixture(scope="session")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """Two runs of some seconds, to be interrupted."""
+    """A sweep of two runs of several seconds each, to be interrupted."""
     folder = tmp_path_factory.mktemp("long")
     reference = Reference(write_sweep(folder, overrides=LONG, seeds=1), folder / "here")
     assert run_sweep(reference.file, "--output", reference.directory).returncode == 0

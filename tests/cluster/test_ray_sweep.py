@@ -1,4 +1,4 @@
-"""Sweeps on Ray: the same as on this machine, through deaths, interrupts and a restart of the head."""
+"""Sweeps on Ray give the same results as on this machine, despite killed workers, interrupts and a restarted head."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from tests.helpers.slurm import free_ports
 from tests.helpers.sweep_files import (
     Reference,
     assert_same_sweep,
-    begun,
     broken_utility,
     eventually,
     interrupt,
     run_sweep,
     runs,
+    runs_in_progress,
     start_sweep,
     status,
     write_sweep,
@@ -34,18 +34,18 @@ pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-de
 
 
 def processes(what: str) -> list[int]:
-    """Ids of the processes on this machine whose title or command line has ``what``."""
+    """Ids of the processes on this machine whose title or command line contains ``what``."""
     found = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
-            with contextlib.suppress(OSError):  # it has ended meanwhile
+            with contextlib.suppress(OSError):  # the process has ended meanwhile
                 if what in (entry / "cmdline").read_bytes().decode(errors="replace"):
                     found.append(int(entry.name))
     return found
 
 
 def kill(what: str) -> int:
-    """SIGKILL to all such processes; how many."""
+    """Send SIGKILL to all such processes; returns their number."""
     found = [number for number in processes(what) if number != os.getpid()]
     for number in found:
         with contextlib.suppress(ProcessLookupError):
@@ -53,7 +53,7 @@ def kill(what: str) -> int:
     return len(found)
 
 
-def test_embedded_ray_makes_the_same_sweep_and_reports_every_objective(short: Reference, tmp_path: Path) -> None:
+def test_embedded_ray_gives_the_same_results_and_reports_every_objective(short: Reference, tmp_path: Path) -> None:
     done = run_sweep(short.file, "--on", "ray", "--output", tmp_path)
     assert done.returncode == 0
     assert_same_sweep(short.directory, tmp_path)
@@ -73,21 +73,21 @@ def test_embedded_ray_makes_the_same_sweep_and_reports_every_objective(short: Re
     assert "6 done" in again.stdout
 
 
-def test_killed_actors_are_begun_again_where_they_were(long: Reference, tmp_path: Path) -> None:
+def test_killed_actors_resume_from_their_checkpoints(long: Reference, tmp_path: Path) -> None:
     with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray") as process:
-        eventually(lambda: begun(tmp_path / "ray"))
+        eventually(lambda: runs_in_progress(tmp_path / "ray"))
         assert kill("ray::ResourceTrainable") >= 1
         out, _ = process.communicate(timeout=300)
     assert process.returncode == 0, out
     assert_same_sweep(tmp_path / "ray", long.directory)
 
 
-def test_an_interrupt_saves_and_the_same_command_goes_on(long: Reference, tmp_path: Path) -> None:
+def test_an_interrupted_sweep_is_saved_and_resumed_by_the_same_command(long: Reference, tmp_path: Path) -> None:
     with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray", "--workers", "1") as process:
-        eventually(lambda: begun(tmp_path / "ray"))
+        eventually(lambda: runs_in_progress(tmp_path / "ray"))
         code, out = interrupt(process)
     assert code == 130
-    assert "the same command goes on" in out
+    assert "the same command resumes" in out
     states = {status(run).get("state") for run in runs(tmp_path / "ray")}
     assert "interrupted" in states
     assert states <= {"interrupted", "finished", None}
@@ -95,7 +95,7 @@ def test_an_interrupt_saves_and_the_same_command_goes_on(long: Reference, tmp_pa
     assert_same_sweep(tmp_path / "ray", long.directory)
 
 
-def test_early_stopping_prunes_the_runs_that_are_behind(tmp_path: Path) -> None:
+def test_early_stopping_prunes_the_worse_runs(tmp_path: Path) -> None:
     asha = {"metric": "greedy/utility_esr", "grace_period": 10_000, "reduction_factor": 2}
     file = write_sweep(
         tmp_path,
@@ -151,7 +151,9 @@ class Head:
 
 @pytest.fixture
 def head() -> Iterator[Head]:
-    with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as folder:  # sockets: short
+    with tempfile.TemporaryDirectory(
+        prefix="ray-", dir="/tmp", ignore_cleanup_errors=True
+    ) as folder:  # paths of sockets must be short
         started = Head(Path(folder))
         started.start()
         yield started
@@ -164,9 +166,9 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
     sweep = tmp_path / "ray"
     options = ("--on", "ray", "--address", "auto", "--output", sweep)
     with start_sweep(long.file, *options, environment=head.environment) as process:
-        eventually(lambda: begun(sweep))
+        eventually(lambda: runs_in_progress(sweep))
         head.kill()
-        os.killpg(process.pid, signal.SIGKILL)  # it would notice after a minute
+        os.killpg(process.pid, signal.SIGKILL)  # it would only notice after a minute
         process.communicate(timeout=60)
     assert not all(status(run).get("state") == "finished" for run in runs(sweep))
     head.start()
@@ -174,7 +176,7 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
     assert_same_sweep(sweep, long.directory)
 
 
-def test_a_cluster_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     done = run_sweep(
         write_sweep(tmp_path), "--on", "ray", "--address", f"127.0.0.1:{port}", "--output", tmp_path / "ray"

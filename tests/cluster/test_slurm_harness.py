@@ -1,4 +1,4 @@
-"""The Slurm that the cluster tests start says why it does not start, and leaves nothing running."""
+"""The Slurm cluster of the tests reports why it cannot start, and leaves no processes behind."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def submit(cluster: SlurmCluster, folder: Path, script: str, *options: str) -> s
 
 
 def wait_for_lines(path: Path, count: int, timeout: float = 30.0) -> list[str]:
-    """The lines of a file once there are so many."""
+    """Wait until a file has ``count`` lines; returns them."""
     deadline = time.monotonic() + timeout
     while True:
         lines = path.read_text().splitlines() if path.exists() else []
@@ -34,11 +34,11 @@ def wait_for_lines(path: Path, count: int, timeout: float = 30.0) -> list[str]:
 
 
 def running(folder: Path) -> str:
-    """The processes whose command line names a folder, as pgrep prints them."""
+    """The processes whose command line contains a folder, as printed by pgrep."""
     return subprocess.run(["pgrep", "--full", "--list-full", str(folder)], capture_output=True, text=True).stdout
 
 
-def test_nothing_is_left_running(tmp_path: Path) -> None:
+def test_no_process_is_left_running(tmp_path: Path) -> None:
     folder = tmp_path / ("long" * 30)
 
     def interrupted() -> None:
@@ -65,12 +65,12 @@ def test_nothing_is_left_running(tmp_path: Path) -> None:
 
 
 def state(process: int) -> str:
-    """The state of a process, as /proc tells: "Z" for one that has ended and not been waited for."""
+    """The state of a process in /proc: "Z" for one that has ended but has not been waited for."""
     return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
 
 
-def test_what_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slurm.CONFIGURATION", "NoSuchOption=1\n")
+def test_a_daemon_that_does_not_start_is_reported_with_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.helpers.slurm.CONFIGURATION", "NoSuchOption=1\n")
     with (
         pytest.raises(RuntimeError, match=r"slurmctld ended with 1(.|\n)*slurmctld.out(.|\n)*NoSuchOption"),
         slurm_cluster(tmp_path),

@@ -1,4 +1,4 @@
-"""Sweeps on a real Slurm: the same as on this machine, through pre-emption, requeues and deaths."""
+"""Sweeps on a real Slurm give the same results as on this machine, also after pre-emption, requeues and killed jobs."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tests.helpers.slurm import SlurmCluster, slurm_cluster, unavailable
 from tests.helpers.sweep_files import (
     Reference,
     assert_same_sweep,
-    begun,
     broken_utility,
     eventually,
     interrupt,
     run_sweep,
     runs,
+    runs_in_progress,
     start_sweep,
     status,
     write_sweep,
@@ -32,23 +32,23 @@ pytestmark = pytest.mark.skipif(bool(unavailable()), reason=unavailable() or "av
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SlurmCluster]:
-    """As most sites have it: pre-empted jobs get SIGTERM."""
+    """A cluster with a common setting: pre-empted jobs get SIGTERM."""
     with slurm_cluster(tmp_path_factory.mktemp("slurm"), cpus=2, grace=20, signal_on_preemption=False) as started:
         yield started
 
 
 def jobs(sweep: Path) -> list[str]:
-    """Ids of the jobs that the sweep has submitted."""
+    """Ids of the submitted jobs of a sweep."""
     file = sweep / "slurm" / "jobs.json"
     return list(json.loads(file.read_text())) if file.is_file() else []
 
 
 def kill_job(cluster: SlurmCluster, job: str) -> None:
-    """SIGKILL to every Python process of a task of an array, as an end of memory would have it."""
+    """Send SIGKILL to every Python process of an array task, as if it ran out of memory."""
     array, _, task = job.partition("_")
     marks = (f"SLURM_ARRAY_JOB_ID={array}".encode(), f"SLURM_ARRAY_TASK_ID={task}".encode())
     for number in cluster.processes():
-        with contextlib.suppress(OSError):  # it has ended meanwhile
+        with contextlib.suppress(OSError):  # the process has ended meanwhile
             entry = Path("/proc") / str(number)
             values = (entry / "environ").read_bytes().split(b"\0")
             if all(mark in values for mark in marks) and b"python" in (entry / "cmdline").read_bytes():
@@ -56,25 +56,25 @@ def kill_job(cluster: SlurmCluster, job: str) -> None:
 
 
 def interrupted(sweep: Path) -> list[Path]:
-    """Runs that have been saved before their end."""
+    """Runs that were saved before their end."""
     return [run for run in runs(sweep) if status(run).get("state") == "interrupted"]
 
 
 def log(sweep: Path) -> str:
-    """What the jobs have printed."""
+    """The output of the jobs."""
     return "\n".join(path.read_text() for path in sorted((sweep / "slurm").glob("*.out")))
 
 
-def test_slurm_makes_the_same_sweep(cluster: SlurmCluster, short: Reference, tmp_path: Path) -> None:
+def test_slurm_gives_the_same_results(cluster: SlurmCluster, short: Reference, tmp_path: Path) -> None:
     sweep = tmp_path / "slurm"
-    for _ in range(2):  # the second time there is nothing to do
+    for _ in range(2):  # the second time, nothing is left to do
         done = run_sweep(short.file, "--on", "slurm", "--output", sweep, environment=cluster.environment)
         assert done.returncode == 0, log(sweep)
         assert len(jobs(sweep)) == 3  # an array of three tasks, of two runs each
     assert_same_sweep(sweep, short.directory)
 
 
-def test_the_dry_run_is_a_script_that_sbatch_takes(cluster: SlurmCluster, tmp_path: Path) -> None:
+def test_the_dry_run_prints_a_script_that_sbatch_accepts(cluster: SlurmCluster, tmp_path: Path) -> None:
     slurm = {"partition": "main", "array_parallelism": 2, "setup": ["export GREETING=hello"], "additional": {"nice": 7}}
     file = write_sweep(tmp_path, seeds=2, resources={"cpus": 1, "memory_gb": 1.5, "minutes": 7}, slurm=slurm)
     done = run_sweep(
@@ -88,18 +88,18 @@ def test_the_dry_run_is_a_script_that_sbatch_takes(cluster: SlurmCluster, tmp_pa
     assert "\nexport GREETING=hello\n" in done.stdout
     script = tmp_path / "script.sh"
     script.write_text(done.stdout)
-    told = subprocess.run(
+    answer = subprocess.run(
         ["sbatch", "--test-only", str(script)], env=cluster.environment, capture_output=True, text=True, check=False
     )
-    assert told.returncode == 0, told.stderr
+    assert answer.returncode == 0, answer.stderr
 
 
-def test_a_job_told_to_go_saves_and_goes_on_after_its_requeue(
+def test_a_job_near_its_time_limit_saves_requeues_itself_and_resumes(
     cluster: SlurmCluster, long: Reference, tmp_path: Path
 ) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: len(begun(sweep)) == 2)
+        eventually(lambda: len(runs_in_progress(sweep)) == 2)
         submitted = jobs(sweep)
         for job in submitted:
             cluster.run("scancel", "--signal=USR2", job)
@@ -111,10 +111,10 @@ def test_a_job_told_to_go_saves_and_goes_on_after_its_requeue(
     assert_same_sweep(sweep, long.directory)
 
 
-def test_preempted_jobs_save_and_go_on(cluster: SlurmCluster, long: Reference, tmp_path: Path) -> None:
+def test_pre_empted_jobs_are_saved_and_resume(cluster: SlurmCluster, long: Reference, tmp_path: Path) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: len(begun(sweep)) == 2)
+        eventually(lambda: len(runs_in_progress(sweep)) == 2)
         submitted = jobs(sweep)
         cluster.run("sbatch", "--partition=urgent", "--cpus-per-task=2", "--output=/dev/null", "--wrap=sleep 1")
         eventually(lambda: interrupted(sweep), 60)
@@ -129,7 +129,7 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
 ) -> None:
     sweep = tmp_path / "slurm"
     with start_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: len(begun(sweep)) == 2)
+        eventually(lambda: len(runs_in_progress(sweep)) == 2)
         first, second = jobs(sweep)
         kill_job(cluster, first)
         cluster.run("scancel", second)
@@ -142,7 +142,7 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
     assert_same_sweep(sweep, long.directory)
 
 
-def test_who_submits_may_leave_come_back_and_find_the_controller_restarted(
+def test_the_submitting_command_can_be_interrupted_and_repeated_after_a_restart_of_the_controller(
     cluster: SlurmCluster, long: Reference, tmp_path: Path
 ) -> None:
     sweep = tmp_path / "slurm"
@@ -151,7 +151,7 @@ def test_who_submits_may_leave_come_back_and_find_the_controller_restarted(
     submitted = jobs(sweep)
     assert len(submitted) == 2
     with start_sweep(long.file, *options, environment=cluster.environment) as process:
-        eventually(lambda: begun(sweep))
+        eventually(lambda: runs_in_progress(sweep))
         code, out = interrupt(process, signal.SIGINT)
     assert code == 130
     assert f"scancel {submitted[0].partition('_')[0]}" in out
@@ -172,8 +172,8 @@ def test_a_run_that_fails_is_reported_with_its_reason(cluster: SlurmCluster, tmp
     assert "no licence on this node" in done.stdout
 
 
-def test_without_slurm_the_error_says_so(tmp_path: Path) -> None:
+def test_the_error_without_slurm_says_so(tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": "/nowhere"}
     done = run_sweep(write_sweep(tmp_path), "--on", "slurm", "--output", tmp_path / "s", environment=environment)
     assert done.returncode == 2
-    assert "there is no Slurm here" in done.stderr
+    assert "Slurm is not installed" in done.stderr

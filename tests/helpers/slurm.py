@@ -1,4 +1,4 @@
-"""A Slurm cluster of one node on this machine, for tests: munged, slurmctld and slurmd in a separate folder."""
+"""A Slurm cluster of one node on this machine, for tests: munged, slurmctld and slurmd with all files in one folder."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ COMMANDS = ("sbatch", "srun", "squeue", "scancel", "scontrol", "sinfo")
 PROCESSES = {*DAEMONS, "slurmscriptd", "slurmstepd"}
 PREFIXES = ("SLURM", "SBATCH", "SRUN", "SALLOC", "SQUEUE", "SINFO", "SCANCEL")
 
-# The shortest lifetime of a credential (in seconds) that Slurm accepts; a requeued job waits for one second longer.
+# The smallest lifetime of a credential (s) that Slurm accepts; a requeued job waits one second longer than this.
 CREDENTIAL_LIFETIME = 5
-# Slurm saves its state to disk at most once in this many seconds.
+# Slurm writes its state to disk at most this often (s).
 SAVE_INTERVAL = 5.0
 
 CONFIGURATION = """\
@@ -70,7 +70,7 @@ PartitionName=urgent Nodes={host} MaxTime=INFINITE State=UP PriorityTier=10
 
 
 def search_path() -> str:
-    """Where programs are searched for: the PATH of this process, and where Debian installs daemons."""
+    """The PATH of this process, and the folders where Debian puts daemons."""
     return os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"])
 
 
@@ -80,18 +80,18 @@ def missing_programs() -> list[str]:
 
 
 def unavailable() -> str:
-    """Why no cluster can be started on this machine; "" if one can."""
+    """Why no cluster can be started on this machine; empty if one can."""
     if missing := missing_programs():
         return f"{', '.join(missing)} not installed: apt-get install slurm-wlm munge"
-    return "" if os.geteuid() == 0 else "Slurm's daemons are started by root only"
+    return "" if os.geteuid() == 0 else "only root can start Slurm's daemons"
 
 
 @dataclass
 class SlurmCluster:
     """A running cluster.
 
-    ``environment`` is the environment of this process without the variables of any other Slurm, and with
-    ``SLURM_CONF``: pass it to every process that submits or queries jobs.
+    ``environment`` is that of this process, without variables of another Slurm and with ``SLURM_CONF``: pass it to
+    every process that submits or queries jobs.
     """
 
     folder: Path
@@ -105,7 +105,7 @@ class SlurmCluster:
         return Path(self.environment["SLURM_CONF"])
 
     def run(self, *command: str, timeout: float = 30.0) -> str:
-        """The output of a command, stripped; raises RuntimeError with its messages if it fails (timeout in seconds)."""
+        """Run a command and return its stripped output; raises RuntimeError if it fails. The timeout is in seconds."""
         done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=timeout)
         if done.returncode != 0:
             raise RuntimeError(f"{' '.join(command)} failed with {done.returncode}: {done.stderr.strip()}")
@@ -114,7 +114,7 @@ class SlurmCluster:
     def states(self, job: str) -> dict[str, str]:
         """The states of a job, or of the tasks of an array ("7_0"), by id: PENDING, RUNNING, COMPLETED, ...
 
-        Slurm keeps finished jobs for ten minutes; raises RuntimeError for an unknown job.
+        Slurm remembers finished jobs for ten minutes; raises RuntimeError for an unknown job.
         """
         lines = self.run("squeue", "--noheader", "--array", "--states=all", f"--jobs={job}", "--format=%i %T")
         return dict(line.split() for line in lines.splitlines())
@@ -126,16 +126,16 @@ class SlurmCluster:
         )
 
     def restart_controller(self, saved: bool = True) -> None:
-        """Kill slurmctld and start it again, while jobs continue."""
+        """Kill slurmctld and start it again while jobs keep running."""
         self.kill_controller(saved)
         self.start_controller()
 
     def kill_controller(self, saved: bool = True) -> None:
-        """Kill slurmctld (SIGKILL); running jobs continue.
+        """Send SIGKILL to slurmctld; running jobs keep running.
 
-        Its state is saved to disk only every few seconds. ``saved`` waits for that before the kill, for up to six
-        seconds. Without it a job that was just submitted is forgotten and killed, and its id is reused; a job that just
-        started is killed and restarted.
+        Slurm writes its state to disk only every few seconds. With ``saved`` this waits for that before the kill, for
+        up to six seconds; without it, a job that was just submitted is forgotten and killed and its id is reused, and a
+        job that just started is killed and restarted.
         """
         if saved:
             self._await_saved_state()
@@ -144,12 +144,12 @@ class SlurmCluster:
         controller.wait()
 
     def start_controller(self) -> None:
-        """Start slurmctld with the state that it saved, and wait until it considers the node up."""
+        """Start slurmctld from its state on disk, and wait until it considers the node to be up."""
         self._start_controller()
         self._await_node({"idle", "mixed", "allocated"})
 
     def processes(self) -> list[int]:
-        """The ids of the cluster's running processes: its daemons, its jobs and all their descendants."""
+        """The ids of the running processes of the cluster: its daemons, its jobs and all their descendants."""
         parents: dict[int, int] = {}
         found: set[int] = set()
         marker = f"SLURM_CONF={self.configuration}".encode()
@@ -186,7 +186,7 @@ class SlurmCluster:
         self._await_node({"idle"})
 
     def stop(self) -> None:
-        """Kill the daemons and the jobs' processes; raises TimeoutError if some are left after 10 seconds."""
+        """Kill all daemons and processes of jobs; raises TimeoutError if some are left after 10 seconds."""
         deadline = time.monotonic() + 10.0
         while processes := self.processes():
             if time.monotonic() > deadline:
@@ -200,7 +200,7 @@ class SlurmCluster:
         shutil.rmtree(self.runtime, ignore_errors=True)
 
     def logs(self, lines: int = 20) -> str:
-        """The last lines of every daemon's log."""
+        """The last lines of the logs of all daemons."""
         tails = []
         for name in self.daemons:
             path = self.folder / f"{name}.log"
@@ -209,7 +209,7 @@ class SlurmCluster:
         return "\n".join(tails)
 
     def _launch(self, name: str, *arguments: str) -> None:
-        """Start a daemon in the foreground; its messages are written to a file named after it."""
+        """Start a daemon in the foreground; its output goes to a file with its name."""
         program = shutil.which(name, path=self.environment["PATH"])
         assert program is not None
         with (self.folder / f"{name}.out").open("ab") as messages:
@@ -229,33 +229,33 @@ class SlurmCluster:
         )
 
     def _await_node(self, states: set[str]) -> None:
-        """Wait until the node responds and is in one of the states."""
+        """Wait until the node answers and is in one of the states."""
         command = ("sinfo", "--noheader", "--partition=main", "--format=%T")
         self._until(lambda: self._ask(*command) in states, 30.0, lambda: f"the node, which is {self._ask(*command)}")
 
     def _await_saved_state(self) -> None:
-        """Wait until slurmctld has saved its current state."""
+        """Wait until the current state of slurmctld is on disk."""
         asked = time.time()
         last = max(map(self._written, ("job_state", "node_state")))
         while time.time() < last + SAVE_INTERVAL + 1.0 and self._written("job_state") <= asked:
             time.sleep(0.05)
 
     def _written(self, name: str) -> float:
-        """When a file of slurmctld's state was written, in seconds since 1970; 0 if it does not exist."""
+        """When a file of slurmctld's state was written, in seconds since 1970; 0 if there is none."""
         try:
             return (self.folder / "state" / name).stat().st_mtime
         except FileNotFoundError:
             return 0.0
 
     def _ask(self, *command: str) -> str:
-        """The output of a command; "" if it fails."""
+        """The output of a command; empty if it fails."""
         try:
             return self.run(*command, timeout=10.0)
         except (RuntimeError, subprocess.TimeoutExpired):
             return ""
 
     def _until(self, reached: Callable[[], bool], seconds: float, what: Callable[[], str]) -> None:
-        """Poll ten times a second until ``reached``; raises TimeoutError, or RuntimeError if a daemon has exited."""
+        """Poll ten times a second until ``reached``; raises TimeoutError, or RuntimeError if a daemon has ended."""
         deadline = time.monotonic() + seconds
         while not reached():
             for name, daemon in self.daemons.items():
@@ -267,7 +267,7 @@ class SlurmCluster:
 
 
 def free_ports(count: int) -> list[int]:
-    """Distinct ports on which nothing is listening."""
+    """Distinct ports on which nothing listens at the moment."""
     with contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for one in sockets:
@@ -279,14 +279,15 @@ def free_ports(count: int) -> list[int]:
 def slurm_cluster(
     folder: Path, cpus: int = 2, grace: int = 10, signal_on_preemption: bool = True
 ) -> Iterator[SlurmCluster]:
-    """A cluster of one node with ``cpus`` CPUs (possibly more than the machine has), stopped with its jobs at the end.
+    """A cluster of one node with ``cpus`` CPUs (possibly more than exist), stopped with its jobs at the end.
 
-    Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of one in ``main`` preempts it:
-    the steps of the latter are signalled, and unless it ends or requeues itself it is killed ``grace`` seconds later,
-    or up to ten more, and requeued. With ``signal_on_preemption`` its steps receive the signal that it asked for
-    (``--signal``); otherwise, or if it asked for none, SIGTERM. SIGKILL follows SIGTERM after five seconds.
+    Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of a job in ``main`` pre-empts
+    it: the steps of the latter get a signal, and unless it ends or requeues itself it is killed and requeued
+    ``grace`` to ``grace`` + 10 seconds later. With ``signal_on_preemption`` the signal is the one that the job
+    requested with ``--signal``; otherwise, or without such a request, it is SIGTERM. SIGKILL follows SIGTERM after
+    five seconds.
 
-    Jobs of a partition start in the order of submission, without backfilling: Slurm does not save the start of a
+    Jobs of a partition start in the order of submission, without backfill: Slurm does not write the start of a
     backfilled job to disk. Raises RuntimeError with the ends of the logs if the cluster does not start.
     """
     if reason := unavailable():
@@ -295,7 +296,7 @@ def slurm_cluster(
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "state").mkdir(exist_ok=True)
-    # Paths of sockets must be short, and every directory above munged's must be accessible to all users.
+    # Paths of sockets must be short, and every directory above munged's must be readable by all users.
     runtime = Path(tempfile.mkdtemp(prefix="slurm-", dir="/tmp"))
     runtime.chmod(0o755)
     (runtime / "spool").mkdir()
@@ -318,7 +319,7 @@ def slurm_cluster(
         )
     )
     (folder / "plugstack.conf").write_text("")
-    # No control group is used, but where none is mounted slurmd exits when it tries to detect their version.
+    # Control groups are not used, but slurmd exits if it cannot detect their version.
     (folder / "cgroup.conf").write_text("CgroupPlugin=cgroup/v1\n")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(PREFIXES)}
     cluster = SlurmCluster(folder, runtime, {**environment, "PATH": search_path(), "SLURM_CONF": str(configuration)})

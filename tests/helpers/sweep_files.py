@@ -1,4 +1,4 @@
-"""Sweeps of runs of a second or less, and the command line that runs them."""
+"""Sweeps whose runs take a second or less, and scripts/sweep.py to train them."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from tests.helpers.paths import REPOSITORY
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole
 
 ROOT = REPOSITORY
-LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # some seconds
+LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # several seconds
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A sweep's file, and the directory of that sweep run without interruption on this machine."""
+    """A sweep's file, and its directory after training on this machine without interruption."""
 
     file: Path
     directory: Path
 
 
 def write_sweep(folder: Path, **settings: Any) -> Path:
-    """Write a sweep's file in ``folder``: the short experiment as its base and, by default, two learning rates."""
+    """A sweep's file in ``folder``, based on the short experiment, by default with two learning rates."""
     base = folder / "base.yaml"
     base.write_text(yaml.safe_dump(VALUES))
     if "search" not in settings:
@@ -47,14 +47,14 @@ def write_sweep(folder: Path, **settings: Any) -> Path:
 
 
 def sweep_command(file: Path, *options: str | Path) -> list[str]:
-    """The command line of scripts/sweep.py."""
+    """The command line."""
     return [sys.executable, str(ROOT / "scripts" / "sweep.py"), "--config", str(file), *map(str, options)]
 
 
 def run_sweep(
     file: Path, *options: str | Path, environment: Mapping[str, str] | None = None, timeout: float = 300.0
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command line to its end and print its output, so that pytest shows it where a test fails."""
+    """Run the script; its output is printed, so that pytest shows it if the test fails."""
     done = subprocess.run(
         sweep_command(file, *options),
         env=dict(environment or os.environ),
@@ -72,7 +72,7 @@ def run_sweep(
 def start_sweep(
     file: Path, *options: str | Path, environment: Mapping[str, str] | None = None
 ) -> Iterator[subprocess.Popen[str]]:
-    """Start the command line; it is killed at the end of the context."""
+    """Start the script; it is killed at the end of the context."""
     process = subprocess.Popen(
         sweep_command(file, *options),
         env=dict(environment or os.environ),
@@ -103,8 +103,8 @@ def status(run: Path) -> dict[str, Any]:
         return {}
 
 
-def begun(sweep: Path) -> list[Path]:
-    """Runs that have a checkpoint and are still running."""
+def runs_in_progress(sweep: Path) -> list[Path]:
+    """Runs that are in progress and have a checkpoint."""
     return [
         run
         for run in (sweep / "runs").glob("*")
@@ -113,7 +113,7 @@ def begun(sweep: Path) -> list[Path]:
 
 
 def broken_utility(folder: Path, where: str) -> str:
-    """Write a custom utility that fails if the environment variable ``where`` is set; its name for the YAML."""
+    """Write a utility that fails if an environment variable is set; returns its name for the YAML file."""
     (folder / "broken.py").write_text(
         "import os\n"
         "def utility(returns):\n"
@@ -125,15 +125,15 @@ def broken_utility(folder: Path, where: str) -> str:
 
 
 def eventually(condition: Callable[[], Any], seconds: float = 120.0) -> None:
-    """Wait until the condition holds."""
+    """Wait until the condition holds; fails after ``seconds``."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, f"the condition did not hold within {seconds:g} seconds"
+        assert time.monotonic() < deadline, "the condition did not hold in time"
         time.sleep(0.05)
 
 
 def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tuple[int, str]:
-    """Send a signal and wait; the exit code and the output."""
+    """Send a signal; returns the exit code and the output."""
     process.send_signal(number)
     out, _ = process.communicate(timeout=120)
     print(out)
@@ -141,7 +141,7 @@ def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tu
 
 
 def assert_same_sweep(first: Path, second: Path) -> None:
-    """Assert that both sweeps have the same manifest, byte for byte, and the same runs, each once and complete."""
+    """Both have the same manifest, byte for byte, and the same complete runs: weights, curves and final metrics."""
     assert (first / "manifest.jsonl").read_bytes() == (second / "manifest.jsonl").read_bytes()
     for sweep in (first, second):
         wanted = runs(sweep)
@@ -166,7 +166,7 @@ def forked_workers() -> Iterator[None]:
 
 @contextlib.contextmanager
 def small_disk(folder: Path, kilobytes: int) -> Iterator[None]:
-    """Mount a small file system at ``folder``; the test is skipped where this process may not mount one."""
+    """A small file system at ``folder``; skips the test if this process may not mount one."""
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "none", str(folder)]
     try:
@@ -174,7 +174,7 @@ def small_disk(folder: Path, kilobytes: int) -> Iterator[None]:
     except FileNotFoundError:
         pytest.skip("there is no mount command")
     if mounted.returncode:
-        pytest.skip(f"no file system can be mounted: {mounted.stderr.strip()}")
+        pytest.skip(f"this process cannot mount a file system: {mounted.stderr.strip()}")
     try:
         yield
     finally:

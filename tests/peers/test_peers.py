@@ -1,4 +1,4 @@
-"""Other libraries' algorithms, in an environment of their own: `make test-peers`."""
+"""Algorithms of other libraries, in a separate virtual environment: `make test-peers`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import torch
 
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import evaluate, evaluate_each
-from algorithms.peers import PEERS, Task
-from algorithms.peers.environment import Recorder
-from algorithms.peers.task import Policies
+from algorithms.peers import PEERS, PeerTask
+from algorithms.peers.peer_env import Recorder
+from algorithms.peers.peer_task import PeerPolicies
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
 
@@ -24,7 +24,7 @@ SEA = "deep-sea-treasure-v0"
 STEPS = 300
 GAMMA = 0.99
 
-# Networks and batches as small as they can be: these tests are about whether things fit, not about learning.
+# Minimal networks and batches: these tests check the interfaces, not learning.
 SMALL: dict[str, dict[str, Any]] = {
     "morl_baselines.pcn": {
         "arguments": {"hidden_dim": 8, "batch_size": 8},
@@ -80,43 +80,43 @@ SMALL: dict[str, dict[str, Any]] = {
 }
 
 
-def installed(name: str) -> None:
-    """Skip where the peer is not installed, and say why."""
+def require(name: str) -> None:
+    """Skip the test if the library of a peer is not installed."""
     pytest.importorskip(name.partition(".")[0], reason=f"{PEERS[name].package} is not installed: make test-peers")
-    assert PEERS[name].obstacle() is None
+    assert PEERS[name].unavailable_reason() is None
 
 
-def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None, **settings: Any) -> Task:
-    """A short task that fits the peer."""
+def make_task(name: str, env_id: str = ONE_WAYPOINT, *, kind: str | None = None, **settings: Any) -> PeerTask:
+    """A short task that the peer supports."""
     peer = PEERS[name]
     arguments: dict[str, Any] = {}
     if env_id == ONE_WAYPOINT:
-        # Fast episodes: the same everywhere, and 6 s at most.
+        # Short episodes with a fixed destination.
         arguments = {"fixed_destination": True, "time_limit": 6.0, "action_type": kind or peer.actions[0]}
         if peer.objectives is not None:
             arguments["objectives"] = ("distance", "jerk")
-    worlds = EnvAdapter(make_env(env_id, 1, arguments))
-    d = len(worlds.objectives)
+    env = EnvAdapter(make_env(env_id, 1, arguments))
+    d = len(env.objectives)
     utility = None
     if peer.known_utility:
         linear = "one_waypoint_linear" if d == 4 else "linear"
-        utility = make_utility(linear, worlds.objectives, **({} if d == 4 else {"weights": [1.0] * d}))
-    return Task(
-        new=lambda **more: mo_gymnasium.make(env_id, **arguments, **more),
-        env=worlds,
+        utility = make_utility(linear, env.objectives, **({} if d == 4 else {"weights": [1.0] * d}))
+    return PeerTask(
+        make_single_env=lambda **more: mo_gymnasium.make(env_id, **arguments, **more),
+        env=env,
         config=peer.Config(**{**SMALL[name], **settings}),
         utility=utility,
         steps=STEPS,
         num_envs=2,
         seed=0,
         device="cpu",
-        reference_point=-100.0 * worlds.objective_scales,
-        recorder=Recorder(worlds.objectives, utility, 100, lambda step, metrics: None),
+        reference_point=-100.0 * env.objective_scales,
+        recorder=Recorder(env.objectives, utility, 100, lambda step, metrics: None),
     )
 
 
-def train(name: str, task: Task) -> Policies:
-    """What the peer learns; what it prints is dropped."""
+def train(name: str, task: PeerTask) -> PeerPolicies:
+    """Train a peer without its output."""
     torch.manual_seed(0)
     np.random.seed(0)  # noqa: NPY002
     PEERS[name].check(name, task)
@@ -124,11 +124,11 @@ def train(name: str, task: Task) -> Policies:
         return PEERS[name].adapter(task)
 
 
-def evaluation_env(task: Task, worlds: int) -> Any:
+def evaluation_env(task: PeerTask, num_envs: int) -> Any:
     own: Any = task.env.vector_env.unwrapped
     if not task.env.native:
-        return make_env(own.envs[0].unwrapped.spec.id, worlds)
-    return make_env(ONE_WAYPOINT, worlds, own.config.model_dump(exclude={"scenario"}))
+        return make_env(own.envs[0].unwrapped.spec.id, num_envs)
+    return make_env(ONE_WAYPOINT, num_envs, own.config.model_dump(exclude={"scenario"}))
 
 
 CASES = [(name, kind) for name, peer in PEERS.items() for kind in peer.actions]
@@ -137,7 +137,7 @@ CASES = [(name, kind) for name, peer in PEERS.items() for kind in peer.actions]
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_a_peer_trains_and_its_policies_can_be_evaluated(name: str, kind: str) -> None:
-    installed(name)
+    require(name)
     task = make_task(name, kind=kind)
     policies = train(name, task)
     assert task.recorder.steps >= STEPS // 2
@@ -153,14 +153,14 @@ def test_a_peer_trains_and_its_policies_can_be_evaluated(name: str, kind: str) -
         found = evaluate_each(policies.at, len(policies), env, episodes=2, seed=1_000_000, gamma=GAMMA)
         assert len(found) == len(policies)
         for evaluation in found:
-            # The same in every episode: so is what a greedy policy does.
+            # All episodes are equal, and so are greedy actions.
             np.testing.assert_allclose(evaluation.returns[0], evaluation.returns[1], rtol=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["morl_baselines.pcn", "morl_baselines.envelope", "morl_baselines.nl_mo_ppo"])
 def test_a_peer_trains_on_another_environment(name: str) -> None:
-    installed(name)
+    require(name)
     task = make_task(name, SEA)
     policies = train(name, task)
     found = evaluate_each(policies.at, len(policies), evaluation_env(task, 4), episodes=1, seed=0, gamma=GAMMA)
@@ -169,9 +169,9 @@ def test_a_peer_trains_on_another_environment(name: str) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("scales", [True, False])
-def test_the_commands_of_pcn_are_obeyed_as_in_its_own_evaluation(scales: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_policies_of_pcn_act_as_in_its_own_evaluation(scales: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     name = "morl_baselines.pcn"
-    installed(name)
+    require(name)
     from morl_baselines.multi_policy.pcn.pcn import PCN
 
     agents: list[Any] = []
@@ -184,12 +184,12 @@ def test_the_commands_of_pcn_are_obeyed_as_in_its_own_evaluation(scales: bool, m
     monkeypatch.setattr(PCN, "__init__", remember)
     task = make_task(name, nominal_scales=scales)
     policies = train(name, task)
-    env, most = task.make(recorded=False), np.array([100.0, 100.0, 0.0, 0.0], dtype=np.float32)
+    env, max_return = task.make(recorded=False), np.array([100.0, 100.0, 0.0, 0.0], dtype=np.float32)
     expected = []
     for *desired, horizon in policies.conditions:
         wanted = (np.array(desired) / task.reward_scales).astype(np.float32)
         with torch.no_grad():
-            episode = agents[0]._run_episode(env, wanted, np.float32(horizon), most, eval_mode=True)
+            episode = agents[0]._run_episode(env, wanted, np.float32(horizon), max_return, eval_mode=True)
         expected.append(np.sum([step.reward for step in episode], axis=0) * task.reward_scales)
     found = evaluate_each(policies.at, len(policies), evaluation_env(task, 3), episodes=1, seed=1_000_000, gamma=GAMMA)
     np.testing.assert_allclose([each.returns[0, 0] for each in found], expected, rtol=1e-3, atol=1e-3)
@@ -206,7 +206,7 @@ def test_stable_baselines3_accepts_the_wrapped_environment() -> None:
 @pytest.mark.filterwarnings("ignore")
 def test_the_same_seeds_give_the_same_policies() -> None:
     name = "stable_baselines3.a2c"
-    installed(name)
+    require(name)
     returns = []
     for _ in range(2):
         task = make_task(name)

@@ -1,4 +1,4 @@
-"""The command line of sweeps on this machine: made once, gone on with after whatever ended them, equal in the end."""
+"""scripts/sweep.py on this machine: every run is trained once, and an interrupted sweep resumes to the same results."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ import pytest
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
+from algorithms.sweeps import runner
+from tests.helpers.scripts import load_script
 from tests.helpers.short_runs import assert_same_run, job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
@@ -37,15 +39,15 @@ Done = tuple[int, str, str]  # exit code, standard output, standard error
 Call = Callable[..., Done]
 
 RATE = "algorithm.learning_rate"
-SECONDS = {"training.total_timesteps": 200_000, "training.num_envs": 64}  # two, after the first half
+TWO_SECONDS = {"training.total_timesteps": 200_000, "training.num_envs": 64}  # per run, after compilation
 PAGE = 4096
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
 
 @pytest.fixture(scope="module")
-def script(load_script: Callable[[str], Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """The command line, whose workers are forks: this process has done what they do, so that they begin at once."""
+def script(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The script, with forked workers: this process has compiled everything, so they start at once."""
     perform(job(tmp_path_factory.mktemp("warm")))
     with forked_workers():
         yield load_script("sweep")
@@ -53,7 +55,7 @@ def script(load_script: Callable[[str], Any], tmp_path_factory: pytest.TempPathF
 
 @pytest.fixture
 def call(script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line in the test's folder."""
+    """Run the script in the test's folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
 
@@ -69,7 +71,7 @@ def call(script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: py
 
 @pytest.fixture(scope="module")
 def whole(script: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sweep of two learning rates and two seeds, undisturbed."""
+    """A sweep of two learning rates and two seeds, trained without interruption."""
     folder = tmp_path_factory.mktemp("whole")
     assert script.main(["--config", str(write_sweep(folder, seeds=2)), "--output", str(folder / "whole")]) == 0
     return folder / "whole"
@@ -85,10 +87,10 @@ def states(sweep: Path) -> list[str | None]:
     return [status(run).get("state") for run in runs(sweep)]
 
 
-# ------------------------------------------------------------------------------------------------------ made, and again
+# ---------------------------------------------------------------------------------------------------- complete and add
 
 
-def test_a_sweep_is_made_left_alone_and_added_to(call: Call, tmp_path: Path, whole: Path) -> None:
+def test_a_finished_sweep_is_left_alone_and_new_runs_are_added(call: Call, tmp_path: Path, whole: Path) -> None:
     sweep = tmp_path / "sweep"
     file = write_sweep(tmp_path, seeds=2)
     code, out, _ = call(file, "--on", "manifest", "--output", sweep)
@@ -119,33 +121,32 @@ def test_a_sweep_is_made_left_alone_and_added_to(call: Call, tmp_path: Path, who
     assert states(sweep) == ["finished"] * 6
 
 
-def test_runs_that_are_no_longer_wanted_are_counted_and_stay(
-    call: Call, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_removed_runs_are_counted_and_their_directories_kept(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(script, "perform_all", lambda *arguments, **options: {})
+    monkeypatch.setattr(runner, "perform_all", lambda *arguments, **options: {})
     assert call(write_sweep(tmp_path, seeds=3), "--output", "sweep")[0] == 0
     made = runs(tmp_path / "sweep")[-1]
     made.mkdir(parents=True)
     code, out, _ = call(write_sweep(tmp_path, seeds=2), "--output", "sweep")
     assert code == 0
-    assert out.startswith("2 runs of an earlier manifest are not in the sweep any more")
+    assert out.startswith("2 runs of the previous manifest are no longer in the sweep")
     assert made.is_dir()
     assert len(runs(tmp_path / "sweep")) == 4
-    assert "any more" not in call(write_sweep(tmp_path, seeds=4), "--output", "sweep")[1]
+    assert "no longer" not in call(write_sweep(tmp_path, seeds=4), "--output", "sweep")[1]
 
 
-def test_the_directory_is_named_after_the_file_unless_told_otherwise(call: Call, tmp_path: Path) -> None:
+def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Path) -> None:
     code, out, _ = call(write_sweep(tmp_path), "--on", "manifest")
     assert code == 0
     assert out == f"{Path('runs') / 'sweeps' / 'short' / 'manifest.jsonl'}: 2 runs\n"
     assert len(runs(tmp_path / "runs" / "sweeps" / "short")) == 2
 
 
-def test_any_name_of_a_directory_is_shown_as_it_is(
-    call: Call, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_markup_in_the_name_of_a_directory_is_shown_literally(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also one that looks like markup."""
-    monkeypatch.setattr(script, "perform_all", lambda *arguments, **options: {})
+    monkeypatch.setattr(runner, "perform_all", lambda *arguments, **options: {})
     code, out, _ = call(write_sweep(tmp_path), "--output", Path("[bold]sweep [/x]"))
     assert code == 0
     assert "2 runs, 0 of them done, in [bold]sweep [/x]\n" in out
@@ -170,7 +171,7 @@ def test_any_name_of_a_directory_is_shown_as_it_is(
         (["--status"], "is not a sweep: it has no manifest.jsonl"),
     ],
 )
-def test_an_option_of_another_engine_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
+def test_an_option_of_another_backend_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
     code, out, error = call(write_sweep(tmp_path), *options)
     assert (code, out) == (2, "")
     assert error.startswith("error: ")
@@ -178,26 +179,26 @@ def test_an_option_of_another_engine_is_refused(call: Call, tmp_path: Path, opti
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize(("engine", "module"), [("ray", "ray"), ("slurm", "submitit")])
-def test_an_engine_that_is_not_installed_is_refused_with_what_to_install(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str, module: str
+@pytest.mark.parametrize(("backend", "module"), [("ray", "ray"), ("slurm", "submitit")])
+def test_a_backend_that_is_not_installed_is_refused_with_what_to_install(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str, module: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    code, out, error = call(write_sweep(tmp_path), "--on", engine)
+    code, out, error = call(write_sweep(tmp_path), "--on", backend)
     assert (code, out) == (2, "")
-    assert f"--on {engine} needs {module}: pip install 'mo-deepdrive[sweep]'" in error
+    assert f"--on {backend} needs {module}: pip install 'mo-deepdrive[sweep]'" in error
     assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize("options", [["--on", "moon"], ["--work", "2"], ["--workers", "two"], ["--seeds", "3"]])
-def test_an_option_that_is_none_is_refused(call: Call, tmp_path: Path, options: list[str]) -> None:
+def test_an_unknown_option_is_refused(call: Call, tmp_path: Path, options: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         call(write_sweep(tmp_path), *options)
     assert ended.value.code == 2
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("engine", ["local", "manifest"])
+@pytest.mark.parametrize("backend", ["local", "manifest"])
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -210,10 +211,10 @@ def test_an_option_that_is_none_is_refused(call: Call, tmp_path: Path, options: 
         ({"seedz": 1}, "did you mean 'seeds'?"),
     ],
 )
-def test_a_sweep_that_is_wrong_is_refused_before_anything_is_written(
-    call: Call, tmp_path: Path, engine: str, settings: dict[str, Any], message: str
+def test_an_invalid_sweep_is_refused_before_anything_is_written(
+    call: Call, tmp_path: Path, backend: str, settings: dict[str, Any], message: str
 ) -> None:
-    code, out, error = call(write_sweep(tmp_path, **settings), "--on", engine, "--output", "sweep")
+    code, out, error = call(write_sweep(tmp_path, **settings), "--on", backend, "--output", "sweep")
     assert (code, out) == (2, "")
     assert message in error
     assert "Traceback" not in error
@@ -238,8 +239,9 @@ def failures(out: str) -> str:
     return "\n".join(lines[last + 1 :])
 
 
-def test_a_run_that_fails_is_listed_with_its_reason_and_made_when_that_is_mended(call: Call, tmp_path: Path) -> None:
-    """The utility is in a module beside the sweep's file, in the folder that the command runs in."""
+@pytest.mark.slow
+def test_a_failed_run_is_listed_with_its_reason_and_trained_once_that_is_fixed(call: Call, tmp_path: Path) -> None:
+    """The utility is in a module next to the sweep's file, in the working directory."""
     utility = "def utility(returns):\n{}    return returns[..., 0]\n"
     module = tmp_path / "careless.py"
     module.write_text(utility.format("    if returns.any():\n        raise RuntimeError('no [red] licence')\n"))
@@ -264,8 +266,7 @@ def test_a_run_that_fails_is_listed_with_its_reason_and_made_when_that_is_mended
     assert all(after[path] == before[path] for path in before if bad not in path.parents)
 
 
-def test_the_reason_of_a_failure_is_told_whatever_kind_of_error_it_is(call: Call, tmp_path: Path) -> None:
-    """Also if it cannot travel between processes, as many libraries' errors."""
+def test_the_reason_of_a_failure_is_shown_for_errors_that_cannot_be_pickled(call: Call, tmp_path: Path) -> None:
     (tmp_path / "fussy.py").write_text(
         "class Refused(Exception):\n"
         "    def __init__(self, code, text):\n"
@@ -282,11 +283,11 @@ def test_the_reason_of_a_failure_is_told_whatever_kind_of_error_it_is(call: Call
     assert "no licence (403)" in status(runs(tmp_path / "sweep")[0])["reason"]
 
 
-def test_a_device_that_is_not_here_fails_the_runs_and_says_so(call: Call, tmp_path: Path) -> None:
+def test_runs_on_a_missing_device_fail_with_a_message(call: Call, tmp_path: Path) -> None:
     file = write_sweep(tmp_path, grid={}, overrides={"training.device": "cuda:99"})
     code, out, _ = call(file, "--output", "sweep")
     assert code == 1
-    assert "training.device = 'cuda:99' does not exist" in failures(out)
+    assert "training.device = 'cuda:99' is not there" in failures(out)
     assert not (tmp_path / "sweep" / "runs").exists()
 
 
@@ -294,35 +295,37 @@ def test_a_device_that_is_not_here_fails_the_runs_and_says_so(call: Call, tmp_pa
 
 
 def begun(run: Path) -> bool:
-    """Whether a run is going on and has a checkpoint."""
+    """Whether a run is in progress and has a checkpoint."""
     return status(run).get("state") == "running" and status(run)["step"] > 0
 
 
-def test_signals_save_what_is_going_on_and_the_same_command_ends_as_without_them(call: Call, tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, overrides=SECONDS)
+@pytest.mark.slow
+def test_a_sweep_that_was_interrupted_by_signals_resumes_to_the_same_results(call: Call, tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, overrides=TWO_SECONDS)
     sweep = tmp_path / "sweep"
     options = ("--output", sweep, "--workers", "1")
     with start_sweep(file, *options) as process:
         eventually(lambda: (sweep / "manifest.jsonl").exists() and begun(runs(sweep)[0]))
-        os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C, to all processes of the command
+        os.killpg(process.pid, signal.SIGINT)  # like Ctrl-C: to all processes of the command
         out, _ = process.communicate(timeout=60)
     assert process.returncode == 130, out
     assert states(sweep) == ["interrupted", None]
-    assert "interrupted; what was being trained is saved: the same command goes on" in out
+    assert "interrupted; the runs in progress are saved: the same command resumes them" in out
     assert "Traceback" not in out
     with start_sweep(file, *options) as process:
         eventually(lambda: begun(runs(sweep)[1]))
         code, out = interrupt(process, signal.SIGTERM)
     assert code == 143
     assert states(sweep) == ["finished", "interrupted"]
-    assert "the same command goes on" in out
+    assert "the same command resumes" in out
     assert "Traceback" not in out
     assert call(file, *options)[0] == 0
     assert call(file, "--output", "whole")[0] == 0
     assert_same_sweep(sweep, tmp_path / "whole")
 
 
-def test_a_signal_while_the_workers_start_ends_the_command_without_a_trace(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_signal_while_the_workers_start_ends_the_command_without_a_traceback(tmp_path: Path) -> None:
     sweep = tmp_path / "sweep"
     with start_sweep(write_sweep(tmp_path), "--output", sweep, "--workers", "1") as process:
         eventually((sweep / "manifest.jsonl").exists)
@@ -337,8 +340,9 @@ def test_a_signal_while_the_workers_start_ends_the_command_without_a_trace(tmp_p
 # --------------------------------------------------------------------------------------------------------------- search
 
 
-def test_a_search_goes_on_batch_by_batch_and_ends_the_same_after_an_interrupt(
-    call: Call, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.slow
+def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     space = {RATE: {"low": 1e-4, "high": 1e-1, "log": True}, "algorithm.steps": {"low": 4, "high": 16}}
     metric = "stochastic/return/distance"
@@ -355,7 +359,7 @@ def test_a_search_goes_on_batch_by_batch_and_ends_the_same_after_an_interrupt(
     ended = max((run / "status.json").stat().st_mtime_ns for run in made[:6])
     assert all((run / "config.yaml").stat().st_mtime_ns > ended for run in made[6:])
 
-    perform_all = script.perform_all
+    perform_all = runner.perform_all
 
     def interrupted(jobs: Sequence[Job], workers: int, monitor: Dashboard, **options: Any) -> dict[Job, str]:
         def stop() -> bool:
@@ -369,7 +373,7 @@ def test_a_search_goes_on_batch_by_batch_and_ends_the_same_after_an_interrupt(
         return perform_all(jobs, workers, monitor, stop=stop, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(script, "perform_all", interrupted)
+        patch.setattr(runner, "perform_all", interrupted)
         assert call(file, "--output", "second", "--workers", "2")[0] == 130
     assert states(tmp_path / "second").count("finished") < 12
     assert call(file, "--output", "second", "--workers", "2")[0] == 0
@@ -381,40 +385,41 @@ def test_a_search_goes_on_batch_by_batch_and_ends_the_same_after_an_interrupt(
     assert times(first) == before
 
 
-def test_a_search_whose_metric_is_unknown_says_which_there_are(call: Call, tmp_path: Path) -> None:
+def test_an_unknown_metric_of_a_search_is_refused_with_the_known_ones(call: Call, tmp_path: Path) -> None:
     search = {"space": {RATE: [0.001]}, "metric": "greedy/utility", "trials": 1}
     code, _, error = call(write_sweep(tmp_path, search=search), "--output", "sweep")
     assert code == 2
-    assert "metric 'greedy/utility' is not among those of the runs; did you mean" in error
+    assert "metric 'greedy/utility' is not a metric of the runs; did you mean" in error
 
 
-# ----------------------------------------------------------------------------------------------------- several at once
+# ---------------------------------------------------------------------------------------- several processes at once
 
 
-def drive(script: Any, arguments: list[str]) -> None:
-    """The command line in a process of its own."""
+def run_script(script: Any, arguments: list[str]) -> None:
+    """The script in a separate process."""
     sys.exit(script.main(arguments))
 
 
-def test_two_drivers_at_once_make_every_run_once(script: Any, tmp_path: Path, whole: Path) -> None:
+@pytest.mark.slow
+def test_two_processes_of_the_same_sweep_train_every_run_once(script: Any, tmp_path: Path, whole: Path) -> None:
     file = write_sweep(tmp_path, seeds=2)
     context = multiprocessing.get_context("fork")
     for number in range(2):
         sweep = tmp_path / f"sweep{number}"
         arguments = ["--config", str(file), "--output", str(sweep), "--workers", str(number + 1)]
-        drivers = [context.Process(target=drive, args=(script, arguments)) for _ in range(2)]
-        for driver in drivers:
-            driver.start()
-        for driver in drivers:
-            driver.join(120)
-        assert [driver.exitcode for driver in drivers] == [0, 0]
+        processes = [context.Process(target=run_script, args=(script, arguments)) for _ in range(2)]
+        for process in processes:
+            process.start()
+        for process in processes:
+            process.join(120)
+        assert [process.exitcode for process in processes] == [0, 0]
         assert_same_sweep(sweep, whole)
         for run in runs(sweep):
-            assert len(list((run / "tensorboard").iterdir())) == 1  # one for each time that it was begun
+            assert len(list((run / "tensorboard").iterdir())) == 1  # one for each time that it was started
 
 
 @pytest.mark.parametrize("other", ["trains", "has trained"])
-def test_a_run_that_another_driver_begins_in_the_same_moment_is_no_failure(
+def test_a_run_that_another_process_starts_at_the_same_moment_is_not_a_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str
 ) -> None:
     wanted = job(tmp_path)
@@ -444,25 +449,25 @@ def test_a_run_that_another_driver_begins_in_the_same_moment_is_no_failure(
 
 
 def pages(path: Path) -> int:
-    """Pages that a file or all files in a folder take."""
+    """Memory pages that a file, or all files in a folder, occupy."""
     files = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
     return sum(math.ceil(each.stat().st_size / PAGE) for each in files)
 
 
-@pytest.mark.parametrize("room", ["not for the manifest", "for the manifest alone", "for half of the runs"])
-def test_a_full_disk_stops_the_sweep_with_one_message_and_with_more_room_it_goes_on(
-    call: Call, tmp_path: Path, whole: Path, room: str
+@pytest.mark.parametrize("space", ["less than the manifest", "the manifest alone", "half of the runs"])
+def test_a_full_disk_stops_the_sweep_with_one_message_and_with_more_space_it_resumes(
+    call: Call, tmp_path: Path, whole: Path, space: str
 ) -> None:
     manifest = pages(whole / "manifest.jsonl")
     sizes = {
-        "not for the manifest": manifest - 1,
-        "for the manifest alone": manifest,
-        "for half of the runs": manifest + pages(whole / "runs") // 2,
+        "less than the manifest": manifest - 1,
+        "the manifest alone": manifest,
+        "half of the runs": manifest + pages(whole / "runs") // 2,
     }
     file = write_sweep(tmp_path, seeds=2)
     disk = tmp_path / "disk"
     sweep = disk / "sweep"
-    with small_disk(disk, sizes[room] * PAGE // 1024):
+    with small_disk(disk, sizes[space] * PAGE // 1024):
         code, out, error = call(file, "--output", sweep, "--workers", "1")
         found = states(sweep) if (sweep / "manifest.jsonl").exists() else []
         enlarge_disk(disk, 20_000)
@@ -473,5 +478,5 @@ def test_a_full_disk_stops_the_sweep_with_one_message_and_with_more_room_it_goes
     assert "No space left on device" in error
     assert "Traceback" not in error
     assert "FAILED" not in out
-    assert "finished" in found or room != "for half of the runs"
-    assert None in found or room == "not for the manifest"  # nothing else is begun
+    assert "finished" in found or space != "half of the runs"
+    assert None in found or space == "less than the manifest"  # no other run is started

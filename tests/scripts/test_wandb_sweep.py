@@ -1,4 +1,4 @@
-"""The sweep of Weights & Biases that we ship, driven by the real `wandb` programs against a server on this machine."""
+"""The W&B sweep in configs/sweeps, run with the real `wandb` command against a local server."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import load_experiment
 from tests.helpers.paths import REPOSITORY
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="the sweep's command and the signals are of POSIX")
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX commands and signals")
 
 DEFINITION = "configs/sweeps/wandb.yaml"
 TIMEOUT = 240
@@ -46,14 +46,13 @@ VALUES: dict[str, dict[str, Any]] = {
 
 
 class Server(ThreadingHTTPServer):
-    """What a sweep and a sync need of W&B's server.
+    """A fake of W&B's server with what a sweep and a sync need.
 
-    It hands out the two runs of VALUES at once, has the long one stopped while it trains, and ends the agent when
-    nothing runs.
+    It starts both runs of VALUES at once, stops the long one while it trains, and ends the agent when no run is left.
 
     Attributes:
-        sweep: what `wandb sweep` sent.
-        runs: what was uploaded, by entity, project and id: "config", "sweep", "rows".
+        sweep: the request of `wandb sweep`.
+        runs: uploaded data by entity, project and id: "config", "sweep", "rows".
     """
 
     daemon_threads = True
@@ -66,10 +65,10 @@ class Server(ThreadingHTTPServer):
         self._handed_out = False
 
     def answer(self, operation: str, given: dict[str, Any]) -> dict[str, Any]:
-        """The data of a GraphQL operation.
+        """The response to a GraphQL operation.
 
         Raises:
-            KeyError: for an operation that it does not know.
+            KeyError: for an unknown operation.
         """
         return {
             "Viewer": self._viewer,
@@ -136,13 +135,13 @@ class Server(ThreadingHTTPServer):
         return {"model": {"id": "p", "name": given["project"], "bucket": bucket}}
 
     def upload(self, key: tuple[str, str, str], files: dict[str, Any]) -> None:
-        """Take lines of a run's files from their offset on."""
+        """Store uploaded lines of a run's history, from their offset on."""
         if chunk := files.get("wandb-history.jsonl"):
             self.runs[key]["rows"][chunk["offset"] :] = chunk["content"]
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Passes requests to the server."""
+    """Passes HTTP requests to the server."""
 
     protocol_version = "HTTP/1.1"
     server: Server
@@ -175,33 +174,33 @@ class Handler(BaseHTTPRequestHandler):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep that has run.
+    """A finished sweep.
 
     Attributes:
-        folder: where its commands ran.
-        server: what they talked to.
-        said: what the agent and its runs printed.
+        folder: working directory of its commands.
+        server: that they connected to.
+        output: of the agent and its runs.
     """
 
     folder: Path
     server: Server
-    said: str
+    output: str
 
     def run(self, run_id: str) -> Path:
         """The directory of a run."""
         found = directory_of(self.folder, run_id)
-        assert found is not None, self.said
+        assert found is not None, self.output
         return found
 
 
 def directory_of(folder: Path, run_id: str) -> Path | None:
-    """The directory of the run that W&B knows as ``run_id``, once it trains."""
+    """The directory of the run with W&B's id ``run_id``; None before it exists."""
     files = folder.glob("runs/mo_a2c_linear/*/wandb_id")
     return next((file.parent for file in files if file.read_text().strip() == run_id), None)
 
 
 def environment(folder: Path, server: Server, **variables: str) -> dict[str, str]:
-    """For the commands: W&B is ``server``, `python` is this one."""
+    """Environment variables: W&B is ``server``, `python` is this interpreter."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
     return {
         **kept,
@@ -217,7 +216,7 @@ def environment(folder: Path, server: Server, **variables: str) -> dict[str, str
 
 
 def call(folder: Path, server: Server, *arguments: str, **variables: str) -> str:
-    """Run `wandb` in ``folder``; what it printed."""
+    """Run `wandb` in ``folder``; returns its output."""
     done = subprocess.run(
         [sys.executable, "-m", "wandb", *arguments],
         stdout=subprocess.PIPE,
@@ -234,7 +233,7 @@ def call(folder: Path, server: Server, *arguments: str, **variables: str) -> str
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
-    """The shipped sweep, made in another project than its own and run by the agent that `wandb sweep` names."""
+    """The sweep in configs/sweeps, created in another project and run by the agent that `wandb sweep` prints."""
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "wandb").mkdir()
     for name in ("configs", "scripts"):
@@ -258,7 +257,7 @@ def state(run: Path) -> str:
     return json.loads((run / "status.json").read_text())["state"]
 
 
-def test_every_value_of_the_sweep_is_one_of_the_experiment() -> None:
+def test_every_value_of_the_sweep_is_valid_for_the_experiment() -> None:
     definition = yaml.safe_load((REPOSITORY / DEFINITION).read_text())
     (config,) = [part.partition("=")[2] for part in definition["command"] if part.startswith("--config=")]
     fixed = [part for part in definition["command"] if part.startswith("--") and not part.startswith("--config=")]
@@ -272,16 +271,18 @@ def test_every_value_of_the_sweep_is_one_of_the_experiment() -> None:
     assert experiment.logging.wandb.project == definition["project"]
 
 
-def test_runs_have_the_values_and_the_ids_of_the_agent(sweep: Sweep) -> None:
+@pytest.mark.slow
+def test_runs_have_the_values_and_ids_from_the_agent(sweep: Sweep) -> None:
     for run_id, values in VALUES.items():
         config = read_mapping(sweep.run(run_id) / "config.yaml")
         assert {key: value_at(config, key) for key in values} == values
         assert (config["training"]["seed"], config["logging"]["save_figures"]) == (100, False)
     assert len(list(sweep.folder.glob("runs/*/*"))) == len(VALUES)
     assert state(sweep.run(SHORT)) == "finished"
-    assert "when running a sweep" not in sweep.said  # how W&B says that it ignores an argument
+    assert "when running a sweep" not in sweep.output  # W&B's warning about ignored arguments
 
 
+@pytest.mark.slow
 def test_the_metric_of_the_sweep_is_logged(sweep: Sweep) -> None:
     sent = yaml.safe_load(sweep.server.sweep["config"])
     assert sent == yaml.safe_load((REPOSITORY / DEFINITION).read_text())
@@ -290,7 +291,7 @@ def test_the_metric_of_the_sweep_is_logged(sweep: Sweep) -> None:
 
 
 def interrupt_after(step: int, run: Path, sweep: Sweep) -> int:
-    """Resume a run outside of the sweep and interrupt it when it is past ``step``; the exit code."""
+    """Resume a run outside the sweep and interrupt it after ``step``; returns the exit code."""
     process = subprocess.Popen(
         [sys.executable, "scripts/train.py", "--resume", str(run)],
         cwd=sweep.folder,
@@ -308,7 +309,8 @@ def interrupt_after(step: int, run: Path, sweep: Sweep) -> int:
         process.kill()
 
 
-def test_a_stopped_run_goes_on_and_both_parts_are_synced_as_one_run(sweep: Sweep) -> None:
+@pytest.mark.slow
+def test_a_stopped_run_can_be_resumed_and_both_parts_are_synced_as_one_run(sweep: Sweep) -> None:
     run = sweep.run(LONG)
     before = read_metrics(run / "metrics.csv")["step"]
     assert state(run) == "interrupted"

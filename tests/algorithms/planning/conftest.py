@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.build import build
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.experiments.config import load_experiment
 from algorithms.experiments.build import build
+from algorithms.experiments.config import load_experiment
 from algorithms.planning.trained_runs import record_run
 
 

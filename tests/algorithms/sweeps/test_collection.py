@@ -1,4 +1,4 @@
-"""The results of a sweep as Parquet files: right, brought up to date by what has changed alone, never half written."""
+"""The results of a sweep as Parquet files: correct, updated incrementally, never half written."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ import table as table_script  # noqa: E402  (a script)
 
 from algorithms.common.metrics_file import MetricsFile, read_metrics  # noqa: E402
 from algorithms.experiments.config import load_experiment  # noqa: E402
-from algorithms.sweeps import metric_parts  # noqa: E402
+from algorithms.sweeps import metrics_parquet  # noqa: E402
 from algorithms.sweeps.collection import collect  # noqa: E402
-from algorithms.sweeps.manifest import Row, run_id, write_manifest  # noqa: E402
-from algorithms.sweeps.ranking import cell_labels, rank, varying, words  # noqa: E402
+from algorithms.sweeps.manifest import ManifestRow, run_id, write_manifest  # noqa: E402
+from algorithms.sweeps.ranking import cell_labels, rank, value_labels, varying_keys  # noqa: E402
 
-Scores = Callable[[Row], dict[str, dict[str, float]]]
+Scores = Callable[[ManifestRow], dict[str, dict[str, float]]]
 
 
-def make_row(base: Mapping[str, Any], cell: dict[str, Any], seed: int, trial: int | None = None) -> Row:
-    """A line of a manifest: ``base`` with the values of the cell; its key "config" is but a name."""
+def make_row(base: Mapping[str, Any], cell: dict[str, Any], seed: int, trial: int | None = None) -> ManifestRow:
+    """A line of a manifest: ``base`` with the values of the cell, whose key "config" is only a name."""
     config = copy.deepcopy(dict(base))
     for key, value in {**cell, "training.seed": seed}.items():
         if key != "config":
@@ -46,14 +46,14 @@ def make_row(base: Mapping[str, Any], cell: dict[str, Any], seed: int, trial: in
                 place = place[section]
             place[last] = value
     name = run_id(config)
-    return Row(name, f"runs/{config['algorithm']['name']}-seed{seed}-{name}", cell, seed, trial, config)
+    return ManifestRow(name, f"runs/{config['algorithm']['name']}-seed{seed}-{name}", cell, seed, trial, config)
 
 
 def config_of(name: str) -> dict[str, Any]:
     return load_experiment(ROOT / f"configs/{name}.yaml").to_dict()
 
 
-def log(sweep: Path, row: Row, rows: Sequence[tuple[int, dict[str, float]]]) -> Path:
+def log(sweep: Path, row: ManifestRow, rows: Sequence[tuple[int, dict[str, float]]]) -> Path:
     """Write the metrics of a run, as training does."""
     path = sweep / row.directory / "metrics.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,7 @@ def log(sweep: Path, row: Row, rows: Sequence[tuple[int, dict[str, float]]]) -> 
     return path
 
 
-def end(sweep: Path, row: Row, policies: Mapping[str, Mapping[str, float]], state: str = "finished") -> None:
+def end(sweep: Path, row: ManifestRow, policies: Mapping[str, Mapping[str, float]], state: str = "finished") -> None:
     """Write the status of a run; if it has finished, its final evaluation too."""
     directory = sweep / row.directory
     directory.mkdir(parents=True, exist_ok=True)
@@ -76,12 +76,12 @@ def end(sweep: Path, row: Row, policies: Mapping[str, Mapping[str, float]], stat
         (directory / "evaluation.json").write_text(json.dumps({"policies": summary}))
 
 
-def scores_of(row: Row) -> float:
-    """A score that every run has to itself: higher with the learning rate, a little with the seed."""
+def scores_of(row: ManifestRow) -> float:
+    """A score that is unique to each run: it increases with the learning rate and slightly with the seed."""
     return 1000.0 * row.config["algorithm"]["learning_rate"] + 0.1 * row.seed
 
 
-def make_sweep(sweep: Path, rows: Sequence[Row], points: int = 12) -> list[Row]:
+def make_sweep(sweep: Path, rows: Sequence[ManifestRow], points: int = 12) -> list[ManifestRow]:
     """A finished sweep."""
     for row in rows:
         score = scores_of(row)
@@ -102,7 +102,7 @@ def base() -> dict[str, Any]:
 
 
 @pytest.fixture
-def grid(base: dict[str, Any]) -> list[Row]:
+def grid(base: dict[str, Any]) -> list[ManifestRow]:
     """Six cells of three seeds."""
     rates, steps = (1e-4, 1e-3, 1e-2), (16, 32)
     cells = [{"algorithm.learning_rate": rate, "algorithm.steps": step} for rate, step in product(rates, steps)]
@@ -121,7 +121,7 @@ def table(*arguments: Path | str) -> int:
 # -------------------------------------------------------------------------------------------------------------- content
 
 
-def test_the_files_hold_what_the_runs_have_logged_and_scored(tmp_path: Path, grid: list[Row]) -> None:
+def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid)
     collection = collect(tmp_path)
     assert collection.remarks == []
@@ -154,10 +154,10 @@ def test_the_files_hold_what_the_runs_have_logged_and_scored(tmp_path: Path, gri
     assert runs["rows"].unique().to_list() == [24]
 
 
-def test_other_readers_take_the_parts_for_one_table(
-    tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch
+def test_polars_and_pandas_read_the_parts_as_one_table(
+    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(metric_parts, "PART_RUNS", 5)
+    monkeypatch.setattr(metrics_parquet, "PART_RUNS", 5)
     rows = make_sweep(tmp_path, grid)
     log(tmp_path, rows[0], [(0, {"of/this/run": 1.0}), (7, {"loss/policy": 2.0})])
     collect(tmp_path)
@@ -172,7 +172,7 @@ def test_other_readers_take_the_parts_for_one_table(
     assert mine["loss/policy"].to_list() == [None, 2.0]
 
 
-def test_keys_keep_their_kinds(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_columns_of_keys_keep_their_types(tmp_path: Path, base: dict[str, Any]) -> None:
     cells: list[dict[str, Any]] = [
         {"algorithm.hidden": [8], "algorithm.observe_discount": True, "algorithm.gamma": 1, "config": "a"},
         {"algorithm.hidden": None, "algorithm.observe_discount": False, "algorithm.gamma": 0.5, "config": "b"},
@@ -183,17 +183,17 @@ def test_keys_keep_their_kinds(tmp_path: Path, base: dict[str, Any]) -> None:
     assert runs.rows() == [("[8]", True, 1.0, "a"), ("null", False, 0.5, "b")]
 
 
-# ----------------------------------------------------------------------------------------------------- bring up to date
+# --------------------------------------------------------------------------------------------------- incremental update
 
 
-def test_what_has_not_changed_is_not_read_or_written_again(
-    tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch
+def test_unchanged_files_are_neither_read_nor_written_again(
+    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(metric_parts, "PART_RUNS", 5)
+    monkeypatch.setattr(metrics_parquet, "PART_RUNS", 5)
     rows = make_sweep(tmp_path, grid)
     read: list[str] = []
-    whole = metric_parts._read
-    monkeypatch.setattr(metric_parts, "_read", lambda path: read.append(path.parent.name) or whole(path))
+    whole = metrics_parquet._read_rows
+    monkeypatch.setattr(metrics_parquet, "_read_rows", lambda path: read.append(path.parent.name) or whole(path))
     collect(tmp_path)
     assert sorted(read) == sorted(Path(row.directory).name for row in rows)
     written = parts(tmp_path)
@@ -210,8 +210,8 @@ def test_what_has_not_changed_is_not_read_or_written_again(
     assert collection.metrics.collect().height == 18 * 24 + 1
 
 
-def test_runs_that_come_and_go(tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metric_parts, "PART_RUNS", 4)
+def test_added_and_removed_runs(tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics_parquet, "PART_RUNS", 4)
     rows = make_sweep(tmp_path, grid)
     write_manifest(tmp_path, rows[:6])
     assert set(collect(tmp_path).metrics.collect()["run"]) == {row.id for row in rows[:6]}
@@ -225,15 +225,15 @@ def test_runs_that_come_and_go(tmp_path: Path, grid: list[Row], monkeypatch: pyt
     assert len(parts(tmp_path)) == 1
 
 
-def test_large_runs_make_small_parts(tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_are_limited_in_bytes(tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch) -> None:
     rows = make_sweep(tmp_path, grid)
     size = (tmp_path / rows[0].directory / "metrics.csv").stat().st_size
-    monkeypatch.setattr(metric_parts, "PART_BYTES", 6 * size - size // 2)
+    monkeypatch.setattr(metrics_parquet, "PART_BYTES", 6 * size - size // 2)
     assert collect(tmp_path).metrics.collect().height == 18 * 24
     assert len(parts(tmp_path)) == 3
 
 
-def test_broken_parts_are_made_again(tmp_path: Path, grid: list[Row]) -> None:
+def test_broken_parts_are_written_again(tmp_path: Path, grid: list[ManifestRow]) -> None:
     make_sweep(tmp_path, grid)
     before = collect(tmp_path).metrics.collect()
     part = next((tmp_path / "collected/metrics").glob("*.parquet"))
@@ -243,8 +243,10 @@ def test_broken_parts_are_made_again(tmp_path: Path, grid: list[Row]) -> None:
     assert collect(tmp_path).metrics.collect().equals(before)
 
 
-def test_a_full_disk_leaves_whole_files(tmp_path: Path, grid: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metric_parts, "PART_RUNS", 5)
+def test_a_full_disk_leaves_no_half_written_files(
+    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metrics_parquet, "PART_RUNS", 5)
     make_sweep(tmp_path, grid)
     whole, left = os.fsync, [2]
 
@@ -269,10 +271,10 @@ def test_a_full_disk_leaves_whole_files(tmp_path: Path, grid: list[Row], monkeyp
     assert not list((tmp_path / "collected").rglob("*.tmp"))
 
 
-# ------------------------------------------------------------------------------------------ what is not as it should be
+# --------------------------------------------------------------------------------------------- broken and missing files
 
 
-def test_torn_lines_are_dropped_and_broken_files_named(tmp_path: Path, grid: list[Row]) -> None:
+def test_incomplete_lines_are_dropped_and_broken_files_are_named(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid)
     files = [tmp_path / row.directory / "metrics.csv" for row in rows]
     with files[0].open("a") as file:
@@ -299,7 +301,7 @@ def test_torn_lines_are_dropped_and_broken_files_named(tmp_path: Path, grid: lis
     assert values == [None, np.inf, None, 1e-3]
 
 
-def test_runs_without_a_row_leave_none(tmp_path: Path, grid: list[Row]) -> None:
+def test_runs_without_rows_add_no_rows(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path / "a [sweep] *", grid)
     for row in rows:
         (tmp_path / "a [sweep] *" / row.directory / "metrics.csv").write_text("broken\n")
@@ -311,7 +313,9 @@ def test_runs_without_a_row_leave_none(tmp_path: Path, grid: list[Row]) -> None:
     assert collect(tmp_path / "a [sweep] *").metrics.collect().rows() == [(rows[3].id, 0, 1.0)]
 
 
-def test_unfinished_and_missing_runs_are_counted_and_some_named(tmp_path: Path, grid: list[Row]) -> None:
+def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(
+    tmp_path: Path, grid: list[ManifestRow]
+) -> None:
     rows = make_sweep(tmp_path, grid)
     end(tmp_path, rows[0], {}, "running")
     (tmp_path / rows[0].directory / "evaluation.json").unlink()
@@ -323,7 +327,7 @@ def test_unfinished_and_missing_runs_are_counted_and_some_named(tmp_path: Path, 
         "5 of 18 runs have no final evaluation (3 waiting, 1 running, 1 failed): "
         f"{rows[0].directory}, {rows[1].directory}, {rows[2].directory}, and 2 more"
     ]
-    assert rows[4].id not in collection.scored  # what it scored before it was made again does not count
+    assert rows[4].id not in collection.scored  # the score from before it was trained again does not count
     assert collection.metrics.filter(pl.col("run") == rows[0].id).collect().height == 24
     states = dict(collection.runs.select("run", "state").collect().rows())
     assert [states[row.id] for row in rows[:5]] == ["running", "waiting", "waiting", "waiting", "failed"]
@@ -335,7 +339,7 @@ def test_unfinished_and_missing_runs_are_counted_and_some_named(tmp_path: Path, 
 # --------------------------------------------------------------------------------------------------------------- curves
 
 
-def test_curves_are_means_over_intervals_of_the_steps(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_curves_are_averaged_over_intervals_of_steps(tmp_path: Path, base: dict[str, Any]) -> None:
     (row,) = make_sweep(tmp_path, [make_row(base, {}, 0)], points=1000)
     names = ["eval/greedy/utility_esr", "train/utility"]
     found = collect(tmp_path).curves([row.id], names, points=50)[row.id]
@@ -351,7 +355,7 @@ def test_curves_are_means_over_intervals_of_the_steps(tmp_path: Path, base: dict
         np.testing.assert_allclose(np.stack([found["step"], found[name]], axis=1)[there], wanted)
 
 
-def test_few_points_stay_as_they_are(tmp_path: Path, grid: list[Row]) -> None:
+def test_short_curves_are_not_averaged(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid)
     found = collect(tmp_path).curves([row.id for row in rows[:2]], ["eval/greedy/utility_esr"])
     assert set(found) == {row.id for row in rows[:2]}
@@ -362,7 +366,7 @@ def test_few_points_stay_as_they_are(tmp_path: Path, grid: list[Row]) -> None:
 # -------------------------------------------------------------------------------------------------------------- ranking
 
 
-def test_cells_are_ranked_among_those_that_can_be_compared(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_cells_are_ranked_among_comparable_cells(tmp_path: Path, base: dict[str, Any]) -> None:
     other = config_of("one_waypoint/mo_a2c_nonlinear")
     front = config_of("one_waypoint/pcn")
     cells = [{"config": name, "algorithm.learning_rate": rate} for name in "abc" for rate in (1e-4, 1e-2, 1e-3)]
@@ -380,7 +384,7 @@ def test_cells_are_ranked_among_those_that_can_be_compared(tmp_path: Path, base:
         "mo-deepdrive-one-waypoint-v0, one_waypoint_nonlinear",
         "mo-deepdrive-one-waypoint-v0 fixed_destination=True",
     ]
-    assert [(each.title, each.what) for each in settings] == list(
+    assert [(each.title, each.score_name) for each in settings] == list(
         zip(names, ["greedy utility", "greedy utility", "front hypervolume"], strict=True)
     )
     rates = [[cell.keys["algorithm.learning_rate"] for cell in each.ranked] for each in settings]
@@ -390,11 +394,11 @@ def test_cells_are_ranked_among_those_that_can_be_compared(tmp_path: Path, base:
     assert [len(each.ranked) for each in by_collisions] == [3, 3, 0]
     assert [cell.keys["algorithm.learning_rate"] for cell in by_collisions[0].ranked] == [1e-2, 1e-3, 1e-4]
     assert rank(collection.cells, scores, "front/igd_plus")[2].ranked[0].keys["algorithm.learning_rate"] == 1e-2
-    with pytest.raises(ValueError, match=r"'greedy/sucess' is not among .* did you mean 'greedy/success'"):
+    with pytest.raises(ValueError, match=r"'greedy/sucess' is not a metric .* did you mean 'greedy/success'"):
         rank(collection.cells, scores, "greedy/sucess")
 
 
-def test_vehicles_are_added_up(tmp_path: Path) -> None:
+def test_utilities_are_summed_over_vehicles(tmp_path: Path) -> None:
     base = config_of("intersection/mo_a2c_linear")
     rows = [make_row(base, {"algorithm.steps": steps}, 0) for steps in (8, 16)]
     make_sweep(tmp_path, rows)
@@ -403,28 +407,28 @@ def test_vehicles_are_added_up(tmp_path: Path) -> None:
         end(tmp_path, row, {"greedy": numbers})
     collection = collect(tmp_path)
     (both,) = rank(collection.cells, collection.scores.collect())
-    assert both.what == "greedy total utility"
+    assert both.score_name == "greedy total utility"
     assert [both.score(cell) for cell in both.cells] == [6.0, 5.0]
     (one,) = rank(collection.cells, collection.scores.collect(), "greedy/vehicle_0/utility_esr")
     assert [one.score(cell) for cell in one.cells] == [3.0, 1.0]
 
 
-def test_settings_that_look_the_same_are_told_apart_by_their_keys(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_rankings_with_equal_titles_also_show_their_keys(tmp_path: Path, base: dict[str, Any]) -> None:
     cells = [{"evaluation.gamma": gamma, "algorithm.steps": steps} for gamma in (0.9, 1.0) for steps in (8, 16)]
     make_sweep(tmp_path, [make_row(base, cell, 0) for cell in cells])
     collection = collect(tmp_path)
-    titles = [setting.title for setting in rank(collection.cells, collection.scores.collect())]
+    titles = [ranking.title for ranking in rank(collection.cells, collection.scores.collect())]
     assert [title.rpartition(" (")[2] for title in titles] == ["evaluation.gamma=0.9)", "evaluation.gamma=1.0)"]
 
 
 def test_cells_have_short_names(base: dict[str, Any], tmp_path: Path) -> None:
     utilities = [{"name": "a", "arguments": {"x": x}} for x in (1, 2)]
-    assert words([utilities[0], utilities[0]]) == ["a", "a"]
-    assert words(utilities)[0] == '{"arguments": {"x": 1}, "name": "a"}'
+    assert value_labels([utilities[0], utilities[0]]) == ["a", "a"]
+    assert value_labels(utilities)[0] == '{"arguments": {"x": 1}, "name": "a"}'
     cells = [{"config": "c", "algorithm.steps": steps, "training.num_envs": 4} for steps in (8, 16)]
     make_sweep(tmp_path, [make_row(base, cell, 0) for cell in cells])
     found = collect(tmp_path).cells
-    assert varying(cells) == ["algorithm.steps"]
+    assert varying_keys(cells) == ["algorithm.steps"]
     assert cell_labels(found, ["config", "algorithm.steps"]) == ["c, steps 8", "c, steps 16"]
     assert cell_labels(found[:1], []) == ["mo_a2c"]
 
@@ -432,8 +436,8 @@ def test_cells_have_short_names(base: dict[str, Any], tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------------------------------------- scripts
 
 
-def test_the_table_has_the_best_cells_and_its_csv_all(
-    tmp_path: Path, grid: list[Row], capsys: pytest.CaptureFixture[str]
+def test_the_table_shows_the_best_cells_and_the_csv_has_all(
+    tmp_path: Path, grid: list[ManifestRow], capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = make_sweep(tmp_path, grid)
     shutil.rmtree(tmp_path / rows[-1].directory)
@@ -460,7 +464,7 @@ def test_the_table_has_the_best_cells_and_its_csv_all(
     assert "did you mean 'greedy/utility_esr'" in capsys.readouterr().err
 
 
-def test_the_table_of_a_search_has_its_trials(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_the_table_of_a_search_shows_its_trials(tmp_path: Path, base: dict[str, Any]) -> None:
     points = [{"algorithm.learning_rate": rate} for rate in (0.0012345678, 0.0078)]
     make_sweep(tmp_path, [make_row(base, point, seed, trial) for trial, point in enumerate(points) for seed in (0, 1)])
     output = tmp_path / "scores.csv"
@@ -470,7 +474,7 @@ def test_the_table_of_a_search_has_its_trials(tmp_path: Path, base: dict[str, An
     assert [row[:2] for row in found[1:4:2]] == [["1", "0.0078"], ["0", "0.0012345678"]]
 
 
-def test_algorithms_of_a_sweep_are_compared_where_nothing_else_differs(tmp_path: Path, base: dict[str, Any]) -> None:
+def test_algorithms_are_compared_in_cells_that_differ_in_nothing_else(tmp_path: Path, base: dict[str, Any]) -> None:
     bases = {"a": base, "b": config_of("one_waypoint/a2c_linear"), "c": config_of("one_waypoint/a2c_nonlinear")}
     cells = [{"config": name, "algorithm.steps": steps} for name in bases for steps in (8, 16)]
     make_sweep(tmp_path, [make_row(bases[cell["config"]], cell, seed) for cell in cells for seed in range(3)])
@@ -482,7 +486,7 @@ def test_algorithms_of_a_sweep_are_compared_where_nothing_else_differs(tmp_path:
     assert [row[:3] for row in compared[1:]] == [[steps, "greedy", "mo_a2c - a2c"] for steps in ("8", "16")]
 
 
-def test_pictures_of_a_sweep(tmp_path: Path, base: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+def test_figures_of_a_sweep(tmp_path: Path, base: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     bases = {"linear": base, "nonlinear": config_of("one_waypoint/mo_a2c_nonlinear")}
     cells: list[dict[str, Any]] = [
         {"config": name, "algorithm.learning_rate": rate, "algorithm.observe_discount": yes}
@@ -503,8 +507,8 @@ def test_pictures_of_a_sweep(tmp_path: Path, base: dict[str, Any], capsys: pytes
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_sweep_that_has_only_begun_is_drawn_by_its_last_evaluations(
-    tmp_path: Path, grid: list[Row], capsys: pytest.CaptureFixture[str]
+def test_an_unfinished_sweep_is_plotted_by_its_last_evaluations(
+    tmp_path: Path, grid: list[ManifestRow], capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = make_sweep(tmp_path, grid)
     for row in rows:
@@ -524,8 +528,8 @@ def test_a_sweep_that_has_only_begun_is_drawn_by_its_last_evaluations(
     assert "has a final evaluation yet" in error
 
 
-def test_what_is_no_sweep_or_an_empty_one_is_refused(
-    tmp_path: Path, grid: list[Row], capsys: pytest.CaptureFixture[str]
+def test_a_directory_without_runs_is_refused(
+    tmp_path: Path, grid: list[ManifestRow], capsys: pytest.CaptureFixture[str]
 ) -> None:
     def errors(*arguments: Path | str) -> list[str]:
         assert plot_script.main([str(argument) for argument in arguments]) == 2

@@ -1,4 +1,4 @@
-"""The part of sweeps on Slurm that needs no Slurm; the rest is in tests/cluster."""
+"""The Slurm backend, where it can be tested without Slurm; tests/cluster has the other tests."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ pytest.importorskip("submitit", reason="submitit is not installed: pip install '
 
 import submitit
 
-from algorithms.sweeps import slurm
+from algorithms.sweeps import slurm, slurm_script
 from algorithms.sweeps.manifest import expand
-from algorithms.sweeps.settings import load_sweep
+from algorithms.sweeps.sweep_settings import load_sweep
 
 
-def test_more_tasks_than_an_array_may_have_become_several_arrays(
+def test_tasks_beyond_the_maximum_size_of_an_array_go_to_further_arrays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = load_sweep(write_sweep(tmp_path, seeds=7, slurm={"runs_per_job": 2}))
     jobs = [row.job(tmp_path) for row in expand(settings, {})]
-    batches: list[list[slurm.Chunk]] = []
+    batches: list[list[slurm.ArrayTask]] = []
 
-    class Executor(slurm._ScriptOnly):
+    class Executor(slurm_script._ScriptWriter):
         @contextlib.contextmanager
         def batch(self, allow_implicit_submissions: bool = False) -> Iterator[None]:
             batches.append([])
@@ -40,23 +40,12 @@ def test_more_tasks_than_an_array_may_have_become_several_arrays(
             return SimpleNamespace(job_id=f"{len(batches)}_{len(batches[-1]) - 1}")
 
     monkeypatch.setattr(submitit, "SlurmExecutor", Executor)
-    monkeypatch.setattr(slurm, "ARRAY", 3)
-    tasks = slurm.chunks(jobs, settings, tmp_path)
+    monkeypatch.setattr(slurm, "MAX_ARRAY_TASKS", 3)
+    tasks = slurm.array_tasks(jobs, settings, tmp_path)
     (tmp_path / "slurm").mkdir()
-    slurm.Queue(tmp_path).submit(tasks, settings, tmp_path)
+    slurm.SlurmQueue(tmp_path).submit(tasks, settings, tmp_path)
     assert [len(batch) for batch in batches] == [3, 3, 1]
     submitted = json.loads((tmp_path / "slurm" / "jobs.json").read_text())
     assert [run for runs in submitted.values() for run in runs] == [job.id for job in jobs]
     assert list(submitted) == ["1_0", "1_1", "1_2", "2_0", "2_1", "2_2", "3_0"]
-    assert slurm.Queue(tmp_path).jobs == submitted
-
-
-def test_a_task_gets_what_the_runs_that_it_makes_at_a_time_need(tmp_path: Path) -> None:
-    resources = {"cpus": 1.5, "gpus": 0.5, "memory_gb": 1.2, "minutes": 90}
-    settings = load_sweep(
-        write_sweep(tmp_path, resources=resources, slurm={"side_by_side": 3, "additional": {"nice": 1}})
-    )
-    wanted = slurm.parameters(settings, "name")
-    assert (wanted["cpus_per_task"], wanted["gpus_per_node"], wanted["mem"], wanted["time"]) == (5, 2, "3687MB", 90)
-    assert wanted["additional_parameters"] == {"requeue": True, "nice": 1}
-    assert "partition" not in wanted
+    assert slurm.SlurmQueue(tmp_path).jobs == submitted

@@ -1,4 +1,4 @@
-"""Points of a search space by Optuna, in batches, so that they depend on scores alone and not on who is faster."""
+"""Hyperparameter search with Optuna, in batches: the points depend on scores alone, not on which run is faster."""
 
 from __future__ import annotations
 
@@ -7,27 +7,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.sweeps.settings import Range, SearchSettings
+from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings, SearchRange
 
 if TYPE_CHECKING:
     import optuna
 
-# By run id; None for a run that has failed, or has no finite score.
+# Score by run id; None for a run that failed or has no finite score.
 Scores = Mapping[str, float | None]
 
 
-def propose(search: SearchSettings, runs_of: Callable[[int, dict[str, Any]], list[str]], scores: Scores) -> None:
-    """Choose points until the score of one of them is missing, or all are chosen.
+def propose_points(
+    search: HyperparameterSearchSettings, runs_of: Callable[[int, dict[str, Any]], list[str]], scores: Scores
+) -> None:
+    """Choose points batch by batch, up to the first batch whose scores are incomplete.
 
-    The same scores give the same points: the whole search is made anew, from its seed.
+    The search is replayed from its seed on every call, so the same scores give the same points.
 
     Args:
         search: the settings.
-        runs_of: called with each trial's number and point (values by key); gives the ids of its runs.
+        runs_of: called with each trial's number and point (values by key); returns the ids of its runs.
         scores: of the runs that have ended.
 
     Raises:
-        ValueError: if Optuna is not installed, or naming the key whose range it does not take.
+        ValueError: if Optuna is not installed, or naming the key whose range it rejects.
     """
     try:
         import optuna
@@ -53,22 +55,22 @@ def propose(search: SearchSettings, runs_of: Callable[[int, dict[str, Any]], lis
                 study.tell(trial, state=optuna.trial.TrialState.FAIL)
 
 
-def _sampler(search: SearchSettings) -> optuna.samplers.BaseSampler:
+def _sampler(search: HyperparameterSearchSettings) -> optuna.samplers.BaseSampler:
     import optuna
 
     if search.sampler == "random":
         return optuna.samplers.RandomSampler(seed=search.seed)
-    # Points of the same batch have no score yet: constant_liar keeps them apart.
+    # constant_liar keeps the points of a batch apart, which have no scores yet.
     return optuna.samplers.TPESampler(seed=search.seed, constant_liar=True)
 
 
-def _distribution(key: str, values: Range) -> optuna.distributions.BaseDistribution:
+def _distribution(key: str, values: SearchRange) -> optuna.distributions.BaseDistribution:
     import optuna
 
     if values.choices is not None:
         return optuna.distributions.CategoricalDistribution(values.choices)
     low, high, step = values.low, values.high, values.step
-    assert low is not None  # load_sweep has checked
+    assert low is not None  # checked by load_sweep
     assert high is not None
     try:
         if isinstance(low, int) and isinstance(high, int) and (step is None or isinstance(step, int)):

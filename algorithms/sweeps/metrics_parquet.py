@@ -1,4 +1,7 @@
-"""The metrics of many runs as a few Parquet files, the parts; only what has changed is read and written again."""
+"""The metrics of many runs in a few Parquet files, the parts, which are updated incrementally.
+
+Only runs whose metrics.csv has changed are read again, and only parts that hold such runs are written again.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +19,20 @@ import polars as pl
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import read_metrics
 
-# A part is full with so many runs, or so many bytes of metrics.csv.
+# A part is full when it holds this many runs, or this many bytes of metrics.csv.
 PART_RUNS, PART_BYTES = 100, 64 * 2**20
-ROW_GROUP = 10_000  # rows; a reader passes over those of runs that it does not want
-METADATA = "mo_deepdrive.metrics"  # key in the file: which state of which runs a part holds
+ROW_GROUP_SIZE = 10_000  # rows; a reader skips row groups without the runs that it needs
+METADATA = "mo_deepdrive.metrics"  # key in the file's metadata: the states of the runs that a part holds
 
 
 @dataclass(frozen=True)
-class Log:
-    """What a part knows of a run's metrics.csv.
+class LogState:
+    """The state of a run's metrics.csv when it was read.
 
     Attributes:
-        size: when it was read (bytes).
-        changed: when it had been changed (ns).
-        rows: that it had.
+        size: in bytes.
+        changed: time of the last modification (ns).
+        rows: number of rows.
         problem: why it could not be read; "" if it could.
     """
 
@@ -38,38 +41,44 @@ class Log:
     rows: int = 0
     problem: str = ""
 
-    def same(self, other: Log | None) -> bool:
-        """Whether both are of the same state of the file."""
+    def same(self, other: LogState | None) -> bool:
+        """Whether both describe the same state of the file."""
         return other is not None and (self.size, self.changed) == (other.size, other.changed)
 
 
 @dataclass(frozen=True)
-class Part:
-    """A Parquet file with the metrics of some runs."""
+class MetricsPart:
+    """A Parquet file with the metrics of some runs.
+
+    Attributes:
+        path: the file.
+        logs: states of the runs that it holds, by run id.
+        columns: their names.
+    """
 
     path: Path
-    logs: dict[str, Log]
+    logs: dict[str, LogState]
     columns: list[str]
 
     @classmethod
-    def open(cls, path: Path) -> Part:
-        """The part in a file; an empty one if the file is not whole or not ours."""
+    def open(cls, path: Path) -> MetricsPart:
+        """The part in a file; an empty part if the file is damaged or not a part."""
         try:
             found = json.loads(pl.read_parquet_metadata(path)[METADATA])
-            return cls(path, {run: Log(**log) for run, log in found.items()}, list(pl.read_parquet_schema(path)))
+            return cls(path, {run: LogState(**log) for run, log in found.items()}, list(pl.read_parquet_schema(path)))
         except (KeyError, TypeError, ValueError, pl.exceptions.PolarsError):
             return cls(path, {}, [])
 
-    def updated(self, logs: Mapping[str, Log], files: Mapping[str, Path], columns: list[str]) -> Part:
-        """The part with the runs and columns that it should have: written again if need be, from what has changed.
+    def updated(self, logs: Mapping[str, LogState], files: Mapping[str, Path], columns: list[str]) -> MetricsPart:
+        """Give the part these runs and columns; it is written only if something has changed.
 
         Args:
-            logs: by run, the states that ``files`` have now.
+            logs: current states of ``files``, by run.
             files: metrics.csv by run.
             columns: of the part, "run" and "step" first.
 
         Raises:
-            OSError: if it cannot be written; it is then as it was.
+            OSError: if it cannot be written; the file is then unchanged.
         """
         known = {run: self.logs[run] for run, log in logs.items() if log.same(self.logs.get(run))}
         if len(known) == len(logs) == len(self.logs) and columns == self.columns:
@@ -81,7 +90,7 @@ class Part:
             if run in known:
                 continue
             try:
-                frame = _read(files[run]).insert_column(0, pl.lit(run).alias("run"))
+                frame = _read_rows(files[run]).insert_column(0, pl.lit(run).alias("run"))
             except (ValueError, OSError) as error:
                 known[run] = replace(log, problem=str(error))
                 continue
@@ -89,27 +98,27 @@ class Part:
             frames.append(frame)
         metadata = {METADATA: json.dumps({run: vars(log) for run, log in known.items()})}
         write_parquet(self.path, pl.concat([_with_columns(frame, columns) for frame in frames]), metadata)
-        return Part(self.path, known, columns)
+        return MetricsPart(self.path, known, columns)
 
 
-def update_metrics(folder: Path, files: Mapping[str, Path]) -> dict[str, Log]:
-    """Bring the parts in ``folder`` up to date; only what has changed is read and written.
+def update_metrics(folder: Path, files: Mapping[str, Path]) -> dict[str, LogState]:
+    """Update the parts in ``folder``.
 
-    All parts have the same columns, so that any reader takes them for one table.
+    All parts get the same columns, so that any Parquet reader takes them for one table.
 
     Args:
         folder: of the parts.
-        files: metrics.csv by run; those that do not exist are passed over.
+        files: metrics.csv by run; missing files are ignored.
 
     Returns:
-        What is known of every run that has a file.
+        The state of every existing file, by run.
 
     Raises:
-        OSError: if a part cannot be written; every part is whole.
+        OSError: if a part cannot be written; no part is left half written.
     """
-    logs = _states(files)
-    parts = {path: Part.open(path) for path in part_files(folder)}
-    plan = _plan(folder, parts, logs)
+    logs = _current_states(files)
+    parts = {path: MetricsPart.open(path) for path in part_files(folder)}
+    plan = _assign_runs(folder, parts, logs)
     columns = {name for part in parts.values() for name in part.columns}
     read = {run: log for part in parts.values() for run, log in part.logs.items()}
     for run, log in logs.items():
@@ -117,10 +126,10 @@ def update_metrics(folder: Path, files: Mapping[str, Path]) -> dict[str, Log]:
             with contextlib.suppress(OSError), files[run].open("rb") as file:
                 columns |= set(_header(file.readline()))
     ordered = ["run", "step", *sorted(columns - {"run", "step"})]
-    result: dict[str, Log] = {}
+    result: dict[str, LogState] = {}
     for path, runs in plan.items():
         if runs:
-            part = parts.get(path, Part(path, {}, []))
+            part = parts.get(path, MetricsPart(path, {}, []))
             result |= part.updated({run: logs[run] for run in runs}, files, ordered).logs
         else:
             path.unlink()
@@ -128,21 +137,23 @@ def update_metrics(folder: Path, files: Mapping[str, Path]) -> dict[str, Log]:
 
 
 def part_files(folder: Path) -> list[Path]:
-    """The parts in a folder, sorted."""
+    """The files of the parts in a folder, sorted."""
     return sorted(folder.glob("part-*.parquet"))
 
 
-def _states(files: Mapping[str, Path]) -> dict[str, Log]:
+def _current_states(files: Mapping[str, Path]) -> dict[str, LogState]:
     logs = {}
     for run, path in files.items():
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             state = path.stat()
-            logs[run] = Log(state.st_size, state.st_mtime_ns)
+            logs[run] = LogState(state.st_size, state.st_mtime_ns)
     return logs
 
 
-def _plan(folder: Path, parts: Mapping[Path, Part], logs: Mapping[str, Log]) -> dict[Path, list[str]]:
-    """Which runs each part is to hold: those that it has, and new ones where there is room."""
+def _assign_runs(
+    folder: Path, parts: Mapping[Path, MetricsPart], logs: Mapping[str, LogState]
+) -> dict[Path, list[str]]:
+    """Assign runs to parts: each stays in its part, and new ones go where there is room."""
     plan: dict[Path, list[str]] = {}
     placed: set[str] = set()
     for path, part in parts.items():
@@ -170,13 +181,13 @@ def _plan(folder: Path, parts: Mapping[Path, Part], logs: Mapping[str, Log]) -> 
 
 
 def _header(line: bytes) -> list[str]:
-    """The columns that the first line of a metrics.csv names; none where it is torn or something else."""
+    """The columns in the first line of a metrics.csv; none if the line is incomplete or not a header."""
     names = next(csv.reader([line.decode(errors="replace")]), []) if line.endswith(b"\n") else []
     return names if names[:1] == ["step"] else []
 
 
-def _read(path: Path) -> pl.DataFrame:
-    """The whole rows of a metrics.csv, null where one has no value.
+def _read_rows(path: Path) -> pl.DataFrame:
+    """The complete rows of a metrics.csv, with null for missing values.
 
     Raises:
         ValueError: if it is not a metrics file.
@@ -184,7 +195,7 @@ def _read(path: Path) -> pl.DataFrame:
     data = path.read_bytes()
     data = data[: data.rfind(b"\n") + 1]
     names = _header(data[: data.find(b"\n") + 1])
-    # What polars would read in another way than read_metrics, read_metrics reads: slowly, and naming what is wrong.
+    # read_metrics is slow but tolerates ragged rows and says what is wrong; polars reads only files that are regular.
     if names and data.count(b",") == (len(names) - 1) * data.count(b"\n"):
         with contextlib.suppress(pl.exceptions.PolarsError):
             types = {name: pl.Int64() if name == "step" else pl.Float64() for name in names}
@@ -197,9 +208,9 @@ def _read(path: Path) -> pl.DataFrame:
 
 
 def _with_columns(frame: pl.DataFrame, columns: Sequence[str]) -> pl.DataFrame:
-    """The frame with these columns; metrics that it does not have are null."""
-    there = set(frame.columns)
-    return frame.select(pl.col(name) if name in there else pl.lit(None, pl.Float64).alias(name) for name in columns)
+    """The frame with exactly these columns; missing metrics are null."""
+    known = set(frame.columns)
+    return frame.select(pl.col(name) if name in known else pl.lit(None, pl.Float64).alias(name) for name in columns)
 
 
 def write_parquet(path: Path, frame: pl.DataFrame, metadata: dict[str, str] | None = None) -> None:
@@ -211,8 +222,8 @@ def write_parquet(path: Path, frame: pl.DataFrame, metadata: dict[str, str] | No
         metadata: of the file, by key.
 
     Raises:
-        OSError: if it cannot be written; it is then as it was.
+        OSError: if it cannot be written; the file is then unchanged.
     """
     buffer = io.BytesIO()
-    frame.write_parquet(buffer, compression_level=1, row_group_size=ROW_GROUP, metadata=metadata)
+    frame.write_parquet(buffer, compression_level=1, row_group_size=ROW_GROUP_SIZE, metadata=metadata)
     atomic_write(path, buffer.getvalue())

@@ -1,4 +1,4 @@
-"""What an adapter gets, an environment to learn on and settings, and what it gives back: policies."""
+"""What the adapter of a peer gets, a task, and what it returns, policies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pydantic import Field
 
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter
-from algorithms.peers.environment import PeerEnv, Recorder
+from algorithms.peers.peer_env import PeerEnv, Recorder
 from mo_deepdrive.config import Settings
 from mo_deepdrive.utilities import Utility
 
@@ -24,10 +24,9 @@ class PeerConfig(Settings):
     """Settings of another library's algorithm.
 
     Attributes:
-        gamma: its discount.
-        nominal_scales: it sees observations and rewards divided by their nominal scales, as our algorithms do; False
-            for the environment's own numbers.
-        arguments: of its constructor, beyond what the adapter sets; they win where both do.
+        gamma: discount factor.
+        nominal_scales: whether observations and rewards are divided by their nominal scales, as for our own algorithms.
+        arguments: of its constructor; they override those that the adapter sets.
         train_arguments: of its training method, likewise.
     """
 
@@ -41,7 +40,7 @@ class WeightedConfig(PeerConfig):
     """Settings of an algorithm whose policy takes a weight per objective.
 
     Attributes:
-        policies: weights, evenly spaced, at which its policy is evaluated.
+        policies: number of evenly spaced weights at which the policy is evaluated.
     """
 
     policies: int = Field(default=100, ge=1)
@@ -51,30 +50,30 @@ class ScalarConfig(PeerConfig):
     """Settings of an algorithm that learns from a scalar reward.
 
     Attributes:
-        utility_of: what the reward is the utility of; see :class:`mo_deepdrive.wrappers.UtilityReward`.
+        utility_of: whether the scalar reward is the utility of the reward or of the return; see
+            :class:`mo_deepdrive.wrappers.UtilityReward`.
     """
 
     utility_of: Literal["reward", "return"] = "return"
 
 
 @dataclass(frozen=True)
-class Task:
-    """What a peer is to learn.
+class PeerTask:
+    """What a peer learns, and with which settings.
 
     Attributes:
-        new: makes one world, with vector rewards; takes ``render_mode``.
-        env: the same environment in our trainers' shapes.
+        make_single_env: makes one environment with vector rewards; takes ``render_mode``.
+        env: the same environment behind the adapter of our own algorithms.
         config: of the peer.
-        utility: of the environment's own returns; None where the peer learns a front.
-        steps: environment steps to train for; peers that count in rounds may take a few more.
-        num_envs: parallel worlds, for peers that take several.
+        utility: of unscaled returns; None if the peer learns a front.
+        steps: environment steps to train for; peers that train in rounds may take a few more.
+        num_envs: number of parallel environments, for peers that support several.
         seed, device: of the run.
-        reference_point: (d,) of the environment's own discounted returns, for peers that steer by a hypervolume; None
-            where there is none.
+        reference_point: (d,) in unscaled discounted returns, for peers that maximise hypervolume; None if not set.
         recorder: counts steps and logs.
     """
 
-    new: Callable[..., gymnasium.Env[Any, Any]]
+    make_single_env: Callable[..., gymnasium.Env[Any, Any]]
     env: EnvAdapter
     config: PeerConfig
     utility: Utility | None
@@ -105,10 +104,10 @@ class Task:
     def make(
         self, index: int = 0, *, recorded: bool = True, scaled_rewards: bool = True, render_mode: str | None = None
     ) -> PeerEnv:
-        """World ``index`` of the training, or one (``recorded`` False) for the peer's own evaluations."""
+        """Make training environment ``index``; with ``recorded`` False, one for the peer's own evaluations."""
         scales = self.reward_scales
         return PeerEnv(
-            self.new(render_mode=render_mode),
+            self.make_single_env(render_mode=render_mode),
             self.env,
             observation_scales=self.observation_scales,
             reward_scales=scales if scaled_rewards else np.ones_like(scales),
@@ -117,7 +116,7 @@ class Task:
         )
 
     def spec(self) -> EnvSpec:
-        """A specification that makes training worlds, for peers that take an id."""
+        """A specification that makes training environments, for peers that expect the id of an environment."""
         inner = self.env.vector_env.spec
         made = iter(range(1_000_000))
         return EnvSpec(
@@ -126,19 +125,20 @@ class Task:
         )
 
     def arguments(self, **defaults: Any) -> dict[str, Any]:
-        """The constructor's arguments: the adapter's ``defaults``, and the user's over them."""
+        """Arguments of the constructor: the adapter's ``defaults``, overridden by the user's."""
         return {**defaults, **self.config.arguments}
 
     def train_arguments(self, **defaults: Any) -> dict[str, Any]:
-        """The training method's arguments, likewise."""
+        """Arguments of the training method: the adapter's ``defaults``, overridden by the user's."""
         return {**defaults, **self.config.train_arguments}
 
     def tensor(self, array: Any) -> torch.Tensor:
-        """``array`` as the networks take it."""
+        """``array`` as a float32 tensor on the device."""
         return torch.as_tensor(array, dtype=torch.float32, device=self.device)
 
     def utility_of_scaled(self, returns: Any, weights: Any = None) -> Any:
-        """The utility of returns (..., d) in the peer's units; NumPy or torch. ``weights`` are not looked at."""
+        """The utility of returns (..., d) in the peer's units, for NumPy and torch; ``weights`` are ignored."""
+        del weights  # some libraries pass them to every scalarisation
         assert self.utility is not None, "checked before the adapter is called"
         scales = self.reward_scales
         unit = torch.as_tensor(scales, device=returns.device) if isinstance(returns, torch.Tensor) else scales
@@ -146,14 +146,14 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What N policies act on.
+class PolicyInputs:
+    """The inputs of N policies.
 
     Attributes:
         observations: (N, o) in the peer's units.
-        accrued: (N, d) rewards of the episode so far in the peer's units, discounted with :attr:`Policies.gamma`.
-        decisions: (N,) since the episode began.
-        generator: for samples; None for the greedy action.
+        accrued: (N, d) accrued rewards in the peer's units, discounted with :attr:`PeerPolicies.gamma`.
+        decisions: (N,) number of decisions in the episode so far.
+        generator: to sample actions; None for greedy actions.
     """
 
     observations: NDArray[np.float32]
@@ -161,29 +161,29 @@ class Seen:
     decisions: NDArray[np.int64]
     generator: torch.Generator | None
 
-    def take(self, rows: NDArray[Any]) -> Seen:
-        """Of the policies at ``rows`` alone."""
-        return Seen(self.observations[rows], self.accrued[rows], self.decisions[rows], self.generator)
+    def select(self, rows: NDArray[Any]) -> PolicyInputs:
+        """The inputs of the policies at ``rows``."""
+        return PolicyInputs(self.observations[rows], self.accrued[rows], self.decisions[rows], self.generator)
 
 
-# Actions (N,) or (N, k) of the policies at N indices.
-Choose = Callable[[NDArray[np.intp], Seen], NDArray[Any]]
+# From N indices of policies and their inputs to their actions (N,) or (N, k).
+ActionFunction = Callable[[NDArray[np.intp], PolicyInputs], NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Policies:
-    """K policies that a peer has learnt.
+class PeerPolicies:
+    """K policies that a peer has learned.
 
     Attributes:
-        task: what it has learnt them on.
-        choose: how they act.
-        conditions: (K, m) what makes each of them, in the environment's units.
+        task: that they were trained on.
+        choose: chooses their actions.
+        conditions: (K, m) what identifies each policy, such as weights or a desired return, in unscaled units.
         condition_names: of the m columns.
-        gamma: discount of the accrued rewards that they see.
+        gamma: discount of the accrued rewards in their inputs.
     """
 
-    task: Task
-    choose: Choose
+    task: PeerTask
+    choose: ActionFunction
     conditions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 0)))
     condition_names: tuple[str, ...] = ()
     gamma: float = 1.0
@@ -192,59 +192,59 @@ class Policies:
         return len(self.conditions)
 
     def at(self, rows: NDArray[np.intp]) -> PeerPolicy:
-        """The policy that acts in N worlds as the policies at N indices do."""
+        """A policy for N environments that acts in each as the policy at the corresponding index."""
         return PeerPolicy(self, rows)
 
     def policy(self, condition: ArrayLike) -> PeerPolicy:
-        """The policy with the condition (m,) nearest to this one."""
+        """The policy whose condition is nearest to ``condition`` (m,)."""
         gaps = np.linalg.norm(self.conditions - np.asarray(condition), axis=1)
         return self.at(np.array([gaps.argmin()]))
 
 
 @dataclass(frozen=True)
 class PeerPolicy:
-    """Policies of a peer behind the interface of our own (`algorithms.evaluation.evaluate.Policy`).
+    """Policies of a peer behind the interface of our own (:class:`algorithms.evaluation.evaluate.Policy`).
 
     Attributes:
-        policies: of which.
-        rows: (N,) indices; a single one acts in every world.
+        policies: all policies of the peer.
+        rows: (N,) index of the policy for each environment, or (1,) for one policy in all of them.
     """
 
-    policies: Policies
+    policies: PeerPolicies
     rows: NDArray[np.intp]
 
     @property
     def utilities(self) -> tuple[Utility, ...]:
-        """The known utility, if any."""
+        """The known utility; empty if the peer learned a front."""
         utility = self.policies.task.utility
         return () if utility is None else (utility,)
 
     @property
     def gamma(self) -> float:
-        """Discount of the accrued reward that it is shown."""
+        """Discount of the accrued reward in the inputs."""
         return self.policies.gamma
 
     @property
     def device(self) -> torch.device:
-        """Where random numbers are drawn."""
+        """The device of the generators for sampling."""
         return torch.device(self.policies.task.device)
 
     @property
     def env(self) -> EnvAdapter:
-        """The environment in our trainers' shapes."""
+        """The environment behind the adapter of our own algorithms."""
         return self.policies.task.env
 
     @torch.inference_mode()
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
+        """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy if ``generator`` is None."""
         task = self.policies.task
-        seen = Seen(
+        inputs = PolicyInputs(
             observations=(observations[:, 0] / task.observation_scales).astype(np.float32),
             accrued=(accrued_reward.value[:, 0] / task.reward_scales).astype(np.float32),
             decisions=accrued_reward.decisions[:, 0].copy(),
             generator=generator,
         )
         rows = np.broadcast_to(self.rows, len(observations))
-        return np.asarray(self.policies.choose(rows, seen))[:, None]
+        return np.asarray(self.policies.choose(rows, inputs))[:, None]

@@ -1,4 +1,4 @@
-"""One world as other libraries' algorithms take it, with a record of what happened there."""
+"""The environment as peers see it, and a recorder of their training."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from mo_deepdrive.utilities import Utility
 
 
 class Recorder:
-    """Counts the steps of all training worlds and logs the episodes that ended, whatever library drives.
+    """Counts the steps of all training environments and logs statistics of finished episodes, for any library.
 
     Args:
         objectives: names of the d components of the reward.
-        utility: logged too where it is known.
-        interval: steps between two lines.
+        utility: logged if it is known.
+        interval: environment steps between calls of ``log``.
         log: called as ``log(step, metrics)``.
 
     Attributes:
-        steps: environment steps so far.
+        steps: environment steps so far, over all environments.
     """
 
     def __init__(self, objectives: tuple[str, ...], utility: Utility | None, interval: int, log: Log):
@@ -36,13 +36,13 @@ class Recorder:
         self._started = perf_counter()
 
     def step(self) -> None:
-        """One step of one world was taken."""
+        """Count a step of one environment."""
         self.steps += 1
         if self.steps % self._interval == 0:
             self._write()
 
     def episode(self, returns: NDArray[np.float64], length: int, success: bool) -> None:
-        """An episode has ended with undiscounted ``returns`` (d,)."""
+        """Record a finished episode with undiscounted ``returns`` (d,)."""
         self._episodes.append((returns, length, success))
 
     def _write(self) -> None:
@@ -60,18 +60,18 @@ class Recorder:
 
 
 class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """One world with observations, actions and rewards in the form that every peer takes.
+    """An environment with observations, actions and rewards in a form that all peers support.
 
-    Observations are float32 vectors divided by ``observation_scales``, actions are integers from 0 on or in [-1, 1],
-    vector rewards are float32 divided by ``reward_scales``. What the wrapped environment does stays as it is.
+    Observations are float32 vectors divided by ``observation_scales``; actions are integers from 0, or floats in
+    [-1, 1]; vector rewards are float32 and divided by ``reward_scales``. The dynamics are unchanged.
 
     Args:
         env: a single environment with vector rewards.
-        adapter: the same environment in our trainers' shapes, which knows how to turn observations and actions.
+        adapter: for the same environment; converts observations and actions.
         observation_scales: (o,).
         reward_scales: (d,).
         seed: of the first episode and of the action space.
-        recorder: told of every step; None where nothing is to be counted.
+        recorder: notified of every step; None to record nothing.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._length = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start a new episode; without a seed the first one is that of the constructor."""
+        """Start a new episode; without ``seed``, the first episode uses the constructor's seed."""
         raw, info = self.env.reset(seed=self._first_seed if seed is None else seed, options=options)
         self._first_seed = None
         self._returns = np.zeros(len(self._adapter.objectives))
@@ -106,7 +106,7 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._observation(raw), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
-        """Act for one decision; the vector reward (d,) is in units of ``reward_scales``."""
+        """Take one step; the vector reward (d,) is in units of ``reward_scales``."""
         chosen = self._adapter.environment_actions(np.asarray(action)[None, None])[0]
         raw, reward, terminated, truncated, info = self.env.step(chosen)
         vector = np.asarray(reward)
@@ -125,5 +125,5 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         )
 
     def _observation(self, raw: Any) -> NDArray[np.float32]:
-        seen = self._adapter.policy_observations(np.asarray(raw)[None])[0, 0]
-        return (seen / self._observation_scales).astype(np.float32)
+        observation = self._adapter.policy_observations(np.asarray(raw)[None])[0, 0]
+        return np.asarray(observation / self._observation_scales, dtype=np.float32)

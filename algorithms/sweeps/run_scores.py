@@ -1,4 +1,4 @@
-"""Final scores of runs, as a search and Ray Tune need them."""
+"""Scores of single runs, read from their directories: the objective of a search and the final report to Ray Tune."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def final_metrics(path: Path) -> dict[str, float]:
-    """The final evaluation of a run: "greedy/utility_esr" and so on; empty where there is none."""
+    """The final evaluation of the run in ``path`` by metric, such as "greedy/utility_esr"; empty if there is none."""
     file = path / "evaluation.json"
     if not file.is_file():
         return {}
@@ -31,28 +31,28 @@ def final_metrics(path: Path) -> dict[str, float]:
 
 
 def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float | None]:
-    """The metric of every run that has ended, by id; None where it is not finite.
+    """The value of a metric for every run that has ended, by run id; None if it is not finite.
 
-    Of a pruned run it is that of its last evaluation.
+    For a pruned run this is the value of its last evaluation.
 
     Raises:
-        ValueError: if a run has no such metric.
+        ValueError: if a run does not have the metric.
     """
     scores: dict[str, float | None] = {}
     for job in jobs:
         assert job.id is not None
         state = read_status(job.path).get("state")
         if state == "finished":
-            value = _named(final_metrics(job.path), metric)
+            value = _lookup(final_metrics(job.path), metric)
             scores[job.id] = value if np.isfinite(value) else None
         elif state == "pruned":
-            column = _named(read_metrics(job.path / "metrics.csv"), f"eval/{metric}")
+            column = _lookup(read_metrics(job.path / "metrics.csv"), f"eval/{metric}")
             known = column[np.isfinite(column)]
             scores[job.id] = float(known[-1]) if len(known) else None
     return scores
 
 
-def _named(metrics: Mapping[str, T], metric: str) -> T:
+def _lookup(metrics: Mapping[str, T], metric: str) -> T:
     if metric not in metrics:
-        raise ValueError(f"metric {metric!r} is not among those of the runs; {nearest(metric, metrics)}")
+        raise ValueError(f"metric {metric!r} is not a metric of the runs; {nearest(metric, metrics)}")
     return metrics[metric]

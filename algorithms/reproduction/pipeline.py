@@ -1,0 +1,159 @@
+"""The reproduction from start to finish: train missing runs, judge the claims, write report, figures and policies."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import Interrupts
+from algorithms.experiments.run_directory import Run
+from algorithms.experiments.worker_pool import perform_all
+from algorithms.reproduction.claims import CLAIMS, utility_metric
+from algorithms.reproduction.figures import FIGURES
+from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
+from algorithms.reproduction.report import (
+    FRONT_TASK,
+    is_ablation,
+    keep_fronts,
+    median_run,
+    verdict_table,
+    write_report,
+)
+from algorithms.reproduction.results import ReproductionResults, gather
+from algorithms.zoo.exporting import export
+
+
+@dataclass(frozen=True)
+class ReproductionOptions:
+    """What to reproduce, and where to write it.
+
+    Attributes:
+        figure: number of the paper's figure to reproduce; None without such a restriction.
+        claim: number of the paper's claim to reproduce; None without such a restriction.
+        seeds: number of runs of each variant; None for the plan's.
+        quick: whether to use fewer seeds and steps.
+        redraw: whether to only judge and draw the results in ``output``, without training.
+        runs: folder of the run directories; None for runs/reproduce or runs/reproduce-quick.
+        output: folder of the report; None for docs/results if everything is reproduced, else a folder in ``runs``.
+        workers: maximum number of concurrent runs.
+        repository: root of the repository, with configs and docs.
+    """
+
+    figure: int | None
+    claim: int | None
+    seeds: int | None
+    quick: bool
+    redraw: bool
+    runs: Path | None
+    output: Path | None
+    workers: int
+    repository: Path
+
+    @property
+    def everything(self) -> bool:
+        """Whether all figures and claims are reproduced."""
+        return self.figure is None and self.claim is None
+
+    @property
+    def run_folder(self) -> Path:
+        """The folder of the run directories."""
+        return self.runs or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
+
+    @property
+    def output_folder(self) -> Path:
+        """The folder of the report."""
+        published = self.repository / "docs" / "results"
+        return self.output or (published if self.everything and not self.quick else self.run_folder / "results")
+
+    @property
+    def command(self) -> str:
+        """The command that creates the same report."""
+        given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(self, name))]
+        quick = ["--quick"] if self.quick else []
+        everything = ["--all"] if self.everything and not self.quick else []
+        return " ".join(["python scripts/reproduce.py", *everything, *quick, *given])
+
+    def selection(self, plan: Plan) -> tuple[list[str], list[int]]:
+        """The keys of the tasks, and the numbers of the figures, to reproduce."""
+        if self.figure is not None:
+            tasks = dict.fromkeys(task for claim in CLAIMS if self.figure in claim.figures for task in claim.tasks)
+            return list(tasks), [self.figure]
+        if self.claim is not None:
+            claim = next(claim for claim in CLAIMS if claim.number == self.claim)
+            return list(claim.tasks), list(claim.figures)
+        return list(plan.tasks), list(FIGURES)
+
+
+def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int:
+    """Train the runs that are missing, then write report and figures.
+
+    A reproduction of everything with the plan's settings also updates the zoo.
+
+    Returns:
+        The exit code: 0, 1 if runs failed, or 128 plus the number of the signal that interrupted the training.
+
+    Raises:
+        ValueError: for an invalid plan, missing results, or a run directory of another experiment.
+        OSError: if something cannot be written.
+        Stopped: if training cannot continue, for example because the disk is full.
+    """
+    tasks, figures = options.selection(plan)
+    published = options.everything and options.output is None and not options.quick and options.seeds is None
+    if options.redraw:
+        results = ReproductionResults.read(options.output_folder)
+        _write(plan, results, figures, options, console)
+        return 0
+    runs = planned_runs(
+        plan, tasks, options.run_folder, seeds=options.seeds, quick=options.quick, root=options.repository
+    )
+    jobs = [run.job for run in runs]
+    missing = sum(not job.done for job in jobs)
+    workers = options.workers
+    console.print(f"{len(jobs)} runs, {missing} of them to train, {workers} at a time, in {options.run_folder}")
+    with Interrupts() as interrupts, Dashboard(jobs, console) as monitor:
+        failed = perform_all(jobs, workers, monitor, stop=lambda: interrupts.received is not None)
+    if interrupts.received is not None:
+        print("interrupted; the runs in progress are saved: the same command resumes them", file=sys.stderr)
+        return 128 + interrupts.received
+    results = gather(runs)
+    if not results.scores:
+        raise ValueError("no run has finished")
+    options.output_folder.mkdir(parents=True, exist_ok=True)
+    keep_fronts(runs, results, options.output_folder)
+    _write(plan, results, figures, options, console)
+    if published and not failed:
+        names = export_policies(runs, plan, results)
+        console.print(f"updated the policies {', '.join(names)} in the zoo")
+    for job, error in failed.items():
+        console.print(f"FAILED {job.name}: {error}", markup=False, highlight=False, soft_wrap=True)
+    return 1 if failed else 0
+
+
+def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: ReproductionResults) -> list[str]:
+    """Export the run with the median score of every compared variant to the zoo; returns the names there."""
+    names = []
+    for task, protocol, variant in dict.fromkeys((run.task, run.protocol, run.variant) for run in runs):
+        if is_ablation(plan.tasks[task].protocols[protocol]):
+            continue
+        metric, policy = ("hypervolume", "front") if task == FRONT_TASK else (utility_metric(task), "stochastic")
+        mine = [run for run in runs if (run.task, run.protocol, run.variant) == (task, protocol, variant)]
+        chosen = median_run(mine, results, metric, policy)
+        if chosen is not None:
+            suffix = "" if protocol == "best" else f"-{protocol}"
+            names.append(f"{task}-{chosen.job.experiment.algorithm['name']}{suffix}")
+            export(Run.open(chosen.job.path), names[-1], about={"chosen": f"median {metric} of its seeds"})
+    return names
+
+
+def _write(
+    plan: Plan, results: ReproductionResults, figures: Sequence[int], options: ReproductionOptions, console: Console
+) -> None:
+    """Write the report, and print the verdicts."""
+    paths = write_report(plan, results, options.output_folder, figures, how=options.command)
+    console.print(verdict_table(plan, results), markup=False, highlight=False, soft_wrap=True)
+    console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)

@@ -1,0 +1,198 @@
+"""Run a sweep: write its manifest and train its runs on a backend, batch after batch of a hyperparameter search."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.interrupts import Interrupts
+from algorithms.experiments.jobs import Job
+from algorithms.experiments.run_directory import read_status
+from algorithms.experiments.worker_pool import perform_all
+from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, read_manifest, write_manifest
+from algorithms.sweeps.run_scores import read_scores
+from algorithms.sweeps.sweep_settings import SweepSettings
+
+BACKENDS = ("local", "ray", "slurm", "manifest")
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What trains the runs of a sweep.
+
+    Attributes:
+        name: "local" for worker processes on this machine, "ray", "slurm", or "manifest" to only write the manifest.
+        workers: maximum number of concurrent runs (local, Ray); None for as many as there are cores or resources for.
+        address: of a running Ray cluster, or "auto"; None starts Ray in this process.
+        wait: whether to wait for the jobs after submitting them (Slurm).
+    """
+
+    name: str = "local"
+    workers: int | None = None
+    address: str | None = None
+    wait: bool = True
+
+
+class SweepRunner:
+    """Runs a sweep in its directory.
+
+    Args:
+        settings: of the sweep.
+        directory: of the sweep; it has the manifest and the run directories.
+        backend: what trains the runs.
+        console: shows the progress.
+    """
+
+    def __init__(self, settings: SweepSettings, directory: Path, backend: Backend, console: Console):
+        self._settings = settings
+        self._directory = directory
+        self._backend = backend
+        self._console = console
+        self._failed: dict[Job, str] = {}
+
+    def run(self) -> int:
+        """Train all runs that are not done; with the backend "manifest", only list them.
+
+        Returns:
+            The exit code: 0 if all runs are done, or submitted without waiting; 1 if some failed; 128 plus the number
+            of the signal that interrupted the sweep.
+
+        Raises:
+            ValueError: for an invalid sweep, or if the backend is not available.
+            OSError: if the manifest cannot be written.
+            Stopped: if the backend cannot continue, for example because the disk is full.
+        """
+        if self._backend.name == "manifest":
+            rows = self._expand()
+            print(f"{write_manifest(self._directory, rows)}: {len(rows)} runs")
+            return 0
+        with Interrupts() as interrupts:
+            jobs = self._train(lambda: interrupts.received is not None)
+        self._report(jobs)
+        if interrupts.received is not None:
+            print(f"interrupted; {self._after_interrupt()}", file=sys.stderr)
+            return 128 + interrupts.received
+        return 1 if self._failed else 0
+
+    def show_status(self) -> int:
+        """Print how many runs are done, running, failed and waiting; returns the exit code 0.
+
+        Raises:
+            ValueError: if the directory has no manifest.
+        """
+        self._report([row.job(self._directory) for row in read_manifest(self._directory)])
+        return 0
+
+    def print_batch_script(self) -> int:
+        """Print the batch script that would be submitted to Slurm; returns the exit code 0.
+
+        Raises:
+            ValueError: for an invalid sweep.
+        """
+        from algorithms.sweeps.slurm import array_tasks
+        from algorithms.sweeps.slurm_script import batch_script
+
+        jobs = [row.job(self._directory) for row in self._expand()]
+        missing = [job for job in jobs if not job.done]
+        tasks = array_tasks(missing, self._settings, self._directory)
+        print(batch_script(len(tasks), self._settings, self._directory) if tasks else "all runs are done")
+        return 0
+
+    def _expand(self) -> list[ManifestRow]:
+        """The runs of the sweep; with a search, those of the batches chosen so far."""
+        search = self._settings.search
+        scores: dict[str, float | None] = {}
+        if search is not None and is_sweep(self._directory):
+            rows = read_manifest(self._directory)
+            scores |= read_scores([row.job(self._directory) for row in rows], search.metric)
+            self._remember_failures(rows, search.batch)
+        scores |= {job.id: None for job in self._failed if job.id is not None}
+        return expand(self._settings, scores)
+
+    def _remember_failures(self, rows: Sequence[ManifestRow], batch_size: int) -> None:
+        """Do not retry failed runs of earlier batches: later batches were chosen with these failures."""
+        batches = [(row.trial or 0) // batch_size for row in rows]
+        for row, batch in zip(rows, batches, strict=True):
+            status = read_status(self._directory / row.directory)
+            if batch < max(batches) and status.get("state") == "failed":
+                self._failed.setdefault(row.job(self._directory), str(status.get("reason")))
+
+    def _train(self, stop: Callable[[], bool]) -> list[Job]:
+        """Train the runs, batch after batch of a search; returns all of them, whether they succeeded or not."""
+        while True:
+            rows = self._expand()
+            self._report_removed_runs(rows)
+            write_manifest(self._directory, rows)
+            jobs = [row.job(self._directory) for row in rows]
+            open_jobs = [job for job in jobs if job not in self._failed and not job.done]
+            if not open_jobs:
+                return jobs
+            self._say(f"{len(jobs)} runs, {len(jobs) - len(open_jobs)} of them done, in {self._directory}")
+            with Dashboard(jobs, self._console, self._directory.name) as monitor:
+                self._failed |= self._train_batch([job for job in jobs if job not in self._failed], monitor, stop)
+            if stop() or not self._backend.wait or self._settings.search is None:
+                return jobs
+
+    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+        """Train the runs on the backend; returns those that failed, each with its reason."""
+        backend, settings = self._backend, self._settings
+        if backend.name == "local":
+            default = max(1, int(_available_cores() / settings.resources.cpus))
+            return perform_all(jobs, backend.workers or default, monitor, retries=settings.retries, stop=stop)
+        # Ray and submitit are optional dependencies.
+        if backend.name == "ray":
+            from algorithms.sweeps.ray_tune import run_on_ray
+
+            return run_on_ray(
+                jobs,
+                settings,
+                self._directory,
+                monitor,
+                stop=stop,
+                address=backend.address,
+                workers=backend.workers,
+            )
+        from algorithms.sweeps.slurm import run_on_slurm
+
+        return run_on_slurm(jobs, settings, self._directory, monitor, stop=stop, wait=backend.wait)
+
+    def _report_removed_runs(self, rows: Sequence[ManifestRow]) -> None:
+        """Tell the user about runs of the previous manifest that the sweep no longer has."""
+        before = {row.id for row in read_manifest(self._directory)} if is_sweep(self._directory) else set()
+        removed = len(before - {row.id for row in rows})
+        if removed:
+            self._say(f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept")
+
+    def _report(self, jobs: Sequence[Job]) -> None:
+        """Print a summary of the runs, and the reasons of failures."""
+        self._say(Dashboard(jobs, self._console).summary())
+        for job, error in self._failed.items():
+            self._say(f"FAILED {job.name}: {error}\n  {job.path}")
+
+    def _after_interrupt(self) -> str:
+        """What the user can do after an interrupt."""
+        if self._backend.name != "slurm":
+            return "the runs in progress are saved: the same command resumes them"
+        from algorithms.sweeps.slurm import SlurmQueue
+
+        queue = SlurmQueue(self._directory)
+        queue.refresh()
+        return (
+            "the jobs stay in Slurm's queue: the same command watches them again, "
+            f"`{queue.cancel_command()}` cancels them"
+        )
+
+    def _say(self, text: str) -> None:
+        """Print a line without interpreting markup."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _available_cores() -> int:
+    """The number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,226 @@
+"""The settings of a sweep, as its YAML file gives them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.config import SHORT_FORMS, Count
+from mo_deepdrive.config import Settings, parse
+
+MAX_SEEDS = 100_000
+
+
+def _as_list(value: Any) -> Any:
+    """A single config file is short for a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+def _as_seeds(value: Any) -> Any:
+    """A number is short for that many seeds: 5 for 0, 1, 2, 3 and 4."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    if value > MAX_SEEDS:
+        raise ValueError(f"at most {MAX_SEEDS:,} seeds are allowed")
+    return list(range(value))
+
+
+def _as_choices(value: Any) -> Any:
+    """A list is short for ``choices``."""
+    return {"choices": value} if isinstance(value, list) else value
+
+
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class SearchRange(Settings):
+    """The values that a search may choose for a key: numbers in an interval, or a list of choices.
+
+    Attributes:
+        low, high: bounds, inclusive; if both are integers, so are the values.
+        log: whether to sample on a logarithmic scale.
+        step: distance between values; None for a continuous range.
+        choices: the values themselves, instead of an interval.
+    """
+
+    low: int | float | None = None
+    high: int | float | None = None
+    log: bool = False
+    step: int | float | None = None
+    choices: Annotated[list[Any] | None, Field(min_length=1)] = None
+
+
+class HyperparameterSearchSettings(Settings):
+    """A hyperparameter search with Optuna.
+
+    Attributes:
+        space: the values of each key; a list is short for ``choices``.
+        metric: the objective, a metric of the final evaluation such as "greedy/utility_esr", "stochastic/success" or
+            "front/hypervolume"; averaged over seeds.
+        direction: whether to maximize or minimize it.
+        sampler: "random" chooses all points in advance, "tpe" from the scores of earlier points.
+        trials: number of points.
+        batch: number of points that "tpe" chooses at a time; all runs of a batch end before the next is chosen, so
+            that the points do not depend on which run finishes first.
+        seed: of the sampler.
+    """
+
+    space: dict[str, Annotated[SearchRange, BeforeValidator(_as_choices)]] = Field(min_length=1)
+    metric: str
+    direction: Literal["maximize", "minimize"] = "maximize"
+    sampler: Literal["tpe", "random"] = "tpe"
+    trials: Count
+    batch: Count = 8
+    seed: Seed = 0
+
+
+class Resources(Settings):
+    """What one run needs.
+
+    Attributes:
+        cpus: cores; with a fraction, several runs share a core.
+        gpus: devices; with a fraction, several runs share a device (Ray); Slurm rounds up.
+        memory_gb: main memory in GB; None for the backend's default.
+        minutes: wall-clock limit of a Slurm job, after which it is requeued and resumes.
+    """
+
+    cpus: float = Field(default=1.0, gt=0)
+    gpus: float = Field(default=0.0, ge=0)
+    memory_gb: float | None = Field(default=None, gt=0)
+    minutes: Count = 60
+
+
+class AshaSettings(Settings):
+    """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung.
+
+    Attributes:
+        metric: of the evaluations during training, named as in :class:`HyperparameterSearchSettings`.
+        direction: whether to maximize or minimize it.
+        grace_period: environment steps before a run may be pruned.
+        reduction_factor: one in this many runs continues past each rung.
+    """
+
+    metric: str
+    direction: Literal["maximize", "minimize"] = "maximize"
+    grace_period: Count
+    reduction_factor: float = Field(default=4.0, gt=1)
+
+
+class RaySettings(Settings):
+    """Settings of the Ray Tune backend.
+
+    Attributes:
+        asha: early stopping; None to run every run to its end.
+    """
+
+    asha: AshaSettings | None = None
+
+
+class SlurmSettings(Settings):
+    """Settings of the Slurm backend; :mod:`algorithms.sweeps.slurm_script` turns them into options of sbatch.
+
+    Attributes:
+        partition, account, qos, constraint: passed to sbatch.
+        runs_per_job: number of runs in one task of the job array.
+        side_by_side: how many of these run concurrently.
+        array_parallelism: maximum number of tasks that run concurrently.
+        signal_delay_s: seconds before the time limit at which a job is told to save and requeue.
+        max_requeues: how often a job may reach its time limit.
+        setup: shell commands to run before each job.
+        additional: any other options of sbatch.
+    """
+
+    partition: str | None = None
+    account: str | None = None
+    qos: str | None = None
+    constraint: str | None = None
+    runs_per_job: Count = 1
+    side_by_side: Count = 1
+    array_parallelism: Count = 256
+    signal_delay_s: Count = 90
+    max_requeues: Count = 100
+    setup: list[str] = []
+    additional: dict[str, Any] = {}
+
+
+class SweepSettings(Settings):
+    """A sweep: a base experiment, what varies, and the resources of each run.
+
+    Attributes:
+        config: YAML file of the base experiment, relative to the working directory; a list of files is the outermost
+            dimension of the grid.
+        overrides: values of experiment keys, the same for all runs.
+        grid: values of experiment keys; every combination is a cell. A mapping is merged into its section.
+        search: a hyperparameter search, instead of a grid or within each cell of it.
+        seeds: seeds of each cell; a number is short for that many from 0 on.
+        resources: needed by each run.
+        retries: how often to retry a run whose process died or could not write.
+        ray, slurm: settings of these backends.
+    """
+
+    config: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
+    overrides: dict[str, Any] = {}
+    grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    search: HyperparameterSearchSettings | None = None
+    seeds: Annotated[list[Seed], BeforeValidator(_as_seeds), Field(min_length=1)] = [0]
+    resources: Resources = Resources()
+    retries: int = Field(default=3, ge=0)
+    ray: RaySettings = RaySettings()
+    slurm: SlurmSettings = SlurmSettings()
+
+
+def load_sweep(path: str | Path) -> SweepSettings:
+    """Read the settings of a sweep.
+
+    Raises:
+        ValueError: naming the file and every invalid key.
+    """
+    what = f"sweep {str(path)!r}"
+    settings = parse(SweepSettings, read_mapping(path), what)
+    space = {} if settings.search is None else settings.search.space
+    places: dict[str, dict[str, Any]] = {
+        "overrides": settings.overrides,
+        "grid": settings.grid,
+        "search.space": space,
+    }
+    problems: list[str] = []
+    for key in dict.fromkeys(key for keys in places.values() for key in keys):
+        found = [name for name, keys in places.items() if key in keys]
+        if SHORT_FORMS.get(key, key) == "training.seed":
+            problems.append(f"{key!r} in {found[0]}: set seeds with the key 'seeds'")
+        if len(found) > 1:
+            problems.append(f"{key!r} is in {' and in '.join(found)}")
+    for key, values in space.items():
+        problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
+    fixed = [(key, [value]) for key, value in settings.overrides.items()] + list(settings.grid.items())
+    for key, given in fixed:
+        if key == "training" and any(isinstance(value, dict) and "seed" in value for value in given):
+            problems.append("'seed' in 'training': set seeds with the key 'seeds'")
+    if len(set(settings.config)) < len(settings.config):
+        problems.append(f"config = {settings.config} has a duplicate file")
+    if len(set(settings.seeds)) < len(settings.seeds):
+        problems.append(f"seeds = {settings.seeds} has a duplicate seed")
+    if problems:
+        raise ValueError(f"invalid {what}: {'; '.join(problems)}")
+    return settings
+
+
+def _problems(values: SearchRange) -> list[str]:
+    """Everything that is invalid in a range."""
+    if values.choices is not None:
+        return ["'choices' excludes the other keys"] if values.model_fields_set != {"choices"} else []
+    if values.low is None or values.high is None:
+        return ["needs 'low' and 'high', or 'choices'"]
+    found = []
+    if values.low > values.high:
+        found.append(f"low = {values.low} is above high = {values.high}")
+    if values.log and values.low <= 0:
+        found.append(f"low = {values.low} must be positive for a logarithmic range")
+    if values.log and values.step is not None:
+        found.append("a logarithmic range takes no step")
+    if values.step is not None and values.step <= 0:
+        found.append(f"step = {values.step} must be positive")
+    return found

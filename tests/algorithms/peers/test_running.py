@@ -1,0 +1,83 @@
+"""Runs of peers, with an adapter that needs none of the libraries."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from algorithms.peers import PEERS
+from algorithms.peers.running import evaluate_front, prepare, run_peer
+from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task
+
+
+@pytest.fixture
+def front_config(tmp_path: Path) -> Path:
+    path = tmp_path / "peer.yaml"
+    path.write_text(
+        f"environment: {{id: {ONE_WAYPOINT}, arguments: {{fixed_destination: true, time_limit: 3.0}}}}\n"
+        "algorithm: {name: morl_baselines.pcn}\n"
+        "training: {total_timesteps: 50, num_envs: 1}\n"
+        "evaluation: {final_episodes: 1}\n"
+    )
+    return path
+
+
+def test_the_run_of_a_peer_has_the_same_files_as_other_runs(
+    front_config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peer = replace(PEERS["morl_baselines.pcn"], path="json:loads", package="numpy", adapter=fake_adapter)
+    monkeypatch.setitem(PEERS, "morl_baselines.pcn", peer)
+    run = Run.create(load_experiment(front_config), tmp_path / "run")
+    run_peer(run, make_console())
+    about = json.loads((run.path / "evaluation.json").read_text())
+    assert about["step"] == 50
+    assert about["wall_clock"] > 0.0
+    assert about["evaluated_policies"] == 3
+    assert about["policies"]["front"]["hypervolume"]["value"] > 0.0
+    names = {"front.csv", "fronts.csv", "metrics.csv", "curves.png", "scatter.png", "peer.log", "config.yaml"}
+    assert names <= {path.name for path in run.path.iterdir()}
+    assert run.status["state"] == "finished"
+    assert Run.open(run.path).experiment == run.experiment
+
+
+def test_a_front_is_evaluated_with_the_seeds_of_the_experiment(front_config: Path) -> None:
+    experiment = load_experiment(front_config, ["--evaluation.final_episodes=2", "--evaluation.seed=77"])
+    front = evaluate_front(constant_policies(make_task(), [0, 2, 3, 3]), experiment)
+    assert (front.episodes, front.seed) == (2, 77)
+    assert front.condition_names == ("action",)
+    assert 1 <= len(front) <= 3
+    np.testing.assert_array_equal(front.low, front.high)
+
+
+def test_a_peer_that_is_not_installed_is_refused_before_training(
+    front_config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = replace(PEERS["morl_baselines.pcn"], path="no_such_library:Class")
+    monkeypatch.setitem(PEERS, "morl_baselines.pcn", missing)
+    with pytest.raises(ValueError, match="cannot run here: ModuleNotFoundError"):
+        prepare(load_experiment(front_config), lambda step, metrics: None)
+
+
+@pytest.mark.slow
+def test_the_command_line_lists_peers_and_refuses_our_own_algorithms(repository: Path) -> None:
+    script = repository / "scripts" / "peers.py"
+
+    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, str(script), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False, cwd=repository)
+
+    listed = call("--list")
+    assert listed.returncode == 0
+    assert all(name in listed.stdout for name in PEERS)
+    ours = call("--config", "configs/one_waypoint/a2c_linear.yaml")
+    assert ours.returncode == 2
+    assert "is not another library's" in ours.stderr

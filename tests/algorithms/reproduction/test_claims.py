@@ -1,0 +1,107 @@
+"""The claims: which results reproduce them."""
+
+from __future__ import annotations
+
+import pytest
+
+from algorithms.reproduction.claims import compare
+from algorithms.reproduction.results import ReproductionResults
+from tests.helpers.reproduction import SOLVED, evenly_spread, get_claim, make_results
+
+
+@pytest.mark.parametrize(
+    ("utility", "arrivals", "conclusion"),
+    [
+        (evenly_spread(10.1), evenly_spread(0.99, 0.001), "reproduced"),
+        (evenly_spread(9.0), evenly_spread(0.99, 0.001), "not reproduced"),  # they differ by a tenth
+        (evenly_spread(10.5, 2.0), evenly_spread(0.99, 0.001), "inconclusive"),
+        (evenly_spread(10.1), evenly_spread(0.5, 0.001), "not reproduced"),  # similar, but not solved
+        (evenly_spread(10.1), evenly_spread(0.95, 0.04), "inconclusive"),
+    ],
+)
+def test_claim_1_requires_that_both_solve_it_with_similar_utility(
+    utility: list[float], arrivals: list[float], conclusion: str
+) -> None:
+    scores = {"a2c": SOLVED, "mo_a2c": {"utility_esr": utility, "success": arrivals}}
+    verdict = get_claim(1).judge(make_results("one_waypoint_linear", scores), "best")
+    assert verdict is not None
+    assert verdict.conclusion == conclusion
+
+
+@pytest.mark.parametrize(
+    ("utility", "conclusion"),
+    [
+        (evenly_spread(23.0, 0.01), "reproduced"),
+        (evenly_spread(23.0, 0.5), "not reproduced"),  # higher, but less consistent
+        (evenly_spread(19.0, 0.01), "not reproduced"),  # more consistent, but lower
+        (evenly_spread(22.0, 0.1), "inconclusive"),
+    ],
+)
+def test_claim_2_requires_that_mo_a2c_is_higher_and_more_consistent(utility: list[float], conclusion: str) -> None:
+    scores = {"a2c": {"utility_esr": evenly_spread(22.0, 0.1)}, "mo_a2c": {"utility_esr": utility}}
+    verdict = get_claim(2).judge(make_results("one_waypoint_nonlinear", scores), "best")
+    assert verdict is not None
+    assert verdict.conclusion == conclusion
+
+
+def test_claim_4_requires_that_a2c_does_not_learn_and_moves_away() -> None:
+    good = {"success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
+    bad = {"success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(-30.0, 1.0)}
+    standing_still = {"success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(1.0)}
+    for a2c, mo_a2c, conclusion in (
+        (bad, good, "reproduced"),
+        (good, good, "not reproduced"),
+        (bad, bad, "not reproduced"),
+    ):
+        verdict = get_claim(4).judge(make_results("static_obstacle_nonlinear", {"a2c": a2c, "mo_a2c": mo_a2c}), "best")
+        assert verdict is not None
+        assert verdict.conclusion == conclusion
+    verdict = get_claim(4).judge(
+        make_results("static_obstacle_nonlinear", {"a2c": standing_still, "mo_a2c": good}), "best"
+    )
+    assert verdict is not None
+    assert [check.passed for check in verdict.checks] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "total", "conclusion"),
+    [(0.0, -3.0, "reproduced"), (0.0, -9.0, "not reproduced"), (0.9, -3.0, "not reproduced")],
+)
+def test_claim_5_requires_that_both_fail_and_mo_a2c_less_badly(arrivals: float, total: float, conclusion: str) -> None:
+    failing = {"success": evenly_spread(0.0, 0.001, 4), "total_utility_esr": evenly_spread(-5.0, 0.1, 4)}
+    other = {"success": evenly_spread(arrivals, 0.001, 4), "total_utility_esr": evenly_spread(total, 0.1, 4)}
+    parts = [
+        make_results(task, {"a2c": failing, "mo_a2c": other}, protocol="printed")
+        for task in ("intersection_linear", "intersection_nonlinear")
+    ]
+    results = ReproductionResults([row for part in parts for row in part.scores], [])
+    verdict = get_claim(5).judge(results, "printed")
+    assert verdict is not None
+    assert verdict.conclusion == conclusion
+    assert get_claim(5).judge(parts[0], "printed") is None  # the other task has no results
+
+
+def test_claim_6_requires_many_policies_from_standing_still_to_arriving() -> None:
+    broad = {
+        "cardinality": evenly_spread(80.0, 5.0),
+        "lowest_distance": evenly_spread(0.0),
+        "highest_distance": evenly_spread(14.5),
+    }
+    narrow = {**broad, "lowest_distance": evenly_spread(12.0)}
+    for scores, conclusion in ((broad, "reproduced"), (narrow, "not reproduced")):
+        verdict = get_claim(6).judge(make_results("one_waypoint_front", {"pcn": scores}, policy="front"), "best")
+        assert verdict is not None
+        assert verdict.conclusion == conclusion
+
+
+def test_one_seed_is_inconclusive() -> None:
+    scores = {"a2c": {"utility_esr": [10.0], "success": [0.99]}, "mo_a2c": {"utility_esr": [10.0], "success": [0.99]}}
+    verdict = get_claim(1).judge(make_results("one_waypoint_linear", scores), "best")
+    assert verdict is not None
+    assert verdict.conclusion == "inconclusive"
+
+
+def test_a_claim_without_results_has_no_verdict() -> None:
+    assert get_claim(1).judge(ReproductionResults([], []), "best") is None
+    with pytest.raises(KeyError, match="one_waypoint_linear/best/a2c"):
+        compare(ReproductionResults([], []), "one_waypoint_linear", "best", "utility_esr")

@@ -1,0 +1,87 @@
+"""The reproduction from start to finish, with scripts/reproduce.py."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from algorithms.reproduction.plan import load_plan, planned_runs
+from algorithms.reproduction.report import (
+    verdict_table,
+)
+from algorithms.reproduction.results import ReproductionResults, gather
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.reproduction import TINY
+from tests.helpers.scripts import load_script
+
+
+@pytest.fixture
+def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    (tmp_path / "plan.yaml").write_text(TINY)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = load_script("reproduce").main(["--plan", "plan.yaml", "--workers", "2", *arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.mark.slow
+def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callable[..., Any], tmp_path: Path) -> None:
+    code, out, err = call("--claim", "1")
+    assert (code, err) == (0, "")
+    assert "6 runs, 6 of them to train" in out
+    results = tmp_path / "runs" / "reproduce" / "results"
+    report = (results / "reproduction.md").read_text()
+    assert "python scripts/reproduce.py --claim 1" in report
+    assert "no discount" in report
+    assert "![Figure 4](figure_04.png)" in report
+    assert (results / "figure_04.png").exists()
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").rglob("checkpoint.safetensors")}
+    code, out, _ = call("--claim", "1")
+    assert code == 0
+    assert " 0 of them to train" in out
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+    found = ReproductionResults.read(results)
+    gathered = gather(
+        planned_runs(load_plan("plan.yaml"), ["one_waypoint_linear"], Path("runs/reproduce"), root=REPOSITORY)
+    )
+    assert [row["seed"] for row in found.scores] == [row["seed"] for row in gathered.scores]
+    assert {row["policy"] for row in found.scores} == {"greedy", "stochastic"}
+    (results / "reproduction.md").unlink()
+    code, _, _ = call("--claim", "1", "--redraw", "--output", str(results))
+    assert code == 0
+    assert verdict_table(load_plan("plan.yaml"), found) in (results / "reproduction.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seeds", "0"], "--seeds 0 must be at least 1"),
+        (["--redraw", "--quick"], "--redraw does not train"),
+        (["--redraw", "--output", "nowhere"], "no results of a reproduction in 'nowhere'"),
+        (["--plan", "other.yaml"], "config file 'other.yaml' does not exist"),
+        (["--claim", "2"], "task 'one_waypoint_nonlinear' is unknown"),
+    ],
+)
+def test_invalid_options_are_refused_before_anything_is_trained(
+    call: Callable[..., Any], tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    code, _, err = call(*arguments)
+    assert code == 2
+    assert message in err
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+def test_a_run_of_another_plan_in_the_folder_is_refused(call: Callable[..., Any], tmp_path: Path) -> None:
+    assert call("--quick", "--runs", "mine")[0] == 0
+    code, _, err = call("--runs", "mine", "--output", "out")
+    assert code == 2
+    assert re.search(r"holds another experiment: training.total_timesteps = 400 there, 800 wanted", err)

@@ -1,0 +1,53 @@
+"""The report and its tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from algorithms.reproduction.plan import Plan, load_plan
+from algorithms.reproduction.report import (
+    is_ablation,
+    verdict_table,
+    write_report,
+)
+from algorithms.reproduction.results import ReproductionResults
+from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
+
+
+def test_ablations_are_distinguished_from_comparisons() -> None:
+    plan = Plan.model_validate(load_plan(PLAN).model_dump())
+    protocols = plan.tasks["one_waypoint_nonlinear"].protocols
+    assert [key for key, protocol in protocols.items() if is_ablation(protocol)] == ["without"]
+
+
+def test_a_report_of_some_tasks_omits_the_others(tmp_path: Path) -> None:
+    plan = load_plan(PLAN)
+    results = make_results(
+        "one_waypoint_linear",
+        {
+            "a2c": {**SOLVED, "end/collision": evenly_spread(0.0), "return/distance": evenly_spread(18.0)},
+            "mo_a2c": {**SOLVED, "end/collision": evenly_spread(0.0), "return/distance": evenly_spread(18.0)},
+        },
+    )
+    greedy = [{**row, "policy": "greedy"} for row in results.scores]
+    paths = write_report(
+        plan, ReproductionResults([*results.scores, *greedy], results.curves), tmp_path, [4, 5], how="a test"
+    )
+    text = (tmp_path / "reproduction.md").read_text()
+    assert "## Claim 1" in text
+    assert "## Claim 2" not in text
+    assert paths == [tmp_path / "reproduction.md", tmp_path / "figure_04.png"]
+
+
+published = pytest.mark.skipif(
+    not (PUBLISHED / "reproduction_scores.csv").exists(), reason="there are no published results"
+)
+
+
+@published
+def test_the_report_agrees_with_the_published_scores() -> None:
+    plan, results = load_plan(PLAN), ReproductionResults.read(PUBLISHED)
+    table = verdict_table(plan, results)
+    assert table in (PUBLISHED / "reproduction.md").read_text(encoding="utf-8")

@@ -1,0 +1,73 @@
+"""The tables of scores and learning curves."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import pytest
+
+from algorithms.reproduction.figures import FIGURES
+from algorithms.reproduction.plan import load_plan, planned_runs
+from algorithms.reproduction.results import ReproductionResults
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
+
+
+def test_results_are_read_as_they_were_written_and_equal_results_give_equal_bytes(tmp_path: Path) -> None:
+    results = make_results(
+        "one_waypoint_linear", {"a2c": SOLVED, "mo_a2c": {**SOLVED, "extra": evenly_spread(1.0 / 3.0)}}
+    )
+    results.write(tmp_path)
+    files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    again = ReproductionResults.read(tmp_path)
+    assert len(again.scores) == len(results.scores)
+    for mine, other in ((results.scores, again.scores), (results.curves, again.curves)):
+        for row, found in zip(mine, other, strict=True):
+            assert row.keys() == found.keys()
+            for name, value in row.items():
+                assert (
+                    found[name] == pytest.approx(value, rel=1e-6) if isinstance(value, float) else found[name] == value
+                )
+    again.write(tmp_path)
+    assert files == {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert gzip.decompress(files["reproduction_curves.csv.gz"]).startswith(
+        b"task,protocol,variant,label,seed,steps,step,"
+    )
+
+
+@pytest.mark.parametrize("damage", ["missing", "not gzip", "truncated"])
+def test_broken_results_are_refused(tmp_path: Path, damage: str) -> None:
+    with pytest.raises(ValueError, match="no results of a reproduction"):
+        ReproductionResults.read(tmp_path)
+    make_results("one_waypoint_linear", {"a2c": SOLVED}).write(tmp_path)
+    curves = tmp_path / "reproduction_curves.csv.gz"
+    data = curves.read_bytes()
+    curves.unlink() if damage == "missing" else curves.write_bytes(b"x" if damage == "not gzip" else data[:-20])
+    with pytest.raises(ValueError, match="no results of a reproduction"):
+        ReproductionResults.read(tmp_path)
+
+
+published = pytest.mark.skipif(
+    not (PUBLISHED / "reproduction_scores.csv").exists(), reason="there are no published results"
+)
+
+
+@published
+def test_the_published_scores_cover_the_whole_plan(tmp_path: Path) -> None:
+    plan, results = load_plan(PLAN), ReproductionResults.read(PUBLISHED)
+    wanted = {
+        (r.task, r.protocol, r.variant, r.seed) for r in planned_runs(plan, list(plan.tasks), tmp_path, root=REPOSITORY)
+    }
+    assert {(row["task"], row["protocol"], row["variant"], row["seed"]) for row in results.scores} == wanted
+    assert {(row["task"], row["protocol"], row["variant"], row["seed"]) for row in results.curves} == wanted
+    for figure in FIGURES:
+        assert list(PUBLISHED.glob(f"figure_{figure:02}*.png"))
+
+
+def test_results_with_the_columns_of_earlier_versions_are_refused(tmp_path: Path) -> None:
+    make_results("one_waypoint_linear", {"a2c": SOLVED}).write(tmp_path)
+    scores = tmp_path / "reproduction_scores.csv"
+    scores.write_text(scores.read_text().replace("task,protocol", "cell,arm"))
+    with pytest.raises(ValueError, match=r"column 'protocol' is missing; versions before 0\.2 had 'cell' and 'arm'"):
+        ReproductionResults.read(tmp_path)

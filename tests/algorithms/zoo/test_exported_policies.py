@@ -1,0 +1,255 @@
+"""Exported policies: they act bit for bit like the checkpoints that they are from, and broken ones are refused."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load as from_bytes
+from safetensors.torch import load_file, save_file
+
+from algorithms import zoo
+from algorithms.experiments.build import build, make_environment
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.run_directory import Run, versions
+from algorithms.zoo.exporting import export
+from tests.helpers.agents import same, state
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.zoo import (
+    ACTOR_CRITICS,
+    EVERY_ACTOR_CRITIC,
+    EVERY_FRONT,
+    EVERY_KIND,
+    FRONT,
+    FRONTS,
+    KILOBYTE,
+    Trained,
+    assert_same_episodes,
+    policy_of,
+    train,
+    whole_agent,
+)
+
+
+@EVERY_ACTOR_CRITIC
+def test_an_exported_policy_acts_bit_for_bit_like_the_complete_checkpoint(
+    trained: Trained, kind: str, tmp_path: Path
+) -> None:
+    run = trained(kind)
+    path = export(run, "policy", tmp_path)
+    assert_same_episodes(whole_agent(run), policy_of(path), run.experiment)
+
+
+@EVERY_FRONT
+def test_an_exported_front_equals_that_of_the_complete_checkpoint_bit_for_bit(
+    trained: Trained, kind: str, tmp_path: Path
+) -> None:
+    run = trained(kind)
+    path = export(run, "policy", tmp_path)
+    whole, alone = whole_agent(run), policy_of(path)
+    for first, second in zip(whole.commands(), alone.commands(), strict=True):
+        assert first.dtype == second.dtype
+        assert first.tobytes() == second.tobytes()
+    settings: dict[str, Any] = {"episodes": 2, "seed": 4, "gamma": 0.99}
+    fronts = [each.front(make_environment(run.experiment.environment, 5), **settings) for each in (whole, alone)]
+    for name in ("returns", "discounted", "conditions", "length", "success"):
+        np.testing.assert_array_equal(getattr(fronts[0], name), getattr(fronts[1], name), err_msg=name)
+    assert len(fronts[0]) > 1
+    for condition in fronts[0].conditions:
+        assert_same_episodes(*(each.policy(condition) for each in (whole, alone)), run.experiment)
+    assert (path / "front.csv").read_bytes() == (run.path / "front.csv").read_bytes()
+
+
+def test_a_front_limited_to_fewer_policies_has_the_same_ones(trained: Trained, tmp_path: Path) -> None:
+    run = trained("pcn")
+    agents = whole_agent(run), policy_of(export(run, "policy", tmp_path))
+    for agent in agents:
+        agent.config = agent.config.model_copy(update={"max_policies": 3})
+    (first, _), (second, _) = (agent.commands() for agent in agents)
+    assert len(first) == 3
+    assert first.tobytes() == second.tobytes()
+
+
+def test_a_policy_that_is_trained_further_uses_its_new_episodes(trained: Trained, tmp_path: Path) -> None:
+    agent = policy_of(export(trained("pcn"), "policy", tmp_path))
+    agent.train(200)
+    returns, lengths = agent.commands()
+    best = agent.store.best()
+    assert {*map(tuple, returns)} <= {*map(tuple, agent.store.returns[best].astype(np.float32))}
+    assert {*lengths} <= {*agent.store.lengths[best]}
+
+
+@pytest.mark.slow
+def test_loading_a_policy_replaces_the_previous_one(trained: Trained, tmp_path: Path) -> None:
+    """Completely, whichever kind of file is loaded first."""
+    first, second = trained("pcn"), train(FRONT({"time_limit": 1, "fixed_destination": True}), tmp_path / "other")
+    alone = export(second, "policy", tmp_path) / zoo.CHECKPOINT
+    expected = [each.tobytes() for each in whole_agent(second).commands()]
+    for before, after in ((first.checkpoint, alone), (alone, second.checkpoint), (alone, first.checkpoint)):
+        agent = build(first.experiment, num_envs=1)
+        agent.load(before, policy_only=True)
+        agent.load(after, policy_only=True)
+        found = [each.tobytes() for each in agent.commands()]
+        assert (found == expected) == (after != first.checkpoint)
+
+
+@EVERY_KIND
+def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: str, tmp_path: Path) -> None:
+    run = trained(kind)
+    policy = export(run, "policy", tmp_path) / zoo.CHECKPOINT
+    allowed = ("bounds", "network.", "attained.") if kind in FRONTS else ("vehicle_0.actor.", "vehicle_1.actor.")
+    tensors, whole = load_file(policy), load_file(run.checkpoint)
+    assert all(name.startswith(allowed) for name in tensors)
+    assert same(
+        {name: tensor for name, tensor in tensors.items() if not name.startswith("attained.")},
+        {name: tensor for name, tensor in whole.items() if name.startswith(allowed)},
+    )
+    if kind in ACTOR_CRITICS:
+        agent = build(run.experiment, num_envs=1)
+        before = state(agent)
+        stripped = tmp_path / "stripped"
+        with safe_open(run.checkpoint, framework="pt") as file:
+            save_file({name: whole[name] for name in tensors}, stripped, file.metadata())
+        for path in (policy, run.checkpoint, stripped):  # the actor of a complete checkpoint is also enough
+            agent.load(path, policy_only=True)
+            for name, tensor in state(agent).items():
+                wanted = tensors[f"vehicle_{name}"] if ".actor." in name else before[name]
+                assert torch.equal(tensor, wanted), name
+
+
+@pytest.mark.parametrize(
+    ("config", "overrides", "limit"),
+    [
+        ("one_waypoint/mo_a2c_nonlinear", (), 50),
+        ("static_obstacle/a2c_linear", (), 100),
+        ("intersection/mo_ppo_nonlinear", (), 120),
+        ("one_waypoint/pcn", ("--algorithm.gradient_steps=1",), 50),
+        ("static_obstacle/pcn", ("--algorithm.gradient_steps=1",), 50),
+    ],
+)
+def test_policies_of_our_configs_are_small(config: str, overrides: tuple[str, ...], limit: int, tmp_path: Path) -> None:
+    settings = ["--training.total_timesteps=1", *overrides]
+    run = train(load_experiment(REPOSITORY / "configs" / f"{config}.yaml", settings), tmp_path / "run")
+    path = export(run, "policy", tmp_path) / zoo.CHECKPOINT
+    tensors = load_file(path)
+    assert path.stat().st_size < limit * KILOBYTE
+    assert path.stat().st_size < sum(tensor.nbytes for tensor in tensors.values()) + 3 * KILOBYTE
+    assert path.stat().st_size < run.checkpoint.stat().st_size / 4
+
+
+@pytest.mark.parametrize("kind", ["mo_ppo, centralised critic", "pcn"])
+def test_a_folder_describes_the_origin_of_its_policy(trained: Trained, kind: str, tmp_path: Path) -> None:
+    run = trained(kind)
+    path = export(run, "policy", tmp_path, {"chosen": "best of five seeds"})
+    front = {"front.csv", "evaluation.json"} if kind == "pcn" else set()
+    assert {file.name for file in path.iterdir()} == {"config.yaml", "checkpoint.safetensors", "about.json", *front}
+    assert Run.open(path).experiment == run.experiment
+    about = json.loads((path / "about.json").read_text())
+    step = whole_agent(run).step
+    assert step >= 256
+    made_with = {name: versions()[name] for name in ("python", "packages")}
+    assert about == {"seed": 3, "step": step, **made_with, "chosen": "best of five seeds"}
+    with safe_open(path / zoo.CHECKPOINT, framework="pt") as file:
+        stated = json.loads(file.metadata()["checkpoint"])
+    assert (stated["policy_only"], stated["step"]) == (True, step)
+
+
+def test_a_policy_trained_on_another_device_is_exported_for_the_cpu(trained: Trained, tmp_path: Path) -> None:
+    run = trained("a2c")
+    training = run.experiment.training.model_copy(update={"device": "cuda:99"})
+    elsewhere = Run(run.path, run.experiment.model_copy(update={"training": training}))
+    assert Run.open(export(elsewhere, "policy", tmp_path)).experiment.training.device == "cpu"
+
+
+def test_a_policy_can_be_exported_from_a_policy(trained: Trained, tmp_path: Path) -> None:
+    for kind in ("mo_ppo, two vehicles", "pcn"):
+        first = export(trained(kind), "first", tmp_path)
+        second = export(Run.open(first), "second", tmp_path)
+        assert same(load_file(first / zoo.CHECKPOINT), load_file(second / zoo.CHECKPOINT))
+
+
+# ------------------------------------------------------------------------------------------------------------- refused
+
+
+@EVERY_KIND
+def test_training_cannot_be_resumed_from_a_policy_alone(trained: Trained, kind: str, tmp_path: Path) -> None:
+    run = trained(kind)
+    path = export(run, "policy", tmp_path) / zoo.CHECKPOINT
+    for num_envs in (1, 4):
+        agent = build(run.experiment, num_envs=num_envs)
+        agent.save(tmp_path / "before")
+        with pytest.raises(ValueError, match=r"checkpoint\.safetensors holds the policy alone.* cannot be resumed"):
+            agent.load(path)
+        agent.save(tmp_path / "after")
+        assert (tmp_path / "before").read_bytes() == (tmp_path / "after").read_bytes()
+
+
+def test_an_untrained_front_cannot_be_saved(tmp_path: Path) -> None:
+    agent = build(FRONTS["pcn"]())
+    with pytest.raises(ValueError, match="the store holds no episode yet"):
+        agent.save_policy(tmp_path / "policy")
+    assert not list(tmp_path.iterdir())
+
+
+@EVERY_KIND
+def test_a_broken_policy_is_refused_and_changes_nothing(trained: Trained, kind: str, tmp_path: Path) -> None:
+    run = trained(kind)
+    path = export(run, "policy", tmp_path) / zoo.CHECKPOINT
+    content = path.read_bytes()
+    tensors = from_bytes(content)  # load_file would memory-map the file, which is about to change
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    agent = build(run.experiment, num_envs=1)
+
+    def check(message: str) -> None:
+        agent.save(tmp_path / "before")
+        with pytest.raises(ValueError, match=message):
+            agent.load(path, policy_only=True)
+        agent.save(tmp_path / "after")
+        assert (tmp_path / "before").read_bytes() == (tmp_path / "after").read_bytes()
+
+    for kept in (0, 8, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:kept])
+        check("cannot be read")
+    path.write_bytes(pickle.dumps({"weights": [1.0]}) * 100)
+    check("cannot be read")
+    own = "attained." if kind in FRONTS else "vehicle_0.actor."
+    for name in [name for name in tensors if name.startswith(own)]:
+        save_file({each: tensor for each, tensor in tensors.items() if each != name}, path, metadata)
+        check("best episodes of the policy are broken" if kind in FRONTS else f"has '{name}' of shape None")
+        save_file({**tensors, name: tensors[name][:0]}, path, metadata)
+        check("best episodes of the policy are broken" if kind in FRONTS else f"has '{name}' of shape ")
+    path.unlink()
+    check("cannot be read")
+
+
+def test_a_policy_of_another_agent_is_refused(trained: Trained, tmp_path: Path) -> None:
+    path = export(trained("mo_a2c"), "policy", tmp_path) / zoo.CHECKPOINT
+    for kind, message in (
+        ("a2c", "algorithm = 'mo_a2c'; this agent has 'a2c'"),
+        ("pcn", "algorithm = 'mo_a2c'; this agent has 'pcn'"),
+        ("mo_a2c, continuous", r"actions = \[22, False\]"),
+        ("mo_a2c, another environment", "environment = "),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build(trained(kind).experiment, num_envs=1).load(path, policy_only=True)
+
+
+def test_a_policy_is_read_without_running_code_from_it(
+    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*_: Any, **__: Any) -> None:
+        raise AssertionError("a pickle is being read")
+
+    paths = {kind: export(trained(kind), kind, tmp_path) for kind in ("mo_ppo", "pcn")}
+    agents = {kind: policy_of(path) for kind, path in paths.items()}  # compiled code is cached in pickles
+    for module, name in ((pickle, "load"), (pickle, "loads"), (pickle, "Unpickler"), (torch, "load"), (np, "load")):
+        monkeypatch.setattr(module, name, forbidden)
+    for kind, path in paths.items():
+        agents[kind].load(path / zoo.CHECKPOINT, policy_only=True)

@@ -1,0 +1,74 @@
+"""Plans and made-up results of a reproduction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from algorithms.reproduction.claims import CLAIMS, Claim
+from algorithms.reproduction.results import ReproductionResults
+from tests.helpers.paths import REPOSITORY
+
+PLAN = REPOSITORY / "configs" / "reproduce.yaml"
+PUBLISHED = REPOSITORY / "docs" / "results"
+SEEDS = 5
+TINY = """
+first_seed: 3
+seeds: 2
+quick_seeds: 1
+overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false}
+tasks:
+  one_waypoint_linear:
+    title: OneWaypoint, linear utility
+    protocols:
+      best:
+        title: best effort
+        quick_timesteps: 400
+        overrides: {algorithm.hidden: [8], training.total_timesteps: 800, training.num_envs: 4, algorithm.steps: 10,
+          environment.arguments.time_limit: 2}
+        variants:
+          a2c: {label: A2C, config: configs/one_waypoint/a2c_linear.yaml}
+          mo_a2c: {label: MO-A2C, config: configs/one_waypoint/mo_a2c_linear.yaml}
+      ablation:
+        title: one change
+        seeds: 1
+        overrides: {algorithm.hidden: [8], training.total_timesteps: 400, training.num_envs: 4, algorithm.steps: 10}
+        variants:
+          all: {label: nothing changed, config: configs/one_waypoint/mo_a2c_linear.yaml}
+          gamma: {label: no discount, config: configs/one_waypoint/mo_a2c_linear.yaml,
+            overrides: {algorithm.gamma: 1.0}}
+"""
+
+
+def get_claim(number: int) -> Claim:
+    """The claim with a number."""
+    return next(claim for claim in CLAIMS if claim.number == number)
+
+
+def make_results(
+    task: str, scores: dict[str, dict[str, list[float]]], protocol: str = "best", policy: str = "stochastic"
+) -> ReproductionResults:
+    """Results with one score per variant, metric and seed, and learning curves that rise linearly to the scores."""
+    rows, curves = [], []
+    for variant, metrics in scores.items():
+        for i in range(len(next(iter(metrics.values())))):
+            keys = {
+                "task": task,
+                "protocol": protocol,
+                "variant": variant,
+                "label": variant,
+                "seed": 20 + i,
+                "steps": 1000,
+            }
+            values = {name: float(each[i]) for name, each in metrics.items()}
+            rows.append({**keys, "seconds": 2.5, "policy": policy, **values})
+            for step in (0, 500, 1000):
+                curves.append({**keys, "step": step, **{f"{policy}/{k}": v * step / 1000 for k, v in values.items()}})
+    return ReproductionResults(rows, curves)
+
+
+def evenly_spread(value: float, spread: float = 0.01, count: int = SEEDS) -> list[float]:
+    """Evenly spaced values from ``value`` - ``spread`` to ``value`` + ``spread``."""
+    return (value + spread * np.linspace(-1.0, 1.0, count)).tolist()
+
+
+SOLVED = {"utility_esr": evenly_spread(10.0), "success": evenly_spread(0.99, 0.001)}
