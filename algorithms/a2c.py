@@ -13,12 +13,13 @@ u(r_t), which is neither the utility of the expected return (SER) nor the expect
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from pydantic import model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -33,9 +34,12 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
-from algorithms.common.rollout import VehicleRollout
 from mo_deepdrive.config import Settings
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.utilities import Utility
 
 
 class A2CConfig(Settings):

@@ -7,22 +7,26 @@ its own vehicle's part of it. The file of an algorithm defines its Learner, from
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
-from numpy.typing import NDArray
 
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
-from algorithms.common.env_adapter import EnvAdapter
-from algorithms.common.networks import Actor
 from algorithms.common.optimisers import geometric_schedule, linear_schedule, optimiser_state, set_optimiser_state
 from algorithms.common.rollout import Collector, VehicleRollout
 from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import NDArray
+
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.networks import Actor
 
 
 class Learner(ABC):

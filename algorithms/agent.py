@@ -8,23 +8,27 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
-from numpy.typing import NDArray
 
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import POLICY_ONLY, read_checkpoint, strip_prefix, write_checkpoint
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation.evaluate import evaluate
 from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings, parse
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import NDArray
+
+    from algorithms.common.accrued_reward import AccruedReward
+    from mo_deepdrive.utilities import Utility
 
 # Training environments are seeded from here on; evaluations use smaller seeds.
 FIRST_TRAINING_SEED = 2**32

@@ -22,9 +22,9 @@ rollout and lambda is 1; otherwise what lies beyond enters as its mean, which is
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
+
 import torch
-from numpy.typing import NDArray
 from pydantic import model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
@@ -35,7 +35,6 @@ from algorithms.common.advantages import (
     utility_differences,
     utility_gradient,
 )
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -50,10 +49,16 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
-from algorithms.common.rollout import VehicleRollout
 from algorithms.common.running_mean import RunningMean
 from mo_deepdrive.config import Settings
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.utilities import Utility
 
 
 class MOA2CConfig(Settings):

@@ -20,12 +20,9 @@ What ``accrued_gamma`` (g), ``advantage: as_printed`` and ``advantage: utility_g
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
@@ -36,7 +33,6 @@ from algorithms.common.advantages import (
     utility_differences,
     utility_gradient,
 )
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -51,10 +47,18 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
-from algorithms.common.rollout import VehicleRollout
 from algorithms.common.running_mean import RunningMean
 from mo_deepdrive.config import Settings
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.utilities import Utility
 
 
 class MOPPOConfig(Settings):

@@ -23,19 +23,16 @@ one per parallel environment, and eq. 4 divides by gamma, without which commands
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from torch import nn
 
 from algorithms.agent import Agent, EvaluationPlan
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
     FinalLearningRate,
@@ -53,7 +50,13 @@ from algorithms.common.rollout import Episodes
 from algorithms.evaluation.evaluate import Evaluation, evaluate_each
 from algorithms.evaluation.front import Front
 from mo_deepdrive.config import Settings
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import ArrayLike, NDArray
+
+    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.utilities import Utility
 
 HORIZON = "horizon"
 

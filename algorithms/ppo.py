@@ -16,15 +16,13 @@ pi_old that collected it:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import torch
 from pydantic import Field, model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -39,9 +37,14 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
-from algorithms.common.rollout import VehicleRollout
 from mo_deepdrive.config import Settings
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.utilities import Utility
 
 
 class PPOConfig(Settings):

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.scenarios import DRAWS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.config import EnvConfig
 
 CONTINUOUS_UNIT = 1.0 / 1024.0  # resolution of a stored continuous action; exact in float32
 _NO_BRAKE = -1024  # units

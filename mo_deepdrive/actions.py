@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Records
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 IDLE, MAINTAIN, DECREASE, INCREASE = 0, 1, 2, 3
 SPEED_CHANGES = {MAINTAIN: "maintain speed", DECREASE: "decrease speed", INCREASE: "increase speed"}

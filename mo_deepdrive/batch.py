@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.scenarios import SCENARIOS, pin_nothing
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.state import ENDS, SPAWN, VEHICLE
+
+if TYPE_CHECKING:
+    from mo_deepdrive.config import EnvConfig
 
 Draw = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 MAX_REDRAWS = 1000

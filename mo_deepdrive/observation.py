@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mo_deepdrive.scenarios import Scenario
 from mo_deepdrive.simulation import geometry
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import RUNNING, Record, Records
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.scenarios import Scenario
 
 # A vehicle that has left the road is observed straight ahead, at rest, at this distance (m).
 ABSENT_DISTANCE = 100.0

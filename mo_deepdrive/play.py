@@ -8,9 +8,8 @@ end of an episode.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 import gymnasium
 import numpy as np
@@ -19,9 +18,13 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
-from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 FRAMES_PER_DECISION = 3
 END_HOLD = 1.5  # s for which the last frame of an episode is shown
@@ -130,7 +133,7 @@ def make_play_env(env_id: str, **arguments: Any) -> DrivingVectorEnv:
     """
     arguments = {**arguments, "render_mode": "rgb_array"}
     env = gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
-    return cast(DrivingVectorEnv, env.unwrapped)
+    return cast("DrivingVectorEnv", env.unwrapped)
 
 
 class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING
 
 import moocore
-import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.action_sequences import decode, discounted_sum, replay
 from mo_deepdrive.config import EnvConfig
@@ -26,7 +23,11 @@ from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from importlib.resources.abc import Traversable
+
+    import numpy as np
+    from numpy.typing import NDArray
 
 GAMMA = 0.99  # the discount factor, besides 1.0, for which fronts are searched
 DATA = resources.files("mo_deepdrive") / "data"

@@ -7,17 +7,20 @@ compared. The points are in ``data/reference_points.yaml``; ``docs/fronts.md`` h
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from mo_deepdrive.config import ActionType, EnvConfig, ScenarioName, nearest
 from mo_deepdrive.simulation.params import chosen_objectives
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
 TABLE = resources.files("mo_deepdrive") / "data" / "reference_points.yaml"
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.drawing import (
     DESTINATION_RADIUS,
     GRASS,
@@ -29,6 +27,11 @@ from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.config import EnvConfig
 
 RENDER_MODES = ("rgb_array", "human")
 PANEL_PIXELS = 336

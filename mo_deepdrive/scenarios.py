@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.simulation import geometry, progress
 from mo_deepdrive.simulation.jit import jit
@@ -25,6 +25,9 @@ from mo_deepdrive.simulation.state import (
     Record,
     Records,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 DRAWS = 5
 FIXED_DRAW = 0.2

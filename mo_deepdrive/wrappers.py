@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.utilities import Utility, make_utility
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 Measure = Literal["reward", "return"]
 

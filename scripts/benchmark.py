@@ -23,11 +23,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice, product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mo_gymnasium
@@ -53,6 +52,9 @@ from algorithms.peers.running import prepare
 from algorithms.sweeps.collection import FOLDER as COLLECTED
 from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
 from mo_deepdrive.utilities import make_utility
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 IDS = {
     "OneWaypoint": "mo-deepdrive-one-waypoint-v0",

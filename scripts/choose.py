@@ -14,17 +14,14 @@ from __future__ import annotations
 
 import os
 import sys
-from argparse import Namespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.common.yaml_io import read_value
 from algorithms.evaluation.choice import Preference, distance_to_target, expected_utility, rank_policies, weighted_sum
-from algorithms.evaluation.evaluate import Evaluation
 from algorithms.evaluation.front import Front
 from algorithms.evaluation.statistics import Estimate, mean, rate
 from algorithms.experiments.agent_report import film_policies_of_front
@@ -41,6 +38,13 @@ from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.utilities import make_utility
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.evaluate import Evaluation
 
 RUNNERS_UP = 4
 

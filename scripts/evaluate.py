@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import os
 import sys
-from argparse import Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import load_policy
@@ -26,6 +26,9 @@ from algorithms.experiments.cli import (
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.zoo.listing import zoo_table
+
+if TYPE_CHECKING:
+    from argparse import Namespace
 
 
 def parse_arguments(arguments: list[str]) -> Namespace:

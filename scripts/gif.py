@@ -11,18 +11,22 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 
+from typing import TYPE_CHECKING
+
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import Frame, write_gif
 from algorithms.reporting.videos import episode_frames, make_render_env
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
 
 POLICIES = ("one_waypoint_nonlinear-mo_ppo", "static_obstacle_nonlinear-mo_ppo", "intersection_nonlinear-mo_ppo")
 TITLES = {"one_waypoint": "OneWaypoint", "static_obstacle": "StaticObstacle", "intersection": "Intersection"}

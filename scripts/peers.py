@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import random
 import sys
-from argparse import Namespace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -32,6 +32,9 @@ from algorithms.peers import PEERS
 from algorithms.peers.listing import peers_table
 from algorithms.peers.running import prepare, run_peer
 from mo_deepdrive.config import nearest
+
+if TYPE_CHECKING:
+    from argparse import Namespace
 
 
 def parse_arguments(arguments: list[str]) -> tuple[Namespace, list[str]]:

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 
 import torch
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from algorithms.evaluation.policy_driver import PolicyDriver
@@ -44,6 +43,8 @@ from mo_deepdrive.quiet_pygame import pygame
 
 if TYPE_CHECKING:
     import argparse
+
+    from rich.console import Console
 
     from algorithms.agent import Agent
     from mo_deepdrive.envs.vector import DrivingVectorEnv

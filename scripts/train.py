@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
-from argparse import Namespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import (
@@ -25,8 +24,12 @@ from algorithms.experiments.cli import (
 )
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.progress_bar import make_console
-from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import reopen, train_and_finish
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from algorithms.experiments.run_directory import Run
 
 
 def parse_arguments(arguments: list[str]) -> tuple[Namespace, list[str]]:

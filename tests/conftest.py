@@ -6,10 +6,7 @@ import importlib.util
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import hypothesis
@@ -20,6 +17,11 @@ import torch
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+    from types import ModuleType
 
 hypothesis.settings.register_profile(
     "mo-deepdrive",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-import pytest
 from importlinter.cli import lint_imports
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    import pytest
 
 PACKAGES = ("mo_deepdrive", "algorithms")
 SAMPLERS = ("rand", "randn", "randint", "randperm", "multinomial", "normal", "bernoulli", "poisson")

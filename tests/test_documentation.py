@@ -8,17 +8,19 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Iterator
 from fnmatch import fnmatch
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 import yaml
 
 from algorithms.experiments.config import load_experiment
 from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 DOCUMENTS = [
     "README.md",

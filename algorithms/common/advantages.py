@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 
-from mo_deepdrive.utilities import Utility
+if TYPE_CHECKING:
+    from mo_deepdrive.utilities import Utility
 
 AdvantageForm = Literal["utility_difference", "as_printed", "utility_gradient"]
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_safetensors
 
 from algorithms.common.atomic_io import atomic_write
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import torch
 
 FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone

@@ -8,9 +8,8 @@ samples that count.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mo_gymnasium
@@ -18,12 +17,16 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
-from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import observation
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import scales as objective_scales
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
 
 def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-import torch
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import torch
 
 
 def linear_schedule(start: float, end: float | None, progress: float) -> float:

@@ -7,13 +7,17 @@ jerk is a hundred times as large as distance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 from math import comb
+from typing import TYPE_CHECKING
 
 import moocore
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
 
 WEIGHTS = 50  # of the expected utility
 LATTICE = 5_000  # minimum number of points from which evenly spaced weights are chosen

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter
+
+if TYPE_CHECKING:
+    from algorithms.common.env_adapter import EnvAdapter
 
 # act(observations (N, V, o), accrued_reward) -> actions (N, V) or (N, V, k)
 Act = Callable[[NDArray[np.float32], AccruedReward], NDArray[Any]]

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
-from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.metrics import SUCCESS, end_rates, summarise, vehicle_prefix
 from algorithms.evaluation.splits import FIRST_EVALUATION_SEED
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.utilities import Utility
 
 
 class Policy(Protocol):

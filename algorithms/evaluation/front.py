@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.vector import VectorEnv
-from numpy.typing import ArrayLike, NDArray
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
 from algorithms.common.pareto import indicators, non_dominated
@@ -19,6 +16,11 @@ from algorithms.evaluation.metrics import DISCOUNTED_RETURN, LENGTH, RETURN, SUC
 from algorithms.evaluation.statistics import bootstrap
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import ArrayLike, NDArray
+
     from algorithms.evaluation.evaluate import Evaluation
 
 FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"

@@ -16,14 +16,17 @@ Final evaluations are named in the same way without ``eval/``. ``VEHICLE/`` is t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.config import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
 
 # ------------------------------------------------------------------------------------------------------------- names
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-import torch
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.evaluation.evaluate import Policy
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.evaluate import Policy
 
 
 class PolicyDriver:

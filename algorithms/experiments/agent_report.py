@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
-from algorithms.evaluation.evaluate import Policy
-from algorithms.evaluation.front import Front
-from algorithms.experiments.config import Experiment
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from algorithms.reporting.videos import record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from algorithms.evaluation.evaluate import Policy
+    from algorithms.evaluation.front import Front
+    from algorithms.experiments.config import Experiment
 
 
 def report_agent(

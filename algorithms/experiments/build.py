@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
 
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.front import check_reference_point
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
-from algorithms.experiments.run_directory import Run
 from mo_deepdrive.config import nearest
 from mo_deepdrive.utilities import Utility, make_utility
+
+if TYPE_CHECKING:
+    from gymnasium.vector import VectorEnv
+
+    from algorithms.experiments.run_directory import Run
 
 
 def build(experiment: Experiment, num_envs: int | None = None) -> Any:

@@ -10,13 +10,17 @@ import argparse
 import contextlib
 import math
 import sys
-from collections.abc import Iterator, MutableMapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from algorithms.experiments.config import Experiment
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import Run, default_directory
 from mo_deepdrive.config import nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, MutableMapping, Sequence
+
+    from algorithms.experiments.config import Experiment
 
 # Exit codes: an error while running, invalid input (as argparse), and Ctrl-C (as shells count it, 128 + SIGINT).
 FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
 import torch
-from gymnasium.envs.registration import EnvSpec
 from pydantic import BeforeValidator, Field
 
 import mo_deepdrive
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from gymnasium.envs.registration import EnvSpec
 
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import signal
 import threading
-from types import FrameType, TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from types import FrameType, TracebackType
 
 
 class Stopped(Exception):

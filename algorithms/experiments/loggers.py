@@ -6,14 +6,17 @@ import math
 import urllib.error
 import urllib.request
 import warnings
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import MetricsFile
-from algorithms.experiments.config import WandbSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from types import TracebackType
+
+    from algorithms.experiments.config import WandbSettings
 
 CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 

@@ -7,13 +7,15 @@ dotted paths, so that an experiment can name them without importing them.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from algorithms import ALGORITHMS
 from mo_deepdrive.config import Settings, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
 
 # "module:attribute" of the table of other libraries' algorithms, and of the function that finds a trained policy.
 PEER_TABLE = "algorithms.peers:PEERS"

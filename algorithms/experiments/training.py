@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
-from algorithms.agent import Agent
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.front import best_known_front
@@ -21,6 +18,11 @@ from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluation_
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.learning_curves import load_groups, plot
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from algorithms.agent import Agent
 
 Watch = Callable[[int, Mapping[str, float]], None]
 

@@ -9,17 +9,20 @@ import signal
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, JobFailed, JobOutcome, describe, perform
 from algorithms.experiments.run_directory import InUse, Run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from algorithms.experiments.dashboard import Dashboard
 
 POLL = 0.25  # s between checks for finished jobs
 BUSY = 2.0  # s after which a run that another process holds is tried again

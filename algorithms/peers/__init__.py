@@ -8,11 +8,14 @@ algorithms. The libraries are only imported when a peer is trained: ``pip instal
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from algorithms.peers import morl, sb3
 from algorithms.peers.peer_task import PeerConfig, PeerPolicies, PeerTask, ScalarConfig, WeightedConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 __all__ = ["PEERS", "Peer", "PeerConfig", "PeerPolicies", "PeerTask", "ScalarConfig", "WeightedConfig"]
 

@@ -7,16 +7,19 @@ Weights & Biases; the recorder logs the training instead.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from algorithms.common.pareto import evenly_spaced_weights, non_dominated
 from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, WeightedConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
 EVALUATION_EPISODES = 1  # of the algorithms' own evaluations during training, which are not reported
 # Number of weights for evaluations that the algorithms only log; computing them at the start is slow.

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from algorithms.agent import Log
-from algorithms.common.env_adapter import EnvAdapter
-from mo_deepdrive.utilities import Utility
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from algorithms.agent import Log
+    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.utilities import Utility
 
 
 class Recorder:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import gymnasium
 import numpy as np
 import torch
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.peers.peer_env import PeerEnv, Recorder
 from mo_deepdrive.config import Settings
-from mo_deepdrive.utilities import Utility
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from algorithms.common.accrued_reward import AccruedReward
+    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.utilities import Utility
 
 
 class PeerConfig(Settings):

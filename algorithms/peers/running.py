@@ -5,23 +5,19 @@ from __future__ import annotations
 import contextlib
 from importlib import metadata
 from time import perf_counter, process_time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
 import numpy as np
-from rich.console import Console
 
-from algorithms.agent import Log
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.experiments.agent_report import attempt_film, film
 from algorithms.experiments.build import make_environment
-from algorithms.experiments.config import Experiment
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, POLICIES, evaluate_policies, evaluation_env
-from algorithms.experiments.run_directory import Run
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
@@ -30,6 +26,13 @@ from algorithms.reporting.learning_curves import load_groups, plot
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import make_utility
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from algorithms.agent import Log
+    from algorithms.experiments.config import Experiment
+    from algorithms.experiments.run_directory import Run
 
 LOGGED_ROWS = 100  # of training metrics in a run
 

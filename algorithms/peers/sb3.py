@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, ScalarConfig
 from mo_deepdrive.wrappers import UtilityReward
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 def a2c(task: PeerTask) -> PeerPolicies:

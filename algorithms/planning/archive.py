@@ -6,12 +6,17 @@ diversity in evolutionary multiobjective optimization"), which bounds the archiv
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import moocore
 import numpy as np
-from numpy.typing import NDArray
 
-from algorithms.planning.plans import EvaluatedPlans
 from mo_deepdrive.objectives import scales
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from algorithms.planning.plans import EvaluatedPlans
 
 EPSILON = 0.005  # edge of a box, as a share of each objective's nominal scale
 

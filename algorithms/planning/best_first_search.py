@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import string
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mo_deepdrive.actions import action_table
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, RUNNING, VEHICLE, YAW_FRICTION
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 CONFIG = EnvConfig(scenario="static_obstacle")
 LETTERS = string.ascii_lowercase[: len(action_table(CONFIG.action_type))]  # one per action

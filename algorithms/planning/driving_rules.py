@@ -7,16 +7,19 @@ speeds up to a target speed, and then coasts or holds it. Rules also take over f
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.planning.plans import FULL_SCALE
 from mo_deepdrive.actions import CURL, DECAY, DECREASE, IDLE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
-from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.batch import WorldBatch
 
 YAW_PER_STEER = 8.4  # steady yaw rate (rad/s) per rad of steer and m/s
 DRAG = 0.06  # deceleration by friction (m/s^2) per m/s

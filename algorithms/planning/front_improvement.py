@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import moocore
 import numpy as np
@@ -12,14 +12,18 @@ import numpy as np
 import mo_deepdrive
 from algorithms.common.atomic_io import atomic_write
 from algorithms.planning.front_search import UNKNOWN_SOURCE, FrontSearch
-from algorithms.planning.plans import EvaluatedPlans
 from algorithms.planning.subset_selection import select_front
-from algorithms.planning.trained_runs import RunRecording
 from mo_deepdrive.action_sequences import decode as decode_actions
 from mo_deepdrive.action_sequences import encode as encode_actions
 from mo_deepdrive.reference_fronts import KnownPolicy
 from mo_deepdrive.reference_fronts import read as read_front
 from mo_deepdrive.reference_fronts import write as format_front
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from algorithms.planning.plans import EvaluatedPlans
+    from algorithms.planning.trained_runs import RunRecording
 
 
 @dataclass(frozen=True)

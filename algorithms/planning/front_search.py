@@ -7,8 +7,9 @@ generations and take over from some of the offspring later.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.planning.archive import epsilon_nondominated
 from algorithms.planning.driving_rules import random_rules
@@ -18,6 +19,9 @@ from algorithms.planning.subset_selection import dominated_volume
 from algorithms.planning.variation import make_offspring
 from mo_deepdrive.reference_points import reference_point
 from mo_deepdrive.scenarios import SCENARIOS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 POPULATION = 4096  # plans per generation
 RULE_GENERATIONS = 5  # first generations, of rules only

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.planning.driving_rules import RULE, follow_rule
 from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFormat, Plans
@@ -17,6 +16,9 @@ from mo_deepdrive.scenarios import DRAWS
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import step_world
 from mo_deepdrive.simulation.state import RUNNING
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 # Not cached on disk: Numba would not notice a change of the functions of other modules that it calls.

@@ -7,9 +7,8 @@ one is steer, acceleration and brake (k = 3) in units of 1 / FULL_SCALE, the res
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,9 @@ from mo_deepdrive.action_sequences import CONTINUOUS_UNIT
 from mo_deepdrive.action_sequences import idle as idle_action
 from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.reference_fronts import GAMMA
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 GAMMAS = (GAMMA, 1.0)  # the discount factors for which returns are maximised
 FULL_SCALE = round(1 / CONTINUOUS_UNIT)  # units of a continuous action of 1.0

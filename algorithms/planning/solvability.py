@@ -8,18 +8,21 @@ scenarios bounds the share of impossible ones from above.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.planning.best_first_search import LETTERS, BestFirstSearch, SearchLimits, SearchResult
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
 ENVIRONMENT = "mo-deepdrive-static-obstacle-v0"
 # Each search is wider and finer than the one before.

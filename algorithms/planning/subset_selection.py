@@ -7,14 +7,17 @@ in low dimensions"), with lazy updates: a contribution can only shrink as others
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import moocore
 import numpy as np
-from numpy.typing import NDArray
 
-from algorithms.planning.plans import EvaluatedPlans
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from algorithms.planning.plans import EvaluatedPlans
 
 FRONT_SIZES = (200, 50)  # most plans of a front, and of them those selected for the second of GAMMAS
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.evaluate import Policy
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.pcn import PCN
 from mo_deepdrive.reference_fronts import front_config
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.evaluate import Policy
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,15 @@ removes or rescales one. Plans are int16 arrays (decisions, k) of which the firs
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.planning.plans import FULL_SCALE
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 CROSSOVER_RATE = 0.15
 CONTINUE_RATE = 0.5  # probability of another mutation after each

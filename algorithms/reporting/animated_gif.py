@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,10 @@ from PIL import Image
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.reporting.video_grid import caption_strip, scaled
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
 Frame = NDArray[np.uint8]  # (height, width, 3), RGB
 GAP = 4  # pixels between two clips

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
 from algorithms.evaluation.metrics import label
 from algorithms.reporting.front_view import FrontView, place_labels
 from algorithms.reporting.style import DIM, INK, NOTE_SIZE, TITLE_SIZE
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
 HALO = withStroke(linewidth=2.0, foreground="white")
 

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
-from numpy.typing import NDArray
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.evaluation.front import Front
 from algorithms.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
 from algorithms.reporting.front_layout import (
     add_colour_bar,
@@ -30,6 +26,13 @@ from algorithms.reporting.front_layout import (
 )
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
 from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.front import Front
 
 BARS = 8  # policies in bars.png
 # The paper's names for low values of these costs (its figure 7).

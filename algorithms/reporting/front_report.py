@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import islice
-from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
 from rich.table import Table
@@ -17,13 +14,20 @@ from rich.text import Text
 
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.pareto import farthest_point_subset
-from algorithms.evaluation.evaluate import Policy
 from algorithms.evaluation.front import Front, best_known_front, measure_front
 from algorithms.evaluation.metrics import FRONT, name_and_unit
 from algorithms.evaluation.statistics import Estimate
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reporting.video_grid import write_video_grid
 from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from algorithms.evaluation.evaluate import Policy
 
 FILMED_POLICIES = 4
 MAX_FRAMES = 300  # of every policy that is filmed

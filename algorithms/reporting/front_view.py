@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 
 from algorithms.common.pareto import farthest_point_subset
-from algorithms.evaluation.front import Front
 from algorithms.evaluation.metrics import name_and_unit
 from algorithms.reporting.style import COLOUR_MAP
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from algorithms.evaluation.front import Front
 
 REPRESENTATIVES = 16  # policies that are drawn individually at most; in larger fronts these represent all
 LEADING = "distance"  # the objective that orders and colours policies; if there is none of this name, the first one

@@ -5,14 +5,12 @@ Curves are means over seeds and have 95% bootstrap intervals.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
@@ -43,6 +41,11 @@ from algorithms.evaluation.seed_groups import group_by_experiment, identifying_s
 from algorithms.evaluation.statistics import bootstrap
 from algorithms.reporting.style import DIM, DPI, STYLE, curve_colour, surround
 from mo_deepdrive.objectives import INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
 
 Columns = dict[str, NDArray[np.float64]]
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import registry
-from rich.console import Console
 from rich.table import Table
 
 from algorithms.common.yaml_io import read_mapping
@@ -39,6 +36,12 @@ from algorithms.evaluation.metrics import (
 from algorithms.evaluation.seed_groups import group_by_experiment
 from algorithms.evaluation.statistics import interquartile_mean, mann_whitney_p, mean_difference, means
 from mo_deepdrive.config import EnvConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from rich.console import Console
 
 Rows = list[list[str]]  # of a table, header first
 

@@ -6,20 +6,23 @@ Means are over runs and have 95% bootstrap intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
-from numpy.typing import NDArray
 
 from algorithms.evaluation.statistics import Estimate, mean
 from algorithms.reporting.style import COLOURS, DIM, DPI, INK, LINE, STYLE, TITLE_SIZE, text_width
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
 # In inches: a panel, the margin left of the first, the gap between two, and the space above and below a row.
 PANEL_WIDTH, PANEL_HEIGHT, LEFT, GAP, HEAD, FOOT, SLANTED_FOOT = 3.1, 2.1, 0.95, 0.22, 0.62, 0.42, 1.05

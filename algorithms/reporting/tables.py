@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
-from algorithms.evaluation.evaluate import Evaluation
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import (
     ARRIVED,
@@ -34,6 +31,12 @@ from algorithms.evaluation.metrics import (
     vehicle_prefix,
 )
 from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from algorithms.evaluation.evaluate import Evaluation
 
 
 def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:

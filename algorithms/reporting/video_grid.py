@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from itertools import chain
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -18,6 +16,10 @@ from numpy.typing import NDArray
 
 from algorithms.reporting.style import STYLE, VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK
 from algorithms.reporting.videos import HOLD, video_writer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
 Frame = NDArray[np.uint8]  # (height, width, 3), RGB
 

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import importlib
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import imageio
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
-from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.evaluate import Policy
 from algorithms.evaluation.splits import FIRST_EVALUATION_SEED
 from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.evaluate import Policy
 
 MAX_FRAMES = 750  # of a video; the rest is cut off
 HOLD = 0.5  # s for which the last frame of an episode is shown

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
@@ -18,8 +16,15 @@ from algorithms.common.atomic_io import atomic_write
 from algorithms.reporting.learning_curves import curve
 from algorithms.reporting.style import COLOURS, STYLE
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
-from algorithms.reproduction.plan import Plan
 from algorithms.reproduction.results import TOTAL_UTILITY, ReproductionResults
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from algorithms.reproduction.plan import Plan
 
 DPI = 160
 MIN_WIDTH = 8.4  # inches, for the title and the note below it

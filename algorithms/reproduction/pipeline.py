@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-from rich.console import Console
+from typing import TYPE_CHECKING
 
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
@@ -26,6 +24,11 @@ from algorithms.reproduction.report import (
 )
 from algorithms.reproduction.results import ReproductionResults, gather
 from algorithms.zoo.exporting import export
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -14,6 +13,9 @@ from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Count, load_experiment
 from algorithms.experiments.jobs import Job
 from mo_deepdrive.config import Settings, nearest, parse
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
 
 QUICK_EVALUATIONS = 5  # during training, in a quick reproduction
 

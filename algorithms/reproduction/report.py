@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,8 +25,12 @@ from algorithms.reproduction.claims import (
     utility_metric,
 )
 from algorithms.reproduction.figures import CURVE_FIGURES, FRONT_FIGURES, draw_curves, file_name
-from algorithms.reproduction.plan import Plan, PlannedRun, Protocol
 from algorithms.reproduction.results import FARTHEST, NEAREST, ReproductionResults
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from algorithms.reproduction.plan import Plan, PlannedRun, Protocol
 
 REPORT_FILE = "reproduction.md"
 FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"

@@ -6,20 +6,24 @@ import csv
 import gzip
 import io
 import json
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.metrics_file import read_metrics
 from algorithms.evaluation.front import Front
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.learning_curves import Columns
-from algorithms.reproduction.plan import PlannedRun
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from algorithms.reporting.learning_curves import Columns
+    from algorithms.reproduction.plan import PlannedRun
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
 KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "policy")

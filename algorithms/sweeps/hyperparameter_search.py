@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings, SearchRange
-
 if TYPE_CHECKING:
     import optuna
+
+    from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings, SearchRange
 
 # Score by run id; None for a run that failed or has no finite score.
 Scores = Mapping[str, float | None]

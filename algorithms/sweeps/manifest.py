@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import read_mapping
@@ -17,7 +17,9 @@ from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment, override
 from algorithms.experiments.jobs import NOT_COMPARED, Job
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
-from algorithms.sweeps.sweep_settings import SweepSettings
+
+if TYPE_CHECKING:
+    from algorithms.sweeps.sweep_settings import SweepSettings
 
 FILE = "manifest.jsonl"
 RUNS = "runs"

@@ -9,15 +9,18 @@ import contextlib
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import polars as pl
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import read_metrics
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
 # A part is full when it holds this many runs, or this many bytes of metrics.csv.
 PART_RUNS, PART_BYTES = 100, 64 * 2**20

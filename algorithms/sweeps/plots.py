@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from algorithms.evaluation.metrics import evaluation_prefix
 from algorithms.reporting.learning_curves import CurveGroup, describe, drawn, plot
 from algorithms.reporting.sweep_effects import VariedScores, plot_effects
 from algorithms.sweeps.collection import Cell, Collection, collect
 from algorithms.sweeps.ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
 MAX_CURVES = 8  # cells, as many as there are colours
 

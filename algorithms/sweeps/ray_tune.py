@@ -7,9 +7,8 @@ import queue
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ray
@@ -17,14 +16,18 @@ from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
-from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.run_scores import final_metrics
-from algorithms.sweeps.sweep_settings import AshaSettings, SweepSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from algorithms.experiments.dashboard import Dashboard
+    from algorithms.sweeps.sweep_settings import AshaSettings, SweepSettings
 
 TuneReport = dict[str, Any]
 GIB = 2**30

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from algorithms.common.metrics_file import read_metrics
-from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import read_status
 from mo_deepdrive.config import nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from algorithms.experiments.jobs import Job
 
 T = TypeVar("T")
 

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-
-from rich.console import Console
+from typing import TYPE_CHECKING
 
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
-from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
-from algorithms.sweeps.sweep_settings import SweepSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from algorithms.experiments.jobs import Job
+    from algorithms.sweeps.sweep_settings import SweepSettings
 
 BACKENDS = ("local", "ray", "slurm", "manifest")
 

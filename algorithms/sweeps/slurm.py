@@ -13,10 +13,8 @@ import subprocess
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import submitit
 from rich.console import Console
@@ -24,12 +22,17 @@ from rich.console import Console
 from algorithms.common.atomic_io import write_json
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Stopped
-from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, sbatch_options, slurm_folder
-from algorithms.sweeps.sweep_settings import SweepSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from algorithms.experiments.jobs import Job
+    from algorithms.sweeps.sweep_settings import SweepSettings
 
 POLL = 5.0  # s between queries of the queue
 JOBS_PER_QUERY = 500  # the length of a command line is limited

@@ -28,12 +28,14 @@ Each task of the array unpickles and calls its :class:`algorithms.sweeps.slurm.A
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import submitit
 
-from algorithms.sweeps.sweep_settings import SweepSettings
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from algorithms.sweeps.sweep_settings import SweepSettings
 
 MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 

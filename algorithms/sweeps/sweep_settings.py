@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import SHORT_FORMS, Count
 from mo_deepdrive.config import Settings, parse
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 MAX_SEEDS = 100_000
 

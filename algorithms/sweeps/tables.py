@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-from rich.console import Console
 
 from algorithms.evaluation.metrics import MetricName, known_metric
 from algorithms.reporting.seed_tables import (
@@ -22,6 +20,12 @@ from algorithms.reporting.seed_tables import (
 )
 from algorithms.sweeps.collection import SCORE_KEYS, Collection, collect
 from algorithms.sweeps.ranking import TOTAL, Ranking, rank, short_names, totals, value_labels, value_text, varying_keys
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from rich.console import Console
 
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 

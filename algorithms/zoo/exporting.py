@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from algorithms import zoo
 from algorithms.common.atomic_io import atomic_write, write_json
@@ -14,8 +13,12 @@ from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.yaml_io import dump
 from algorithms.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
 from algorithms.experiments.build import build
-from algorithms.experiments.config import Experiment
-from algorithms.experiments.run_directory import Run
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from algorithms.experiments.config import Experiment
+    from algorithms.experiments.run_directory import Run
 
 ABOUT = "about.json"
 FILES = {zoo.CONFIG, zoo.CHECKPOINT, ABOUT, FRONT_FILE, EVALUATION_FILE}

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mo_deepdrive.config import nearest
 from mo_deepdrive.scenarios import Scenario, pin_nothing
 from mo_deepdrive.simulation.state import SPAWN
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 FARTHEST = 250.0  # m; largest coordinate, so that observations stay in their space
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -18,6 +17,9 @@ from mo_deepdrive.config import EnvConfig, nearest, parse
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import option_names
 from mo_deepdrive.envs.world import RENDER_MODES, World
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
 
 Array = NDArray[np.float32]
 

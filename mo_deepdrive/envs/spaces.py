@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from gymnasium import spaces
 
 from mo_deepdrive import actions, observation
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 from mo_deepdrive.simulation.state import GRAVITY, LENGTH, STEER_RANGE, TOP_SPEED
+
+if TYPE_CHECKING:
+    from mo_deepdrive.config import EnvConfig
 
 # The held throttle is below this (m/s^2): "maintain speed" raises it only while friction is larger, and friction at
 # top speed is 6 m/s^2.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
 
 from mo_deepdrive.scenarios import DRAWS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 BLOCK = 16
 _WORD = (1 << 64) - 1

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
-from numpy.typing import NDArray
 
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.envs.world import WorldEnv
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 class TurnBasedEnv(WorldEnv):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
@@ -17,6 +16,9 @@ from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 END_NAMES = np.array(ENDS, dtype=object)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -13,10 +12,14 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
 from mo_deepdrive.scenarios import DRAWS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mo_deepdrive.config import EnvConfig
 
 RENDER_MODES = ["rgb_array", "human"]
 _WORLD = np.zeros(1, dtype=np.int64)

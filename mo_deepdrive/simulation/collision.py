@@ -7,14 +7,16 @@ poses in between are tested, too, so that nothing passes through anything at any
 from __future__ import annotations
 
 import math
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from mo_deepdrive.simulation.dynamics import PATH_COS, PATH_SIN, PATH_X, PATH_Y
 from mo_deepdrive.simulation.geometry import RADIUS, boxes_overlap, distance, segment_touches_box
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import WIDTH, Record
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 LONGEST_MOVE = WIDTH / 4
 

@@ -18,9 +18,7 @@ follow from tan(slip) without a function call.
 from __future__ import annotations
 
 import math
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import (
@@ -31,6 +29,10 @@ from mo_deepdrive.simulation.state import (
     Record,
 )
 from mo_deepdrive.simulation.trigonometry import sine_cosine
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 SLIP_RATIO = AXLE_A / (AXLE_A + AXLE_B)
 MAX_STEER_CHANGE = 0.03  # rad per physics step, under constrain_controls

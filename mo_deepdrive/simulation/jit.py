@@ -73,4 +73,4 @@ def jit(function: F) -> F:
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
-    return cast(F, compiled)
+    return cast("F", compiled)

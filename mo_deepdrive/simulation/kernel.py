@@ -7,8 +7,7 @@ through the same code.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from mo_deepdrive import observation
 from mo_deepdrive.objectives import INDEX
@@ -35,6 +34,10 @@ from mo_deepdrive.simulation.state import (
     Record,
     Records,
 )
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 # Indices of the objectives within vehicle.objectives.
 DISTANCE = INDEX["distance"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -14,10 +14,8 @@ from gymnasium import spaces
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.common.rollout import Rollout
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,
@@ -30,6 +28,10 @@ from tests.helpers.agents import (
     same,
     state,
 )
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic
+    from algorithms.common.rollout import Rollout
 
 
 @CLASSES

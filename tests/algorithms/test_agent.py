@@ -6,9 +6,7 @@ import json
 import math
 import os
 import pickle
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,6 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO, PCN, PPO
-from algorithms.actor_critic import ActorCritic
 from algorithms.common.env_adapter import make_env
 from algorithms.evaluation.evaluate import evaluate
 from mo_deepdrive.utilities import make_utility
@@ -36,6 +33,12 @@ from tests.helpers.agents import (
     same,
     state,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from algorithms.actor_critic import ActorCritic
 
 
 @pytest.fixture

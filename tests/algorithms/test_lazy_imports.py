@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 
 import algorithms
 from algorithms import ALGORITHMS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(

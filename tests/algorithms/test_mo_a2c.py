@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.common.rollout import VehicleRollout
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     ALL_FORMS,
@@ -22,6 +20,10 @@ from tests.helpers.agents import (
     seen_by,
     value_of,
 )
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic, Learner
+    from algorithms.common.rollout import VehicleRollout
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
 from algorithms import MOA2C, MOPPO
-from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import (
     CONTINUOUS,
     NONLINEAR,
@@ -17,6 +16,9 @@ from tests.helpers.agents import (
     handmade,
     make_agent,
 )
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic
 
 ADVANTAGES = pytest.mark.parametrize("advantage", ["utility_difference", "as_printed", "utility_gradient"])
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mo_gymnasium
@@ -14,21 +12,27 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file, save_file
 
 from algorithms import MOA2C, PCN
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import make_env
-from algorithms.common.episode_buffer import Episode
 from algorithms.common.pareto import hypervolume, indicators, non_dominated
 from algorithms.evaluation.evaluate import evaluate
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from gymnasium.vector import VectorEnv
+
+    from algorithms.common.episode_buffer import Episode
+    from algorithms.evaluation.front import Front
 
 SHORT = {"time_limit": 2, "fixed_destination": True}
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {

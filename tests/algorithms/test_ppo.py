@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
 from algorithms import A2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import (
     CONTINUOUS,
     NONLINEAR,
@@ -19,6 +18,9 @@ from tests.helpers.agents import (
     same,
     state,
 )
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic
 
 CLIPPED = pytest.mark.parametrize("cls", [PPO, MOPPO])
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import VehicleRollout
 from mo_deepdrive.utilities import Utility, make_utility
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic, Learner
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

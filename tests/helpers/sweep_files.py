@@ -10,11 +10,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
@@ -22,6 +20,10 @@ import yaml
 from algorithms.experiments import worker_pool as pool
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
 
 ROOT = REPOSITORY
 LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # several seconds

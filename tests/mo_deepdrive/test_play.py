@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mo_deepdrive.actions import CONTINUOUS, DISCRETE, MICRO_STEER, action_names
 from mo_deepdrive.play import (
@@ -20,6 +18,11 @@ from mo_deepdrive.play import (
     make_play_env,
 )
 from mo_deepdrive.simulation.state import VEHICLE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 NOTHING, UP, DOWN = Keys(False, False, False, False), Keys(True, False, False, False), Keys(False, True, False, False)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
 import moocore
@@ -16,6 +14,10 @@ from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
 from mo_deepdrive.objectives import scales, signs
 from mo_deepdrive.scenarios import SCENARIOS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 SHIPPED = sorted(
     (scenario, action_type)

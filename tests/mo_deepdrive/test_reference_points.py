@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -12,6 +11,9 @@ import pytest
 import mo_deepdrive
 from mo_deepdrive.objectives import NAMES, scales
 from mo_deepdrive.scenarios import SCENARIOS
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 GAMMAS = (0.99, 1.0)
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 import pygame
 import pytest
 from gymnasium.wrappers import RecordVideo
-from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.batch import WorldBatch
@@ -19,6 +16,12 @@ from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.rendering import EpisodeTrace, Viewer
 from mo_deepdrive.scenarios import DRAWS, MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
 SCENARIOS = ("one_waypoint", "static_obstacle", "intersection")
 SINGLE_IDS = ("mo-deepdrive-one-waypoint-v0", "mo-deepdrive-static-obstacle-v0")

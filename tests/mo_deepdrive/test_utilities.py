@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,6 +13,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mo_deepdrive.utilities import UTILITIES, Utility, make_utility
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 COSTS = {"g_force", "collision", "jerk", "lane_violation"}
 ONE_WAYPOINT = ("distance", "destination", "g_force", "jerk")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
 import numpy as np
@@ -15,9 +15,11 @@ from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import evaluate, evaluate_each
 from algorithms.peers import PEERS, PeerTask
 from algorithms.peers.peer_env import Recorder
-from algorithms.peers.peer_task import PeerPolicies
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
+
+if TYPE_CHECKING:
+    from algorithms.peers.peer_task import PeerPolicies
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 SEA = "deep-sea-treasure-v0"

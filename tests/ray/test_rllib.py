@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
 import numpy as np
@@ -37,6 +36,9 @@ from ray.rllib.utils.pre_checks.env import check_multiagent_environments
 from ray.tune.registry import register_env
 
 from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 VEHICLES = ["vehicle_0", "vehicle_1"]
 IDLE = 0

@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -22,6 +21,10 @@ from algorithms.experiments.run_directory import Run
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, Done, refused
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import ModuleType
 
 EPISODES, SEED = 3, 21
 ARGUMENTS = {"time_limit": 3}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,6 +17,9 @@ from tests.helpers.script_runs import (
     copied,
     refused,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_evaluate_prints_and_writes_its_numbers(finished: Path, tmp_path: Path, call: Call) -> None:

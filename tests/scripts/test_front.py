@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,6 +15,11 @@ from mo_deepdrive.action_sequences import replay as replay_sequences
 from mo_deepdrive.reference_fronts import GAMMA, front_config
 from mo_deepdrive.reference_fronts import read as read_front
 from mo_deepdrive.reference_fronts import write as format_front
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import ModuleType
 
 OPEN = ("one_waypoint", "static_obstacle")
 SMALL = ["--decisions", "300000", "--anew"]

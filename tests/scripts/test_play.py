@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import imageio.v3 as iio
 import pygame
@@ -15,6 +13,10 @@ from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import ModuleType
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tests.helpers.script_runs import (
     Call,
     refused,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_plot_draws_runs(finished: Path, tmp_path: Path, call: Call) -> None:

@@ -11,11 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
 from algorithms.sweeps import runner
@@ -34,6 +33,9 @@ from tests.helpers.sweep_files import (
     status,
     write_sweep,
 )
+
+if TYPE_CHECKING:
+    from algorithms.experiments.dashboard import Dashboard
 
 Done = tuple[int, str, str]  # exit code, standard output, standard error
 Call = Callable[..., Done]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -14,6 +12,10 @@ from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.seed_tables import TABLE_METRICS
 from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 ROOT = REPOSITORY
 table: Any = None  # the script

@@ -7,8 +7,7 @@ import errno
 import json
 import os
 import signal
-from collections.abc import Callable
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -32,6 +31,10 @@ from tests.helpers.script_runs import (
     refused,
     status,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 NO_FIGURES = "--logging.save_figures=false"
 

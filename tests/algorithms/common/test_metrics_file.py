@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from algorithms.common.metrics_file import FrontsFile, MetricsFile, read_metrics
 from algorithms.evaluation.front import Front
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_metrics_are_read_back_to_the_last_bit(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,6 +13,9 @@ import torch
 from torch import distributions, nn
 
 from algorithms.common.networks import CategoricalActor, GaussianActor, mlp
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4

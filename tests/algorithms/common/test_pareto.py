@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from itertools import combinations, product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
 import numpy as np
@@ -24,6 +23,9 @@ from algorithms.common.pareto import (
     indicators,
     non_dominated,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SIZE = 5  # of the grid of whole numbers on which points lie
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mo_gymnasium
@@ -16,10 +15,14 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import Act, Collector, Episodes, Rollout
 from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from algorithms.common.accrued_reward import AccruedReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

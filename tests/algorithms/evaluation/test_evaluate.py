@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mo_gymnasium
@@ -12,10 +12,12 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from algorithms import A2C, MOA2C
-from algorithms.actor_critic import ActorCritic
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.evaluate import Evaluation, evaluate
 from mo_deepdrive.utilities import Utility, make_utility
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

@@ -5,16 +5,18 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable
 from dataclasses import fields
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from algorithms.evaluation.evaluate import Evaluation
 from algorithms.evaluation.front import Front
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 NAMES = ("speed", "comfort")
 ARRAYS = ("returns", "low", "high", "discounted", "success", "length", "conditions")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,9 @@ from algorithms.experiments.build import build, load_policy, make_environment
 from algorithms.experiments.config import EnvironmentSettings, make_experiment
 from algorithms.experiments.run_directory import Run
 from tests.helpers.short_runs import VALUES
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def experiment_with(**sections: Any) -> Any:

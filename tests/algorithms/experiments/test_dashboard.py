@@ -5,9 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
@@ -16,8 +14,13 @@ from rich.console import Console
 
 from algorithms.experiments import dashboard as module
 from algorithms.experiments.dashboard import MOST_ROWS, Dashboard
-from algorithms.experiments.jobs import Job
 from tests.helpers.short_runs import job, printed, quiet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from algorithms.experiments.jobs import Job
 
 STEPS = 960  # of each run
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,6 +12,9 @@ from algorithms.experiments.jobs import Job, differences, perform
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
 from tests.helpers.short_runs import job, quiet
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_a_job_is_trained_and_evaluated_once_without_figures(tmp_path: Path) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import errno
 import sys
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,9 @@ import pytest
 from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.config import WandbSettings
 from algorithms.experiments.loggers import Logger
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 
 from algorithms import ALGORITHMS, zoo
 from algorithms.experiments.registry import agent_class, algorithm_names, find_algorithm, find_trained_policy
 from algorithms.peers import PEERS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[str], str]) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from algorithms.common.atomic_io import write_json
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.run_directory import Run, default_directory, versions
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 VALUES: dict[str, Any] = {
     "environment": {"id": "mo-deepdrive-one-waypoint-v0"},

@@ -8,8 +8,7 @@ import random
 import signal
 import threading
 import time
-from collections.abc import Callable
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,6 +19,10 @@ from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.worker_pool import DIED, perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 LONG = {"total_timesteps": 60_000, "num_envs": 32}  # some seconds
 

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,6 +17,9 @@ from algorithms.experiments.run_directory import Run
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front, prepare, run_peer
 from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture

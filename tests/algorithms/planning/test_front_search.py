@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
+from typing import TYPE_CHECKING
 
 from algorithms.planning import front_search
+
+if TYPE_CHECKING:
+    import pytest
 
 
 def test_offspring_improve_on_what_rules_find(monkeypatch: pytest.MonkeyPatch) -> None:

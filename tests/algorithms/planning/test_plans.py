@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,6 +11,10 @@ from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFo
 from algorithms.planning.trained_runs import record_run
 from mo_deepdrive.action_sequences import decode as decode_actions
 from mo_deepdrive.action_sequences import encode as encode_actions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16"])

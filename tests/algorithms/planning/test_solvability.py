@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from algorithms.planning.solvability import describe_geometry, replay, solve_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 FAR = ((19.5, 46.0), (20.5, 46.0))  # a bicycle at the edge of the map
 STRAIGHT_AHEAD = (30.0, 25.5)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -10,6 +10,9 @@ from PIL import Image
 
 from algorithms.reporting.animated_gif import GAP, Frame, write_gif
 from algorithms.reporting.video_grid import CAPTION_PIXELS
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 RED, BLUE = (220, 20, 30), (30, 40, 200)
 

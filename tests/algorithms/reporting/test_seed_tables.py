@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting.seed_tables import environment_label, group_runs, utility_label, without_empty_columns
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,9 @@ from algorithms.evaluation.evaluate import Evaluation
 from algorithms.evaluation.statistics import Estimate
 from algorithms.reporting.tables import estimate_metrics, evaluation_table, write_evaluation
 from mo_deepdrive.utilities import Utility, make_utility
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 OBJECTIVES = ("distance", "jerk")
 

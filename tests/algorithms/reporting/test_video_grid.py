@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import imageio.v3 as iio
 import numpy as np
@@ -12,6 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from algorithms.reporting.video_grid import CAPTION_PIXELS, GAP, MAX_WIDTH, caption_strip, scaled, write_video_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 Frame = NDArray[np.uint8]
 FPS = 10

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from algorithms.actor_critic import ActorCritic
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.reporting.videos import HOLD, record, video_writer
 from mo_deepdrive.actions import action_names
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from algorithms.actor_critic import ActorCritic
+    from algorithms.common.accrued_reward import AccruedReward
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 UTILITIES = {ONE: "one_waypoint_linear", TWO: "intersection_linear"}

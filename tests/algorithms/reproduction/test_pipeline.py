@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -17,6 +16,9 @@ from algorithms.reproduction.results import ReproductionResults, gather
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import TINY
 from tests.helpers.scripts import load_script
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -14,6 +14,9 @@ from algorithms.reproduction.report import (
 )
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_ablations_are_distinguished_from_comparisons() -> None:

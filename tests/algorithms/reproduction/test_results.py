@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gzip
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,6 +12,9 @@ from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_results_are_read_as_they_were_written_and_equal_results_give_equal_bytes(tmp_path: Path) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import statistics
-from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import optuna
@@ -17,6 +16,9 @@ from hypothesis import strategies as st
 from algorithms.sweeps.hyperparameter_search import propose_points
 from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings
 from mo_deepdrive.config import parse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 RATE = "algorithm.learning_rate"
 METRIC = "greedy/utility_esr"

@@ -6,13 +6,16 @@ import csv
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from algorithms.experiments.jobs import Job, perform
 from algorithms.sweeps.run_scores import final_metrics, read_scores
 from tests.helpers.short_runs import job
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 METRIC = "greedy/utility_esr"
 

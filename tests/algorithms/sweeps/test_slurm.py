@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -20,6 +18,10 @@ import submitit
 from algorithms.sweeps import slurm, slurm_script
 from algorithms.sweeps.manifest import expand
 from algorithms.sweeps.sweep_settings import load_sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 
 def test_tasks_beyond_the_maximum_size_of_an_array_go_to_further_arrays(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from algorithms.sweeps.sweep_settings import load_sweep
@@ -11,7 +9,12 @@ from tests.helpers.sweep_files import write_sweep
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
 
+from typing import TYPE_CHECKING
+
 from algorithms.sweeps.slurm_script import sbatch_options
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path) -> None:

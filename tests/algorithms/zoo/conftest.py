@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from rich.console import Console
 
 from algorithms import zoo
-from algorithms.experiments.run_directory import Run
 from tests.helpers.scripts import load_script
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
@@ -20,6 +18,11 @@ from tests.helpers.zoo import (
     Trained,
     train,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from algorithms.experiments.run_directory import Run
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -35,6 +34,9 @@ from tests.helpers.zoo import (
     train,
     whole_agent,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @EVERY_ACTOR_CRITIC

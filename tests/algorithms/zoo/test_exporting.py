@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -17,6 +16,9 @@ from tests.helpers.zoo import (
     Trained,
     contents,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_an_export_replaces_an_existing_policy(trained: Trained, home: Path) -> None:

@@ -11,9 +11,7 @@ import math
 import pickle
 import re
 import warnings
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -30,6 +28,10 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test, seed_test
 import mo_deepdrive
 from mo_deepdrive.objectives import INDEX
 from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 AGENTS = ["vehicle_0", "vehicle_1"]
 EVERY = [

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -16,6 +15,9 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 STARTS = {"starts": ((27.077, 10.0, 0.0), (24.039, 40.0, math.pi))}
 Turn = tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]
