@@ -17,6 +17,7 @@ from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.optimisers import geometric_schedule, linear_schedule, optimiser_state, set_optimiser_state
 from algorithms.common.rollout import Collector, VehicleRollout
+from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_prefix
 from mo_deepdrive.utilities import Utility
 
 if TYPE_CHECKING:
@@ -224,11 +225,11 @@ class ActorCritic(Agent):
         entropy_coefficient = geometric_schedule(
             config.entropy_start, config.entropy_end, progress / config.entropy_until
         )
-        metrics = {"policy/learning_rate": learning_rate, "policy/entropy_coefficient": entropy_coefficient}
+        metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
         for v, learner in enumerate(self.learners):
             learner.on_episodes_end(episodes.discounted[episodes.vehicles == v])
             losses = learner.update(rollout.of_vehicle(v, self.device), learning_rate, entropy_coefficient)
-            prefix = f"vehicle_{v}/" if len(self.learners) > 1 else ""
+            prefix = vehicle_prefix(v, len(self.learners))
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
 

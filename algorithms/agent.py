@@ -19,6 +19,16 @@ from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation.evaluate import evaluate
 from algorithms.evaluation.front import Front
+from algorithms.evaluation.metrics import (
+    GREEDY,
+    STEPS_PER_SECOND,
+    STOCHASTIC,
+    TRAIN,
+    evaluation_prefix,
+    summarise,
+    vehicle_prefix,
+)
+from algorithms.evaluation.splits import FIRST_EVALUATION_SEED, FIRST_TRAINING_SEED
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:
@@ -30,8 +40,6 @@ if TYPE_CHECKING:
     from algorithms.common.accrued_reward import AccruedReward
     from mo_deepdrive.utilities import Utility
 
-# Training environments are seeded from here on; evaluations use smaller seeds.
-FIRST_TRAINING_SEED = 2**32
 EVALUATION_INTERVALS = 20
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
 
@@ -158,11 +166,11 @@ class Agent(ABC):
     def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front | None]:
         """Metrics of the current policy, greedy and stochastic; a front too where the agent learns one."""
         metrics: dict[str, float] = {}
-        for policy in ("greedy", "stochastic"):
+        for policy in (GREEDY, STOCHASTIC):
             result = evaluate(
-                self, plan.env, episodes=plan.episodes, seed=plan.seed, greedy=policy == "greedy", gamma=plan.gamma
+                self, plan.env, episodes=plan.episodes, seed=plan.seed, greedy=policy == GREEDY, gamma=plan.gamma
             )
-            metrics |= {f"eval/{policy}/{name}": value for name, value in result.metrics().items()}
+            metrics |= {evaluation_prefix(policy) + name: value for name, value in result.metrics().items()}
         return metrics, None
 
     def identity(self) -> dict[str, Any]:
@@ -187,7 +195,7 @@ class Agent(ABC):
         *,
         eval_interval: int | None = None,
         eval_episodes: int = 100,
-        eval_seed: int = 1_000_000,
+        eval_seed: int = FIRST_EVALUATION_SEED,
         eval_gamma: float = 0.99,
         reference_point: Sequence[float] | None = None,
         reference_front: NDArray[np.float64] | None = None,
@@ -228,7 +236,7 @@ class Agent(ABC):
                 self.episodes.clear()
             elif self.updates % log_interval == 0 or last:
                 rate = (self.step - first) / (perf_counter() - started)
-                log(self.step, {**self._training_metrics(), **metrics, "time/steps_per_second": rate})
+                log(self.step, {**self._training_metrics(), **metrics, STEPS_PER_SECOND: rate})
             if self.step // interval > before // interval or last:
                 paused = perf_counter()
                 self._log_evaluation(plan, log, log_front)
@@ -250,17 +258,17 @@ class Agent(ABC):
         episodes, self.episodes = Episodes.join(self.episodes, len(self.env.objectives)), []
         metrics: dict[str, float] = {}
         for v in range(self.env.vehicles):
-            prefix = f"train/vehicle_{v}/" if self.env.vehicles > 1 else "train/"
             mine = episodes.vehicles == v
-            returns = episodes.returns[mine]
-            if not len(returns):
-                continue
-            if self.utilities:
-                metrics[prefix + "utility"] = float(np.mean(self.utilities[v](returns)))
-            metrics[prefix + "success"] = float(np.mean(episodes.succeeded[mine]))
-            metrics[prefix + "length"] = float(np.mean(episodes.lengths[mine]))
-            for objective, mean in zip(self.env.objectives, returns.mean(axis=0), strict=True):
-                metrics[f"{prefix}return/{objective}"] = float(mean)
+            if mine.any():
+                summary = summarise(
+                    self.env.objectives,
+                    episodes.returns[mine],
+                    episodes.lengths[mine],
+                    episodes.succeeded[mine],
+                    utility=self.utilities[v] if self.utilities else None,
+                )
+                prefix = TRAIN + vehicle_prefix(v, self.env.vehicles)
+                metrics |= {prefix + name: value for name, value in summary.items()}
         return metrics
 
     # ----------------------------------------------------------------------------------------------------- checkpoints

@@ -50,6 +50,7 @@ from algorithms.common.hyperparameters import (
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.running_mean import RunningMean
+from algorithms.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
@@ -187,7 +188,7 @@ class MOA2CLearner(Learner):
         value_loss = (weights * ((targets - values) / self.objective_scales).square().mean(-1)).sum()
         entropy = (weights * entropies).sum()
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return {"total": total, "loss/policy": policy_loss, "loss/value": value_loss, "policy/entropy": entropy}
+        return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
 
     @torch.no_grad()
     def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

@@ -48,6 +48,7 @@ from algorithms.common.hyperparameters import (
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.running_mean import RunningMean
+from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
@@ -283,11 +284,11 @@ class MOPPOLearner(Learner):
         self.optimiser.step()
         with torch.no_grad():
             return {
-                "loss/policy": policy_loss.detach(),
-                "loss/value": value_loss.detach(),
-                "policy/entropy": entropy.detach(),
-                "policy/clip_fraction": ((ratio - 1.0).abs() > config.clip).to(ratio.dtype).mean(),
-                "policy/approx_kl": (ratio - 1.0 - log_ratio).mean(),
+                POLICY_LOSS: policy_loss.detach(),
+                VALUE_LOSS: value_loss.detach(),
+                ENTROPY: entropy.detach(),
+                CLIP_FRACTION: ((ratio - 1.0).abs() > config.clip).to(ratio.dtype).mean(),
+                APPROX_KL: (ratio - 1.0 - log_ratio).mean(),
             }
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:

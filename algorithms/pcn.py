@@ -45,10 +45,11 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import CommandNetwork
 from algorithms.common.optimisers import linear_schedule, optimiser_state, set_learning_rate, set_optimiser_state
-from algorithms.common.pareto import farthest_point_subset, indicators
+from algorithms.common.pareto import farthest_point_subset
 from algorithms.common.rollout import Episodes
+from algorithms.evaluation import metrics
 from algorithms.evaluation.evaluate import Evaluation, evaluate_each
-from algorithms.evaluation.front import Front
+from algorithms.evaluation.front import Front, measure_front
 from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
@@ -167,10 +168,10 @@ class PCN(Agent):
         attained = self._collect(policy)
         losses = [self._gradient_step() for _ in range(config.gradient_steps)]
         return {
-            "loss/policy": float(torch.stack(losses).mean()),
-            "policy/learning_rate": learning_rate,
-            "policy/command_error": float((np.abs(attained - policy.desired) / self.scales).mean()),
-            "policy/non_dominated": float(len(self.buffer.best())),
+            metrics.POLICY_LOSS: float(torch.stack(losses).mean()),
+            metrics.LEARNING_RATE: learning_rate,
+            metrics.COMMAND_ERROR: float((np.abs(attained - policy.desired) / self.scales).mean()),
+            metrics.NON_DOMINATED: float(len(self.buffer.best())),
         }
 
     def _sample_commands(self) -> CommandPolicy:
@@ -405,16 +406,17 @@ class PCN(Agent):
     def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
         """The front and its indicators."""
         front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
-        found = indicators(
-            front.discounted,
+        found = measure_front(
+            front,
             reference_point=plan.reference_point,
             reference_front=plan.reference_front,
             scales=self.env.objective_scales,
         )
-        found |= {f"return/{name}": float(front.returns[:, i].max()) for i, name in enumerate(front.objectives)}
-        if np.isfinite(front.success).all():
-            found["success"] = float(front.success.mean())
-        return {f"eval/front/{name}": value for name, value in found.items()}, front
+        found |= {
+            metrics.return_of(name): float(best)
+            for name, best in zip(front.objectives, front.returns.max(axis=0), strict=True)
+        }
+        return {metrics.evaluation_prefix(metrics.FRONT) + name: value for name, value in found.items()}, front
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 

@@ -1,10 +1,10 @@
-"""CSV files of a run's metrics and fronts: rows are appended while training, and a torn last row is not read."""
+"""The CSV file of a run's metrics: rows are appended while training, and a torn last row is not read."""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def read_metrics(path: str | Path) -> dict[str, NDArray[np.float64]]:
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"metrics file {str(path)!r} does not exist")
-    header, rows = _complete_rows(path)
+    header, rows = complete_rows(path)
     if header[0] != "step":
         raise ValueError(f"metrics file {str(path)!r} has no column 'step' at its beginning")
     try:
@@ -48,13 +48,13 @@ class MetricsFile:
         self.path = path
         self._columns, self._rows = ["step"], []
         if after is not None:
-            columns, rows = _complete_rows(path)
+            columns, rows = complete_rows(path)
             self._columns, self._rows = columns, [row for row in rows if int(row[0]) <= after]
         self._rewrite()
 
     def _rewrite(self) -> None:
         width = len(self._columns)
-        lines = [_line(self._columns), *(_line(row + [""] * (width - len(row))) for row in self._rows)]
+        lines = [csv_line(self._columns), *(csv_line(row + [""] * (width - len(row))) for row in self._rows)]
         atomic_write(self.path, "".join(lines).encode())
 
     def write(self, step: int, metrics: Mapping[str, float]) -> None:
@@ -65,71 +65,27 @@ class MetricsFile:
         """
         new = [name for name in metrics if name not in self._columns]
         self._columns += new
-        cells = {"step": str(step), **{name: _cell(value) for name, value in metrics.items()}}
+        cells = {"step": str(step), **{name: format_number(value) for name, value in metrics.items()}}
         row = [cells.get(name, "") for name in self._columns]
         self._rows.append(row)
         if new:
             self._rewrite()
         else:
             with self.path.open("a") as file:
-                file.write(_line(row))
+                file.write(csv_line(row))
 
 
-class DiscountedFront(Protocol):
-    """The part of :class:`algorithms.evaluation.front.Front` that is logged."""
-
-    @property
-    def objectives(self) -> tuple[str, ...]:
-        """Names of the d objectives."""
-
-    @property
-    def discounted(self) -> NDArray[np.float64]:
-        """(k, d) discounted returns of the policies."""
-
-
-class FrontsFile:
-    """A CSV file of every front evaluated during training: one row per policy, with step and discounted returns.
-
-    Args:
-        path: the file.
-        after: as for :class:`MetricsFile`.
-    """
-
-    def __init__(self, path: Path, after: int | None = None):
-        self.path = path
-        header, rows = _complete_rows(path) if after is not None else (["step"], [])
-        self._has_header = len(header) > 1
-        if self._has_header and after is not None:
-            kept = [_line(row) for row in rows if int(row[0]) <= after]
-            atomic_write(path, "".join([_line(header), *kept]).encode())
-
-    def write(self, step: int, front: DiscountedFront) -> None:
-        """Append a front.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
-        lines = [
-            _line([str(step), str(policy), *map(_cell, returns)]) for policy, returns in enumerate(front.discounted)
-        ]
-        if self._has_header:
-            with self.path.open("a") as file:
-                file.write("".join(lines))
-        else:
-            names = [f"discounted_return/{name}" for name in front.objectives]
-            atomic_write(self.path, "".join([_line(["step", "policy", *names]), *lines]).encode())
-            self._has_header = True
-
-
-def _cell(value: float) -> str:
+def format_number(value: float) -> str:
+    """``value`` as text that reads back equal."""
     return repr(float(value))
 
 
-def _line(cells: Sequence[str]) -> str:
+def csv_line(cells: Sequence[str]) -> str:
+    """``cells`` as one line of a CSV file."""
     return csv_bytes([cells]).decode()
 
 
-def _complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+def complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
     """Header and rows, without the torn row that a crash may leave at the end."""
     text = path.read_text() if path.exists() else ""
     lines = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))

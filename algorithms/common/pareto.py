@@ -23,8 +23,17 @@ WEIGHTS = 50  # of the expected utility
 LATTICE = 5_000  # minimum number of points from which evenly spaced weights are chosen
 
 
-def _points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[np.float64]:
-    """``returns`` as a finite array (n, d), n and d at least 1."""
+def finite_points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[np.float64]:
+    """``returns`` as an array (n, d) of finite numbers, n and d at least 1.
+
+    Args:
+        returns: the points.
+        name: what they are, for messages.
+        width: the expected d; any if None.
+
+    Raises:
+        ValueError: for another shape, or numbers that are not finite.
+    """
     points = np.asarray(returns, dtype=np.float64)
     if points.ndim != 2 or not points.size:
         raise ValueError(f"{name} has shape {points.shape}; it must be (n, d) with at least one point")
@@ -35,7 +44,12 @@ def _points(returns: ArrayLike, name: str, width: int | None = None) -> NDArray[
     return points
 
 
-def _vector(values: ArrayLike, name: str, d: int) -> NDArray[np.float64]:
+def one_per_objective(values: ArrayLike, name: str, d: int) -> NDArray[np.float64]:
+    """``values`` as a vector (d,) of finite numbers; ``name`` is for messages.
+
+    Raises:
+        ValueError: for another shape, or numbers that are not finite.
+    """
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (d,) or not np.isfinite(vector).all():
         raise ValueError(f"{name} = {np.asarray(values).tolist()} must be {d} finite numbers, one per objective")
@@ -45,7 +59,7 @@ def _vector(values: ArrayLike, name: str, d: int) -> NDArray[np.float64]:
 def _scales(scales: ArrayLike | None, d: int) -> NDArray[np.float64]:
     if scales is None:
         return np.ones(d)
-    vector = _vector(scales, "scales", d)
+    vector = one_per_objective(scales, "scales", d)
     if (vector <= 0.0).any():
         raise ValueError(f"scales = {vector.tolist()} must be positive")
     return vector
@@ -57,7 +71,7 @@ def non_dominated(returns: ArrayLike) -> NDArray[np.bool_]:
     Raises:
         ValueError: for an empty or infinite set.
     """
-    return np.asarray(moocore.is_nondominated(_points(returns, "returns"), maximise=True), dtype=np.bool_)
+    return np.asarray(moocore.is_nondominated(finite_points(returns, "returns"), maximise=True), dtype=np.bool_)
 
 
 def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[str] | None = None) -> float:
@@ -68,8 +82,8 @@ def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[s
     Raises:
         ValueError: if the widths differ, or no point dominates the reference.
     """
-    points = _points(returns, "front")
-    corner = _vector(reference, "reference point", points.shape[1])
+    points = finite_points(returns, "front")
+    corner = one_per_objective(reference, "reference point", points.shape[1])
     if not (points > corner).all(axis=1).any():
         behind = np.flatnonzero(points.max(axis=0) <= corner)
         best = points.max(axis=0)
@@ -84,24 +98,24 @@ def hypervolume(returns: ArrayLike, reference: ArrayLike, objectives: Sequence[s
 
 def igd_plus(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
     """IGD+: mean distance by which ``returns`` (n, d) fall short of ``reference_front`` (k, d), in ``scales``."""
-    points = _points(returns, "front")
-    front = _points(reference_front, "reference front", points.shape[1])
+    points = finite_points(returns, "front")
+    front = finite_points(reference_front, "reference front", points.shape[1])
     unit = _scales(scales, points.shape[1])
     return float(moocore.igd_plus(points / unit, ref=front / unit, maximise=True))
 
 
 def additive_epsilon(returns: ArrayLike, reference_front: ArrayLike, scales: ArrayLike | None = None) -> float:
     """Smallest number, in ``scales``, to add to all ``returns`` so that they weakly dominate ``reference_front``."""
-    points = _points(returns, "front")
-    front = _points(reference_front, "reference front", points.shape[1])
+    points = finite_points(returns, "front")
+    front = finite_points(reference_front, "reference front", points.shape[1])
     unit = _scales(scales, points.shape[1])
     return float(moocore.epsilon_additive(points / unit, ref=front / unit, maximise=True))
 
 
 def expected_utility(returns: ArrayLike, weights: ArrayLike, scales: ArrayLike | None = None) -> float:
     """Mean over ``weights`` (w, d) of the best w . (R / scales) among ``returns`` (n, d)."""
-    points = _points(returns, "front")
-    rows = _points(weights, "weights", points.shape[1])
+    points = finite_points(returns, "front")
+    rows = finite_points(weights, "weights", points.shape[1])
     return float((points / _scales(scales, points.shape[1]) @ rows.T).max(axis=0).mean())
 
 
@@ -133,48 +147,12 @@ def evenly_spaced_weights(d: int, n: int = WEIGHTS) -> NDArray[np.float64]:
     return chosen
 
 
-def indicators(
-    returns: ArrayLike,
-    *,
-    reference_point: ArrayLike | None = None,
-    reference_front: ArrayLike | None = None,
-    scales: ArrayLike | None = None,
-) -> dict[str, float]:
-    """All indicators of the non-dominated ones among ``returns`` (n, d), by name.
-
-    ``hypervolume`` needs the reference point (and is 0 where no point dominates it), ``igd_plus`` and
-    ``additive_epsilon`` need the reference front; ``cardinality`` and ``expected_utility`` are always given.
-
-    Args:
-        returns: vector returns, maximised.
-        reference_point: (d,).
-        reference_front: (k, d), for example the best-known front.
-        scales: (d,) nominal size of each objective's return; 1 if None.
-
-    Raises:
-        ValueError: for anything of the wrong width, empty or not finite.
-    """
-    points = _points(returns, "front")
-    points = points[non_dominated(points)]
-    d = points.shape[1]
-    found: dict[str, float] = {"cardinality": float(len(points))}
-    if reference_point is not None:
-        corner = _vector(reference_point, "reference point", d)
-        inside = bool((points > corner).all(axis=1).any())
-        found["hypervolume"] = hypervolume(points, corner) if inside else 0.0
-    found["expected_utility"] = expected_utility(points, evenly_spaced_weights(d, max(WEIGHTS, d)), scales)
-    if reference_front is not None:
-        found["igd_plus"] = igd_plus(points, reference_front, scales)
-        found["additive_epsilon"] = additive_epsilon(points, reference_front, scales)
-    return found
-
-
 def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:
     """(n,) crowding distance of ``returns`` (n, d): the mean gap between a point's neighbours (Deb et al. 2002).
 
     Per objective the gap is divided by the objective's range; the first and the last have gap 1.
     """
-    points = _points(returns, "returns")
+    points = finite_points(returns, "returns")
     n, d = points.shape
     distances = np.zeros(n)
     for i in range(d):
@@ -196,7 +174,7 @@ def farthest_point_subset(returns: ArrayLike, count: int, scales: ArrayLike | No
     The best point of every objective comes first, then always the point farthest from those chosen before. All indices,
     in their order, if there are no more than ``count`` points.
     """
-    points = _points(returns, "returns")
+    points = finite_points(returns, "returns")
     if len(points) <= count:
         return np.arange(len(points))
     points = points / _scales(scales, points.shape[1])

@@ -11,8 +11,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
-from algorithms.common.pareto import indicators, non_dominated
-from algorithms.evaluation.metrics import DISCOUNTED_RETURN, LENGTH, RETURN, SUCCESS
+from algorithms.common.pareto import (
+    WEIGHTS,
+    additive_epsilon,
+    evenly_spaced_weights,
+    expected_utility,
+    finite_points,
+    hypervolume,
+    igd_plus,
+    non_dominated,
+    one_per_objective,
+)
+from algorithms.evaluation.metrics import (
+    ADDITIVE_EPSILON,
+    CARDINALITY,
+    DISCOUNTED_RETURN,
+    EXPECTED_UTILITY,
+    HYPERVOLUME,
+    IGD_PLUS,
+    LENGTH,
+    RETURN,
+    SUCCESS,
+)
 from algorithms.evaluation.statistics import bootstrap
 
 if TYPE_CHECKING:
@@ -238,6 +258,42 @@ class Front:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
 
 
+def indicators(
+    returns: ArrayLike,
+    *,
+    reference_point: ArrayLike | None = None,
+    reference_front: ArrayLike | None = None,
+    scales: ArrayLike | None = None,
+) -> dict[str, float]:
+    """All indicators of the non-dominated ones among ``returns`` (n, d), by name.
+
+    ``hypervolume`` needs the reference point (and is 0 where no point dominates it), ``igd_plus`` and
+    ``additive_epsilon`` need the reference front; ``cardinality`` and ``expected_utility`` are always given.
+
+    Args:
+        returns: vector returns, maximised.
+        reference_point: (d,).
+        reference_front: (k, d), for example the best-known front.
+        scales: (d,) nominal size of each objective's return; 1 if None.
+
+    Raises:
+        ValueError: for anything of the wrong width, empty or not finite.
+    """
+    points = finite_points(returns, "front")
+    points = points[non_dominated(points)]
+    d = points.shape[1]
+    found: dict[str, float] = {CARDINALITY: float(len(points))}
+    if reference_point is not None:
+        corner = one_per_objective(reference_point, "reference point", d)
+        inside = bool((points > corner).all(axis=1).any())
+        found[HYPERVOLUME] = hypervolume(points, corner) if inside else 0.0
+    found[EXPECTED_UTILITY] = expected_utility(points, evenly_spaced_weights(d, max(WEIGHTS, d)), scales)
+    if reference_front is not None:
+        found[IGD_PLUS] = igd_plus(points, reference_front, scales)
+        found[ADDITIVE_EPSILON] = additive_epsilon(points, reference_front, scales)
+    return found
+
+
 def measure_front(
     front: Front,
     *,
@@ -254,7 +310,7 @@ def measure_front(
         scales: (d,) nominal size of each objective's return; 1 if None.
 
     Raises:
-        ValueError: as :func:`algorithms.common.pareto.indicators`.
+        ValueError: as :func:`indicators`.
     """
     found = indicators(
         front.discounted, reference_point=reference_point, reference_front=reference_front, scales=scales

@@ -10,6 +10,7 @@ import torch
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.front import check_reference_point
+from algorithms.evaluation.metrics import vehicle_name
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from mo_deepdrive.config import nearest
@@ -90,7 +91,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
     """One utility per vehicle, each called once for a check."""
-    vehicles = [f"vehicle_{v}" for v in range(adapter.vehicles)]
+    vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
     for name in settings.vehicles:
         if name not in vehicles:
             raise ValueError(f"utility.vehicles has {name!r}; {nearest(name, vehicles)}")

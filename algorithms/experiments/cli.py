@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import Run, default_directory
 from mo_deepdrive.config import nearest
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 # Exit codes: an error while running, invalid input (as argparse), and Ctrl-C (as shells count it, 128 + SIGINT).
 FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
-SEEDS = range(2**31)  # of evaluation episodes
+SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
 
 
 def prepare_process(environment: MutableMapping[str, str], path: list[str]) -> None:

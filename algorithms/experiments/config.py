@@ -12,6 +12,8 @@ from pydantic import BeforeValidator, Field
 
 import mo_deepdrive
 from algorithms.common.yaml_io import read_mapping, read_value
+from algorithms.evaluation.metrics import vehicle_name
+from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, FIRST_EVALUATION_SEED
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
@@ -56,7 +58,7 @@ class UtilitySettings(UtilityChoice):
 
     def of_vehicle(self, v: int) -> UtilityChoice:
         """The utility of vehicle ``v``."""
-        return self.vehicles.get(f"vehicle_{v}", self)
+        return self.vehicles.get(vehicle_name(v), self)
 
 
 class TrainingSettings(Settings):
@@ -93,7 +95,7 @@ class EvaluationSettings(Settings):
     interval: Count | None = None
     episodes: Count = 100
     final_episodes: Count = 200
-    seed: int = Field(default=1_000_000, ge=0, lt=2**31)
+    seed: int = Field(default=FIRST_EVALUATION_SEED, ge=0, lt=EVALUATION_SEED_LIMIT)
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
     reference_point: list[float] | None = None
 

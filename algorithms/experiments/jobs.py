@@ -11,13 +11,11 @@ from typing import Any, Literal
 from rich.console import Console
 
 from algorithms.common.atomic_io import atomic_write
+from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Stopped, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from algorithms.experiments.training import Watch, resume, train_and_finish
-
-# Keys of an experiment that do not affect its results: where a run is trained and what it logs.
-NOT_COMPARED = ("training.device", "training.threads", "logging")
 
 JobOutcome = Literal["trained", "already there", "stopped"]
 
@@ -77,7 +75,7 @@ class Job:
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The keys that differ between two experiments, with both values, apart from :data:`NOT_COMPARED`.
+    """The keys that differ between two experiments, with both values, apart from :data:`~algorithms.evaluation.seed_groups.INCIDENTAL`.
 
     Args:
         first: an experiment as nested plain values.
@@ -91,7 +89,7 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str
     for key in dict.fromkeys([*first, *second]):
         name = prefix + key
         one, other = first.get(key), second.get(key)
-        if name in NOT_COMPARED or one == other:
+        if name in INCIDENTAL or one == other:
             continue
         if isinstance(one, Mapping) and isinstance(other, Mapping):
             found += differences(one, other, f"{name}.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from algorithms.evaluation.evaluate import Evaluation, Policy, evaluate
+from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import Experiment, find_environment, is_ours
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from algorithms.evaluation.front import Front
     from algorithms.pcn import PCN
 
-POLICIES = ("greedy", "stochastic")
+POLICIES = (GREEDY, STOCHASTIC)
 # Parallel environments: this package's cost next to nothing, others a Python step each.
 OUR_ENVS, OTHER_ENVS = 256, 8
 FRONT_EPISODES = 256  # parallel environments for the episodes of all policies of a front
@@ -46,7 +47,7 @@ def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, 
                 env,
                 episodes=episodes,
                 seed=seed,
-                greedy=name == "greedy",
+                greedy=name == GREEDY,
                 gamma=experiment.evaluation.gamma,
             )
             for name in POLICIES

@@ -8,10 +8,23 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from algorithms.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    HYPERVOLUME,
+    STEPS_PER_SECOND,
+    SUCCESS,
+    TRAIN,
+    UTILITY,
+    evaluation_prefix,
+    split_name,
+)
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
+SHOWN = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
 LINE_INTERVAL, LINE_WIDTH = 15.0, 120  # without a terminal: s between lines, and columns
 
 
@@ -34,11 +47,11 @@ class ProgressReporter:
 
     def __init__(self, total: int, step: int, console: Console, arrivals: bool = True, front: bool = False):
         performance = (
-            [("hypervolume", "hypervolume {:,.1f}"), ("cardinality", "{:.0f} policies")]
+            [(HYPERVOLUME, "hypervolume {:,.1f}"), (CARDINALITY, "{:.0f} policies")]
             if front
-            else [("utility", "utility {:.2f}")]
+            else [(UTILITY, "utility {:.2f}")]
         )
-        self._shown = (*performance, *([("success", "arrivals {:.0%}")] if arrivals else []))
+        self._shown = (*performance, *([(SUCCESS, "arrivals {:.0%}")] if arrivals else []))
         self._total = total
         self._step = self._first = step
         self._printed_step: int | None = None
@@ -59,9 +72,7 @@ class ProgressReporter:
     def note(self, metrics: Mapping[str, float]) -> None:
         """Keep the newest values of the metrics that are shown."""
         for name, value in metrics.items():
-            if name in ("time/steps_per_second", "eval/front/hypervolume", "eval/front/cardinality") or (
-                name.startswith("train/") and name.endswith(("/utility", "/success"))
-            ):
+            if name in SHOWN or (name.startswith(TRAIN) and split_name(name).metric in (UTILITY, SUCCESS)):
                 self._metrics[name] = value
 
     def update(self, step: int) -> None:
@@ -83,7 +94,7 @@ class ProgressReporter:
             values = [value for name, value in self._metrics.items() if name.endswith("/" + suffix)]
             if values:
                 parts.append(unit.format(sum(values) / len(values)))
-        speed = self._metrics.get("time/steps_per_second")
+        speed = self._metrics.get(STEPS_PER_SECOND)
         if speed is not None:
             parts.append(f"{speed:,.0f} steps/s")
         return "  ".join(parts)

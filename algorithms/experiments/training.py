@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from algorithms.common.checkpoints import read_checkpoint
-from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.front import best_known_front
+from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours

@@ -11,9 +11,9 @@ import mo_gymnasium
 import numpy as np
 
 from algorithms.common.env_adapter import EnvAdapter
-from algorithms.common.metrics_file import FrontsFile
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front, check_reference_point
+from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.experiments.agent_report import attempt_film, film
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.loggers import Logger

@@ -14,9 +14,10 @@ import pytest
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
-from algorithms.common.metrics_file import FrontsFile, read_metrics
+from algorithms.common.metrics_file import read_metrics
 from algorithms.common.pareto import hypervolume, non_dominated
 from algorithms.evaluation.front import Front
+from algorithms.evaluation.fronts_file import FrontsFile
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import (
     FRONT,

@@ -20,9 +20,9 @@ from algorithms.common.pareto import (
     farthest_point_subset,
     hypervolume,
     igd_plus,
-    indicators,
     non_dominated,
 )
+from algorithms.evaluation.front import indicators
 
 if TYPE_CHECKING:
     from collections.abc import Callable
