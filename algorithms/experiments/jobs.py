@@ -75,7 +75,7 @@ class Job:
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The keys that differ between two experiments, with both values, apart from :data:`~algorithms.evaluation.seed_groups.INCIDENTAL`.
+    """The keys that differ between two experiments, with both values; INCIDENTAL keys are not compared.
 
     Args:
         first: an experiment as nested plain values.

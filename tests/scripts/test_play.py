@@ -142,7 +142,8 @@ def test_invalid_options_are_refused(
     (untrained / "config.yaml").write_bytes((run / "config.yaml").read_bytes())
 
     def refused(*options: str) -> str:
-        assert play.main([*options]) == 2
+        with pytest.raises(SystemExit, match="2"):
+            play.main([*options])
         captured = capsys.readouterr()
         assert captured.out == ""
         assert captured.err.startswith("error: ")
@@ -163,7 +164,8 @@ def test_invalid_options_are_refused(
 
 def no_window(play: ModuleType, capsys: pytest.CaptureFixture[str]) -> str:
     """The error where no window can be opened."""
-    assert play.main(["--env", ONE]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        play.main(["--env", ONE])
     error = capsys.readouterr().err
     assert error.startswith("error: cannot open a window")
     assert "DISPLAY" in error

@@ -39,7 +39,7 @@ def test_take_copies_environments_in_the_given_order() -> None:
     accrued_reward = AccruedReward.begin(3, 1, 2)
     accrued_reward.add(np.arange(6, dtype=np.float32).reshape(3, 1, 2), 0.5)
     part = accrued_reward.take(np.array([2, 0, 2]))
-    np.testing.assert_array_equal(part.accrued[:, 0], [[4.0, 5.0], [0.0, 1.0], [4.0, 5.0]])
+    np.testing.assert_array_equal(part.value[:, 0], [[4.0, 5.0], [0.0, 1.0], [4.0, 5.0]])
     part.add(np.ones((3, 1, 2), dtype=np.float32), 0.5)
     part.restart(np.array([[True], [False], [False]]))
     np.testing.assert_array_equal(accrued_reward.value[2, 0], [4.0, 5.0])

@@ -94,7 +94,7 @@ def copied(rollout: Rollout) -> Rollout:
 class Collected:
     """Several successive rollouts and the episodes that ended in them."""
 
-    adapter: EnvAdapter
+    env: EnvAdapter
     rollouts: list[Rollout]
     parts: list[Episodes]
 
