@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Learner(ABC):
-    """One vehicle's networks and how they learn; a subclass makes the networks and says what they see.
+    """One vehicle's networks and how they learn; subclasses build the networks and define their inputs.
 
     Args:
         env: where the vehicle drives.
@@ -126,7 +126,7 @@ class ActorCritic(Agent):
         **hyperparameters: fields of the class's Config.
 
     Raises:
-        ValueError: for unknown or unfit hyperparameters, spaces or utilities.
+        ValueError: for unknown or invalid hyperparameters, spaces or utilities.
     """
 
     learner: ClassVar[type[Learner]]
@@ -260,7 +260,7 @@ class ActorCritic(Agent):
         self.collector.set_state({name: t.numpy() for name, t in strip_prefix(state, "collector.").items()})
         self.updates = self.step // (self.config.steps * self.env.num_envs)
         if not self.env.native:
-            # Other libraries' environments cannot be saved: their episodes start anew, from other seeds.
+            # Other libraries' environments cannot be saved, so new episodes start with different seeds.
             self.collector.reset(self.env_seed + self.step)
 
     def get_policy(self) -> dict[str, torch.Tensor]:

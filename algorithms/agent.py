@@ -1,4 +1,4 @@
-"""What every agent offers: acting, training with evaluations on the way, saving and loading.
+"""Base class of the agents: acting, training with periodic evaluation, saving and loading.
 
 A new algorithm defines ``act``, ``update``, ``get_state`` and ``set_state``; everything else has a default.
 """
@@ -83,14 +83,14 @@ class Agent(ABC):
         env: the training environment in the trainers' shapes.
         utilities: one per vehicle; empty where none is known.
         step: environment steps taken, over all parallel environments.
-        updates: calls of :meth:`update`.
+        updates: rollouts, or rounds of episodes, that have been collected.
         episodes: those that ended since training metrics were last logged.
         initial: generator of the initial weights.
         generator: generator of the exploring actions.
         env_seed: of the first reset of the training environment.
 
     Raises:
-        ValueError: for unknown or unfit hyperparameters or spaces.
+        ValueError: for unknown or invalid hyperparameters or spaces.
     """
 
     name: ClassVar[str]
@@ -149,7 +149,7 @@ class Agent(ABC):
 
     @abstractmethod
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Everything that determines the future, as named tensors."""
+        """The complete training state, as named tensors."""
 
     @abstractmethod
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
@@ -274,7 +274,7 @@ class Agent(ABC):
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def save(self, path: str | Path) -> None:
-        """Write everything that determines the future to one safetensors file, atomically."""
+        """Write the complete training state to one safetensors file, atomically."""
         episodes = Episodes.join(self.episodes, len(self.env.objectives))
         unlogged = {f"{EPISODES}{name}": torch.from_numpy(array) for name, array in vars(episodes).items()}
         write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), "step": self.step})

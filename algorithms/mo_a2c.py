@@ -1,8 +1,8 @@
 """MO-A2C: advantage actor-critic with a vector critic on the accrued-reward-augmented state, for a known utility.
 
-The state is augmented by the accrued reward R_t and by the discount g^t that belongs to it; the critic v predicts one
-discounted return per objective, and the utility u enters through the advantage (Ajridi et al. 2023, section 4.2; Hayes
-et al. 2022; Reymond et al. 2023):
+The state is augmented by the accrued reward R_t and its current discount g^t. The critic v predicts one discounted
+return per objective, and the utility u enters through the advantage (Ajridi et al. 2023, section 4.2; Hayes et al.
+2022; Reymond et al. 2023). Within an episode, with v(S_{t+1}) = 0 after termination,
 
     R_t     = sum_{i<t} g^i r_i,    S_t = (s_t, R_t, g^t)                                              (1)
     delta_t = r_t + gamma v(S_{t+1}) - v(S_t)                                                          (2)
@@ -11,13 +11,18 @@ et al. 2022; Reymond et al. 2023):
     A_t     = U_t + (gamma / g) lambda A_{t+1}                                                         (5)
     L       = E[-A_t log pi(a_t | S_t)] + c_v E[|(y_t - v(S_t)) / scales|^2 / d] - c_e E[H(pi)]        (6)
 
-In the paper g = gamma; then eq. 4 is its eq. 4.2 with the factor gamma^{t+1} that the print leaves out of the first
-term (``advantage: as_printed`` leaves it out too). With ``accrued_gamma: 1`` the past counts in full, and a linear
-utility gives the advantage of A2C at every step, where g = gamma gives gamma^t times that.
+The sums of eqs. 3 and 5 end with the episode or the rollout; the means of eq. 6 are over the samples in which the
+vehicle acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
-``advantage: utility_gradient`` replaces eqs. 4 and 5 by A_t = grad u(E[R]) . D_t, the policy gradient of the utility of
-the expected return (SER). Equation 5 is the gradient of the expected utility (ESR) where whole episodes are in the
-rollout and lambda is 1; otherwise what lies beyond enters as its mean, which is SER for that part.
+In the paper g = gamma. Equation 4 is then its eq. 4.2 with the factor gamma^{t+1} in the first term, which the printed
+equation lacks (``advantage: as_printed`` drops it). With ``accrued_gamma: 1`` the past counts in full, and a linear
+utility gives the advantage of A2C at every step; with g = gamma it gives gamma^t times that.
+
+Objective. With g = gamma, lambda = 1 and a whole episode in the rollout, eq. 5 telescopes to u(R_T) - u(R_t + g^t
+v(S_t)), an advantage for the expected utility of the return (ESR). Beyond the rollout, or with lambda < 1, the critic's
+mean takes the place of the return inside u, which is the utility of the expected return (SER) for that part.
+``advantage: utility_gradient`` replaces eqs. 4 and 5 by A_t = grad u(E[R]) . D_t, the policy gradient of SER; E[R] is a
+running mean of the returns, discounted with g, of finished episodes.
 """
 
 from __future__ import annotations
@@ -32,7 +37,6 @@ from algorithms.common.advantages import (
     AdvantageForm,
     generalised_advantages,
     normalise,
-    utility_differences,
     utility_gradient,
 )
 from algorithms.common.hyperparameters import (
@@ -71,15 +75,15 @@ class MOA2CConfig(Settings):
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
         advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
         accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
-        observe_accrued: include R_t in the state, as theory asks; without it the policy cannot depend on the past.
+        observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
         observe_discount: include g^t in the state, on which eq. 4 depends too.
         steps: T, time steps per environment and update.
         hidden: sizes of the hidden layers of actor and critic.
-        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
-            fraction of training.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
+            first ``entropy_until`` of training.
         value_coefficient: c_v.
-        max_grad_norm: clipping of the gradient's norm.
-        normalise_advantages: bring the advantages of an update to mean 0 and standard deviation 1.
+        max_grad_norm: maximum norm of the gradient.
+        normalise_advantages: normalise the advantages of an update to mean 0 and standard deviation 1.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
@@ -140,7 +144,7 @@ class MOA2CLearner(Learner):
     # ------------------------------------------------------------------------------------------- what the networks see
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """S_t of eq. 1, scaled: (..., o + d + 1) from s_t (..., o), R_t (..., d) and g^t (...)."""
+        """S_t of eq. 1, scaled: (..., input_size) from s_t (..., o), R_t (..., d) and g^t (...)."""
         parts = [observations / self.observation_scales]
         if self.config.observe_accrued:
             parts.append(accrued / self.objective_scales)
@@ -170,7 +174,7 @@ class MOA2CLearner(Learner):
         return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, torch.Tensor]:
-        """L of eq. 6 as "total", and its parts, over the samples in which the vehicle acted."""
+        """L of eq. 6 as "total", and its parts."""
         config = self.config
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         critic_inputs = self.critic_inputs(inputs, rollout.others)
@@ -211,27 +215,23 @@ class MOA2CLearner(Learner):
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """A_t (T, N) and y_t (T, N, d) of eqs. 2 to 5, from v(S_t) and v(S_{t+1}), each (T, N, d)."""
-        config, gamma, decay = self.config, self.config.gamma, self.config.gae_lambda
+        u, gamma, g, decay = self.utility, self.config.gamma, self.config.accrued_discount, self.config.gae_lambda
         not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        # Equations 2 and 3.
         deltas = rollout.rewards + gamma * next_values - values
         vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
         targets = vector_advantages + values
+        if self.config.advantage == "utility_gradient":
+            return vector_advantages @ utility_gradient(u, self.expected_return.value), targets
 
-        if config.advantage == "utility_gradient":
-            return vector_advantages @ utility_gradient(self.utility, self.expected_return.value), targets
-        differences = utility_differences(
-            self.utility,
-            rollout.accrued[:-1],
-            rollout.rewards,
-            rollout.discounts[:-1],
-            values,
-            next_values,
-            gamma,
-            as_printed=config.advantage == "as_printed",
-        )
-        if config.accrued_gamma is not None:
-            decay *= gamma / config.accrued_gamma
-        return generalised_advantages(differences, not_done, decay), targets
+        # Equation 4, with R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
+        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
+        next_accrued = accrued + discounts * rollout.rewards
+        expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
+        differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
+        # Equation 5.
+        ratio = 1.0 if g == gamma else gamma / g
+        return generalised_advantages(differences, not_done, decay * ratio), targets
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Update E[R] with the discounted returns (E, d) of episodes that ended."""

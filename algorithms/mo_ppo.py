@@ -1,6 +1,7 @@
 """MO-PPO: proximal policy optimisation with a vector critic on the accrued-reward-augmented state.
 
-State, critic, targets y_t and advantages A_t are those of MO-A2C (:mod:`algorithms.mo_a2c`), for a known utility u:
+State, critic, targets y_t and advantages A_t are those of MO-A2C (:mod:`algorithms.mo_a2c`), for a known utility u.
+Within an episode, with v(S_{t+1}) = 0 after termination,
 
     R_t     = sum_{i<t} g^i r_i,    S_t = (s_t, R_t, g^t)                                              (1)
     delta_t = r_t + gamma v(S_{t+1}) - v(S_t)                                                          (2)
@@ -14,8 +15,8 @@ and every rollout serves several epochs of minibatches of the clipped surrogate 
     L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
             + c_v E[|(y_t - v(S_t)) / scales|^2 / d] - c_e E[H(pi)]                                    (7)
 
-What ``accrued_gamma`` (g), ``advantage: as_printed`` and ``advantage: utility_gradient`` change, and which objective
-(ESR or SER) each form follows, is said in :mod:`algorithms.mo_a2c`.
+The means are over the samples in which the vehicle acted. :mod:`algorithms.mo_a2c` explains ``accrued_gamma`` (g), the
+forms of ``advantage``, and which objective (ESR or SER) each of them follows.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from algorithms.common.advantages import (
     AdvantageForm,
     generalised_advantages,
     normalise,
-    utility_differences,
     utility_gradient,
 )
 from algorithms.common.hyperparameters import (
@@ -71,18 +71,18 @@ class MOPPOConfig(Settings):
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
         advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
         accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
-        observe_accrued: include R_t in the state, as theory asks; without it the policy cannot depend on the past.
+        observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
         observe_discount: include g^t in the state, on which eq. 4 depends too.
         steps: T, time steps per environment and update.
         epochs: passes over every rollout.
         minibatches: gradient steps per pass.
         clip: epsilon of eq. 7.
         hidden: sizes of the hidden layers of actor and critic.
-        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
-            fraction of training.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
+            first ``entropy_until`` of training.
         value_coefficient: c_v.
-        max_grad_norm: clipping of the gradient's norm.
-        normalise_advantages: bring the advantages of a rollout to mean 0 and standard deviation 1.
+        max_grad_norm: maximum norm of the gradient.
+        normalise_advantages: normalise the advantages of a rollout to mean 0 and standard deviation 1.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
@@ -172,7 +172,7 @@ class MOPPOLearner(Learner):
     # ------------------------------------------------------------------------------------------- what the networks see
 
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """S_t of eq. 1, scaled: (..., o + d + 1) from s_t (..., o), R_t (..., d) and g^t (...)."""
+        """S_t of eq. 1, scaled: (..., input_size) from s_t (..., o), R_t (..., d) and g^t (...)."""
         parts = [observations / self.observation_scales]
         if self.config.observe_accrued:
             parts.append(accrued / self.objective_scales)
@@ -237,27 +237,23 @@ class MOPPOLearner(Learner):
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """A_t (T, N) and y_t (T, N, d) of eqs. 2 to 5, from v(S_t) and v(S_{t+1}), each (T, N, d)."""
-        config, gamma, decay = self.config, self.config.gamma, self.config.gae_lambda
+        u, gamma, g, decay = self.utility, self.config.gamma, self.config.accrued_discount, self.config.gae_lambda
         not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        # Equations 2 and 3.
         deltas = rollout.rewards + gamma * next_values - values
         vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
         targets = vector_advantages + values
+        if self.config.advantage == "utility_gradient":
+            return vector_advantages @ utility_gradient(u, self.expected_return.value), targets
 
-        if config.advantage == "utility_gradient":
-            return vector_advantages @ utility_gradient(self.utility, self.expected_return.value), targets
-        differences = utility_differences(
-            self.utility,
-            rollout.accrued[:-1],
-            rollout.rewards,
-            rollout.discounts[:-1],
-            values,
-            next_values,
-            gamma,
-            as_printed=config.advantage == "as_printed",
-        )
-        if config.accrued_gamma is not None:
-            decay *= gamma / config.accrued_gamma
-        return generalised_advantages(differences, not_done, decay), targets
+        # Equation 4, with R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
+        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
+        next_accrued = accrued + discounts * rollout.rewards
+        expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
+        differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
+        # Equation 5.
+        ratio = 1.0 if g == gamma else gamma / g
+        return generalised_advantages(differences, not_done, decay * ratio), targets
 
     def minibatches(self, count: int) -> Iterator[torch.Tensor]:
         """Indices of the minibatches of every epoch, drawn without replacement from ``count`` samples."""

@@ -1,23 +1,28 @@
 """PCN: Pareto Conditioned Networks (Reymond, Bargiacchi and Nowé 2022), for a utility that is not known yet.
 
-One network acts under a command (R, h): the discounted return R in R^d that is desired from here on, and the number h
-of decisions in which to get it. It is trained by supervised learning to take the actions of past episodes that got what
-the command asks for, with returns-to-go R_t and lengths T of the episodes in a buffer:
+One network is conditioned on a command (R, h): the discounted return R in R^d that is still to be collected, and the
+number h of decisions in which to collect it. It is trained by supervised learning to take the actions of past episodes
+that achieved what the command asks for. With returns-to-go R_t and lengths T of episodes drawn uniformly from a buffer,
+and time steps t drawn uniformly from each,
 
     L = -E[log pi(a_t | s_t, R_t, T - t)]                                    discrete actions      (1)
-    L =  E[|a_t - mu(s_t, R_t, T - t)|^2]                                    continuous actions    (2)
+    L =  E[|a_t - tanh f(s_t, R_t, T - t)|^2 / k]                            k continuous axes     (2)
 
-New episodes follow commands that ask for a little more than a non-dominated episode i of the buffer got (section 4):
+New episodes follow commands that ask for more than a non-dominated episode i of the buffer achieved (section 4):
 
-    R = R_0^i + e_k x,  x ~ U(0, return_noise * std_k),    h = T^i - horizon_reduction            (3)
+    R = R_0^i + e_k x,  x ~ U(0, return_noise * std_k),    h = max(T^i - horizon_reduction, 1)     (3)
 
 with a random objective k and the standard deviation std_k over the non-dominated episodes. After a reward r the command
 becomes
 
-    R <- (R - r) / gamma,    h <- max(h - 1, 1).                                                     (4)
+    R <- (R - r) / gamma,    h <- max(h - 1, 1),                                                   (4)
 
-Assumes that the environment is deterministic. Two things differ from the paper: N commands are followed side by side,
-one per parallel environment, and eq. 4 divides by gamma, without which commands are inconsistent under a discount.
+and R is clipped to the range of the returns-to-go in the buffer, extended by the command itself.
+
+Assumes that the environment is deterministic. Differences from the paper: N commands are followed in parallel, one per
+environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; objectives are
+scaled; a buffer that is full of non-dominated episodes keeps a subset that covers them; random actions of the warm-up
+may repeat (``persistence``); continuous actions (eq. 2) have Gaussian exploration noise.
 """
 
 from __future__ import annotations
@@ -72,14 +77,14 @@ class PCNConfig(Settings):
         gamma: discount of the returns that commands ask for.
         hidden: width of the two embeddings, then of the layers after them.
         batch_size: time steps of a gradient step.
-        gradient_steps: per update, which collects one episode per environment.
-        warmup_episodes: episodes of random actions before the first update.
+        gradient_steps: gradient steps per update; an update also collects one episode per environment.
+        warmup_episodes: minimum number of episodes of random actions before the first update.
         persistence: probability that a random action repeats the previous one.
         buffer_size: episodes kept.
-        crowding: crowding distance below which episodes of the buffer count as too similar.
+        crowding: crowding distance up to which episodes of the buffer count as too similar.
         return_noise: largest increase of the desired return, in standard deviations (eq. 3).
         horizon_reduction: decisions by which the desired horizon is shorter than the episode's (eq. 3).
-        action_noise: standard deviation of exploring continuous actions; discrete ones are sampled.
+        action_noise: standard deviation of the exploration noise on continuous actions; discrete ones are sampled.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         horizon_scale: nominal number of decisions of an episode.
         max_policies: largest size of a front; a subset that covers it represents a larger one.
@@ -120,10 +125,10 @@ class PCN(Agent):
         **hyperparameters: fields of PCNConfig.
 
     Attributes:
-        bounds: (d,) lowest and highest return-to-go in the buffer.
+        bounds: two vectors (d,), the lowest and highest returns-to-go in the buffer.
 
     Raises:
-        ValueError: for unknown or unfit hyperparameters or spaces.
+        ValueError: for unknown or invalid hyperparameters or spaces.
     """
 
     name = "pcn"
@@ -188,7 +193,7 @@ class PCN(Agent):
         return CommandPolicy(self, desired, horizon.astype(np.float32))
 
     def _collect(self, policy: CommandPolicy | None) -> NDArray[np.float32]:
-        """One episode per environment into the buffer, of ``policy`` or of random actions; their returns (N, d)."""
+        """Add one episode per environment to the buffer, of ``policy`` or random; returns their discounted returns."""
         env, n, d = self.env, self.env.num_envs, len(self.scales)
         accrued_reward = AccruedReward.begin(n, 1, d)
         observations = env.reset(self.env_seed + n * self.updates)
@@ -275,8 +280,8 @@ class PCN(Agent):
 
         Args:
             observations: (N, o).
-            desired: discounted return that is desired from here on.
-            horizon: decisions in which to get it.
+            desired: discounted return that is still to be collected.
+            horizon: decisions in which to collect it.
             generator: samples actions; None acts greedily.
         """
         outputs = self._outputs(observations, desired, horizon)
@@ -329,7 +334,7 @@ class PCN(Agent):
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
-        """Refused: the action depends on a command; see :meth:`command`."""
+        """Not supported: the action depends on a command; see :meth:`command`."""
         del observations, accrued_reward, generator
         raise TypeError("PCN acts under a command: agent.command(desired, horizon).act(...)")
 
@@ -338,8 +343,8 @@ class PCN(Agent):
 
         Args:
             obs: as one environment gives it.
-            desired_return: (d,) discounted return that is desired from here on.
-            desired_horizon: decisions in which to get it.
+            desired_return: (d,) discounted return that is still to be collected.
+            desired_horizon: decisions in which to collect it.
 
         Returns:
             An action as the environment takes it.
@@ -390,7 +395,7 @@ class PCN(Agent):
         )
 
     def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
-        """The non-dominated ones among the greedy policies under :meth:`commands`, evaluated anew.
+        """Evaluate the greedy policy under each of :meth:`commands` and keep the non-dominated policies.
 
         Args:
             env: a raw environment, from `algorithms.common.env_adapter.make_env`; not the one that trains.
@@ -493,8 +498,8 @@ class CommandPolicy:
 
     Attributes:
         agent: whose network acts.
-        desired: (N, d) discounted return that is desired from the whole episode.
-        horizon: (N,) decisions in which to get it.
+        desired: (N, d) discounted return of the whole episode.
+        horizon: (N,) decisions in which to collect it.
     """
 
     agent: PCN
@@ -525,10 +530,9 @@ class CommandPolicy:
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
-        # Equation 4, applied t times.
+        # Equation 4, applied t times, with its clip.
         desired = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
         horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
-        # The network knows nothing of returns outside those it was trained on, except what the command itself asks for.
         low, high = self.agent.bounds
         desired = np.clip(desired, np.minimum(low, self.desired), np.maximum(high, self.desired))
         return self.agent.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]

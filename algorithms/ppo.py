@@ -60,12 +60,12 @@ class PPOConfig(Settings):
         minibatches: gradient steps per pass.
         clip: epsilon of eq. 4.
         hidden: sizes of the hidden layers of actor and critic.
-        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over this
-            fraction of training.
+        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
+            first ``entropy_until`` of training.
         value_coefficient: c_v.
         value_scale: nominal size of a scalar return, by which the critic's output is multiplied.
-        max_grad_norm: clipping of the gradient's norm.
-        normalise_advantages: bring the advantages of a rollout to mean 0 and standard deviation 1.
+        max_grad_norm: maximum norm of the gradient.
+        normalise_advantages: normalise the advantages of a rollout to mean 0 and standard deviation 1.
         objective_scales: nominal size of each objective's return; None for the environment's own.
         centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """

@@ -16,8 +16,8 @@ class AccruedReward:
     """Accrued rewards of the running episodes of N environments with V vehicles.
 
     Attributes:
-        value: (N, V, d) accrued reward R_t = sum over i < t of gamma^i r_i.
-        discounts: (N, V) gamma^t.
+        value: (N, V, d) accrued reward R_t = sum_{i<t} g^i r_i.
+        discounts: (N, V) g^t.
         decisions: (N, V) t.
     """
 
@@ -34,10 +34,10 @@ class AccruedReward:
             decisions=np.zeros((num_envs, vehicles), dtype=np.int64),
         )
 
-    def add(self, rewards: NDArray[np.float32], gamma: float) -> None:
+    def add(self, rewards: NDArray[np.float32], discount: float) -> None:
         """Add the ``rewards`` (N, V, d) of one decision."""
         self.value += self.discounts[..., None] * rewards
-        self.discounts *= gamma
+        self.discounts *= discount
         self.decisions += 1
 
     def restart(self, where: NDArray[np.bool_]) -> None:

@@ -32,41 +32,6 @@ def generalised_advantages(deltas: torch.Tensor, not_done: torch.Tensor, decay: 
     return advantages
 
 
-def utility_differences(
-    utility: Utility,
-    accrued: torch.Tensor,
-    rewards: torch.Tensor,
-    discounts: torch.Tensor,
-    values: torch.Tensor,
-    next_values: torch.Tensor,
-    gamma: float,
-    as_printed: bool,
-) -> torch.Tensor:
-    """U_t = u(R_{t+1} + gamma^{t+1} v(S_{t+1})) - u(R_t + gamma^t v(S_t)) (Ajridi et al. 2023, eq. 4.2).
-
-    The paper prints the first term without gamma^{t+1}: ``as_printed``. gamma^{t+1} is computed as ``discounts *
-    gamma``, which differs from a power of gamma where the accrued reward has a discount of its own.
-
-    Args:
-        utility: u, from (..., d) to (...).
-        accrued: (T, ..., d) accrued reward R_t before each step.
-        rewards: (T, ..., d).
-        discounts: (T, ...) gamma^t, or the power of the accrued reward's own discount.
-        values: (T, ..., d) v(S_t).
-        next_values: (T, ..., d) v(S_{t+1}), zero after termination.
-        gamma: discount of the critic.
-        as_printed: leave gamma^{t+1} out.
-
-    Returns:
-        (T, ...) differences.
-    """
-    factor = discounts.unsqueeze(-1)
-    next_accrued = accrued + factor * rewards
-    expected_rest = next_values if as_printed else factor * gamma * next_values
-    differences: torch.Tensor = utility(next_accrued + expected_rest) - utility(accrued + factor * values)
-    return differences
-
-
 def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
     """Gradient of the utility at the expected return (d,): the weights (d,) of the objectives under SER."""
     with torch.enable_grad():

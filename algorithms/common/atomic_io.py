@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def atomic_write(path: str | Path, data: bytes) -> None:
-    """Replace ``path`` by ``data``, or leave it exactly as it was.
+    """Replace the contents of ``path`` by ``data``, or leave it exactly as it was.
 
     The bytes go to a temporary file in the same folder, reach the disk, and are then renamed over ``path``: a reader
     sees the old content or the new one, never a part.

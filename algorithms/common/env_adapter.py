@@ -1,4 +1,4 @@
-"""One shape for every environment that the trainers learn on.
+"""A common interface to all training environments.
 
 `make_env` gives the native vector environment for our ids and MOSyncVectorEnv for any other MO-Gymnasium id;
 `EnvAdapter` presents both in the shapes (environments, vehicles, ...) with true final observations and a mask of the
@@ -55,7 +55,7 @@ class Step:
         observations: (N, V, o) for the next action; where an episode ended, the first of the next episode.
         rewards: (N, V, d).
         terminated, truncated: (N, V) whether the vehicle's episode ended in this step.
-        acted: (N, V) False where the sample does not count: the vehicle was not on the road, or the environment was
+        acted: (N, V) False where the sample does not count: the vehicle had finished already, or the environment was
             only reset.
         final: (N, V, o) observations after the step; where an episode ended, the last of that episode.
         succeeded: (N, V) whether an episode that ended in this step reached its goal; all False where the environment

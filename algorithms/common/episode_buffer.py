@@ -53,7 +53,7 @@ class EpisodeBuffer:
     Args:
         capacity: episodes kept.
         scales: (d,) nominal size of each objective's return.
-        crowding: crowding distance below which episodes count as too similar.
+        crowding: crowding distance up to which episodes count as too similar.
     """
 
     REPEATED = 1e-5  # units of ``scales``

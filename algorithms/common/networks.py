@@ -103,7 +103,7 @@ def centralised_inputs(inputs: torch.Tensor, others: torch.Tensor, observation_s
 
 
 class CommandNetwork(nn.Module):
-    """The network of Pareto Conditioned Networks: from an observation and a command to an action.
+    """The network of Pareto Conditioned Networks: f(s, c) = MLP(sigmoid(W_s s) * sigmoid(W_c c)), W with biases.
 
     Observation and command each pass a linear layer and a sigmoid; their product passes a multilayer perceptron
     (Reymond et al. 2022, figure 2).

@@ -28,8 +28,8 @@ class Rollout:
         final: (T, N, V, o) true observations after each step where a vehicle's episode ended there, else undefined.
         actions: (T, N, V) or (T, N, V, k).
         rewards: (T, N, V, d).
-        accrued: (T + 1, N, V, d) accrued reward R_t of the running episode.
-        discounts: (T + 1, N, V) gamma^t of the running episode.
+        accrued: (T + 1, N, V, d) accrued reward R_t = sum_{i<t} g^i r_i of the running episode.
+        discounts: (T + 1, N, V) g^t of the running episode, with the discount g of the accrued reward.
         terminated, truncated, acted: (T, N, V); samples in which a vehicle did not act carry no information.
     """
 
@@ -115,14 +115,14 @@ class Collector:
 
     Args:
         env: the environments.
-        gamma: discount of the accrued reward.
+        accrued_discount: g, discount of the accrued reward.
         steps: T, length of a rollout.
     """
 
-    def __init__(self, env: EnvAdapter, gamma: float, steps: int):
+    def __init__(self, env: EnvAdapter, accrued_discount: float, steps: int):
         n, v, o, d = env.num_envs, env.vehicles, env.observation_size, len(env.objectives)
         self.env = env
-        self.gamma = gamma
+        self.accrued_discount = accrued_discount
         self.steps = steps
         self.observations = np.zeros((n, v, o), dtype=np.float32)
         self.accrued_reward = AccruedReward.begin(n, v, d)
@@ -156,7 +156,7 @@ class Collector:
             self._flags[0, t] = step.terminated
             self._flags[1, t] = step.truncated
             self._flags[2, t] = step.acted
-            self.accrued_reward.add(step.rewards, self.gamma)
+            self.accrued_reward.add(step.rewards, self.accrued_discount)
             self.returns += step.rewards
             over = (step.terminated | step.truncated) & step.acted
             if over.any():

@@ -1,4 +1,4 @@
-"""The running mean of episode returns, which stands for the expected return of the current policy."""
+"""A running mean of episode returns, an estimate of the expected return of the current policy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-MEMORY = 0.99  # weight of the past when one more episode enters
+MEMORY = 0.99  # decay per episode
 
 
 class RunningMean:
@@ -29,7 +29,7 @@ class RunningMean:
         self.count = 0
 
     def add(self, vectors: NDArray[Any]) -> None:
-        """Take in vectors (n, d); n may be 0."""
+        """Add vectors (n, d); n may be 0."""
         if not len(vectors):
             return
         mean = torch.tensor(vectors.mean(axis=0), dtype=torch.float32, device=self.value.device)

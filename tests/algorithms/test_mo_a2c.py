@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from mo_deepdrive.utilities import make_utility
+from algorithms.common.advantages import generalised_advantages
+from mo_deepdrive.utilities import Utility, make_utility
+from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
 from tests.helpers.agents import (
     ALL_FORMS,
     CONTINUOUS,
@@ -264,3 +268,108 @@ def test_the_expected_return_is_a_running_mean_over_episodes() -> None:
     expected = 0.99**2 * 2.0 + (1 - 0.99**2) * 7.0
     assert learner.get_state()["expected_return"].tolist() == pytest.approx([expected] * 4)
     assert int(learner.get_state()["episodes"]) == 4
+
+
+# Equation 4, alone: with lambda = 0 the advantages are the differences U_t.
+
+
+def utility_differences(
+    utility: Any,
+    accrued: torch.Tensor,
+    rewards: torch.Tensor,
+    discounts: torch.Tensor,
+    values: torch.Tensor,
+    next_values: torch.Tensor,
+    gamma: float,
+    as_printed: bool,
+) -> torch.Tensor:
+    """U_t (T, ...) as MO-A2C and MO-PPO compute it, which must be the same."""
+    config = SimpleNamespace(
+        gamma=gamma,
+        accrued_discount=gamma,
+        gae_lambda=0.0,
+        advantage="as_printed" if as_printed else "utility_difference",
+    )
+    never = torch.zeros(discounts.shape, dtype=torch.bool)
+    rollout: Any = SimpleNamespace(
+        accrued=torch.cat([accrued, accrued[-1:]]),
+        discounts=torch.cat([discounts, discounts[-1:]]),
+        rewards=rewards,
+        terminated=never,
+        truncated=never,
+    )
+    learner: Any = SimpleNamespace(utility=utility, config=config)
+    found = [cls.learner.advantages(learner, rollout, values, next_values)[0] for cls in (MOA2C, MOPPO)]
+    assert torch.equal(*found)
+    return found[0]
+
+
+def differences(c: dict[str, torch.Tensor], utility: Utility, as_printed: bool) -> torch.Tensor:
+    arguments = (c["accrued"], c["rewards"], c["discount"], c["values"], c["next_values"], float(c["gamma"]))
+    return utility_differences(utility, *arguments, as_printed=as_printed)
+
+
+@given(c=collections())
+def test_utility_differences_equal_the_equation_row_by_row(c: dict[str, torch.Tensor]) -> None:
+    found = {as_printed: differences(c, CROOKED, as_printed) for as_printed in (False, True)}
+    steps, worlds, _ = c["rewards"].shape
+    gamma = float(c["gamma"])
+    for t in range(steps):
+        for n in range(worlds):
+            factor = float(c["discount"][t, n])
+            after = c["accrued"][t, n] + factor * c["rewards"][t, n]  # R_{t+1}
+            before = crooked(c["accrued"][t, n] + factor * c["values"][t, n])
+            consistent = crooked(after + factor * gamma * c["next_values"][t, n]) - before
+            printed = crooked(after + c["next_values"][t, n]) - before
+            torch.testing.assert_close(found[False][t, n], consistent)
+            torch.testing.assert_close(found[True][t, n], printed)
+
+
+@given(c=collections())
+def test_under_a_linear_utility_the_difference_is_the_discounted_scalar_temporal_difference(
+    c: dict[str, torch.Tensor],
+) -> None:
+    weights = torch.tensor(WEIGHTS, dtype=torch.float64)
+    deltas = c["rewards"] + float(c["gamma"]) * c["next_values"] - c["values"]
+    torch.testing.assert_close(differences(c, LINEAR, as_printed=False), c["discount"] * (deltas @ weights))
+
+
+@given(c=collections())
+def test_as_printed_differs_by_the_undiscounted_next_value_alone(c: dict[str, torch.Tensor]) -> None:
+    weights = torch.tensor(WEIGHTS, dtype=torch.float64)
+    gap = differences(c, LINEAR, as_printed=True) - differences(c, LINEAR, as_printed=False)
+    following = c["discount"] * float(c["gamma"])  # gamma^{t+1}
+    torch.testing.assert_close(gap, (1.0 - following) * (c["next_values"] @ weights))
+
+
+def test_as_printed_equals_the_consistent_form_without_discounting_and_at_the_end() -> None:
+    rng = np.random.default_rng(0)
+    accrued, rewards, values, next_values = (torch.tensor(rng.normal(size=(5, 3))) for _ in range(4))
+    ones = torch.ones(5, dtype=torch.float64)
+    undiscounted = [
+        utility_differences(CROOKED, accrued, rewards, ones, values, next_values, 1.0, as_printed=form)
+        for form in (False, True)
+    ]
+    torch.testing.assert_close(*undiscounted)
+    terminal = [
+        utility_differences(CROOKED, accrued, rewards, 0.7 * ones, values, 0.0 * values, 0.9, as_printed=form)
+        for form in (False, True)
+    ]
+    torch.testing.assert_close(*terminal)
+
+
+@given(c=collections())
+def test_with_lambda_one_the_differences_telescope_to_the_utility_of_the_whole_return(
+    c: dict[str, torch.Tensor],
+) -> None:
+    advantages = generalised_advantages(differences(c, CROOKED, as_printed=False), c["going_on"], 1.0)
+    steps, worlds, _ = c["rewards"].shape
+    gamma = float(c["gamma"])
+    for n in range(worlds):
+        for t in range(steps):
+            last = next((k for k in range(t, steps) if not c["going_on"][k, n]), steps - 1)
+            final = c["accrued"][last, n] + c["discount"][last, n] * (
+                c["rewards"][last, n] + gamma * c["next_values"][last, n]
+            )
+            now = c["accrued"][t, n] + c["discount"][t, n] * c["values"][t, n]
+            torch.testing.assert_close(advantages[t, n], crooked(final) - crooked(now))
