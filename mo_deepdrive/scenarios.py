@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 DRAWS = 5
 FIXED_DRAW = 0.2
-# Half-way to the fixed destination, 3.45 m long, and perpendicular to the straight line to it up to two degrees.
+# Half-way to the fixed destination, 3.45 m long, and within two degrees of perpendicular to the direct line.
 FIXED_OBSTACLE_DRAWS = (0.4, 0.5, 0.2)
 
 # The original draws on a 1000 px square with a 50 px margin.

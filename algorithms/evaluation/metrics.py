@@ -177,7 +177,7 @@ def lower_is_better(name: str) -> bool:
 
 
 def title_of(name: str) -> str:
-    """What a figure calls a metric: "arrival rate", "jerk (sum, m/s³)"."""
+    """The display name of a metric in figures: "arrival rate", "jerk (sum, m/s³)"."""
     metric = split_name(name).metric
     if metric.startswith(RETURN):
         objective = metric.removeprefix(RETURN)
@@ -221,8 +221,8 @@ def summarise(
 ) -> dict[str, float]:
     """Means over E episodes of one vehicle, by metric without prefix; E is at least 1.
 
-    Training gives what it has collected and gets ``utility``, ``success``, ``length`` and ``return/OBJECTIVE``. An
-    evaluation gives ``discounted`` too and gets the utilities as ESR and SER, of both kinds of return.
+    Without ``discounted``, as during training, the summary has ``utility``, ``success``, ``length`` and
+    ``return/OBJECTIVE``; with it, as in evaluations, the utilities are ESR and SER, of both kinds of return.
 
     Args:
         objectives: names of the d components.
@@ -236,8 +236,8 @@ def summarise(
             objectives that are rates (:data:`COMFORT`).
     """
     summary: dict[str, float] = {}
-    # NumPy sums the rows of a table one after the other but a single column pairwise: the last digit may differ, and
-    # every log keeps the sums that it has always had.
+    # NumPy sums the rows of a table one after the other but a single column pairwise, which may differ in the last
+    # digit: each log keeps its way, so that logs of different versions can be compared exactly.
     means = returns.mean(axis=0) if discounted is None else [returns[:, i].mean() for i in range(len(objectives))]
     if utility is not None and discounted is None:
         summary[UTILITY] = float(np.mean(utility(returns)))

@@ -1,4 +1,4 @@
-"""Which runs differ in their seed alone: the one rule by which curves, tables and sweeps put runs together.
+"""Which runs differ in their seed alone: the rule by which curves, tables and sweeps group runs.
 
 Two runs belong together if their resolved experiments are the same apart from the seed, from where they ran (device,
 threads) and from what they logged; device, threads and logging change neither what is learnt nor how it is measured.

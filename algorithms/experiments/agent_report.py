@@ -1,4 +1,4 @@
-"""Evaluate a trained agent and print, write and film the result."""
+"""Evaluate a trained agent: print a table, write the numbers and record a video."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the scripts share: their arguments, the checks of these, and how they end.
+"""What the scripts share: argument definitions, validation and exit handling.
 
 Nothing below ``scripts/`` reads the command line or the environment: a script passes what it has read to these
 functions.
@@ -29,7 +29,7 @@ SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
 
 
 def prepare_process(environment: MutableMapping[str, str], path: list[str]) -> None:
-    """Make a script ready: videos are rendered without a display, and modules of the user can be imported.
+    """Set up the process: videos are rendered without a display, and user modules can be imported.
 
     Args:
         environment: ``os.environ``; SDL's drivers are set unless the user has chosen others.

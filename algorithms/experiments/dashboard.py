@@ -1,4 +1,4 @@
-"""The progress of many runs, read from their directories: a live table on a terminal, a line now and then elsewhere."""
+"""The progress of many runs, read from their directories: a live table on a terminal, periodic lines otherwise."""
 
 from __future__ import annotations
 

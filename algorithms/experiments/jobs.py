@@ -1,4 +1,4 @@
-"""Jobs: each is a run that is trained, resumed, or skipped if it is finished."""
+"""A job trains a run, resumes it, or skips it if it is finished."""
 
 from __future__ import annotations
 

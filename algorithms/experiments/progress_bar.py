@@ -1,4 +1,4 @@
-"""The progress of a training run: a bar on a terminal, an occasional line elsewhere."""
+"""The progress of a training run: a bar on a terminal, periodic lines otherwise."""
 
 from __future__ import annotations
 

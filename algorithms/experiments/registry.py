@@ -1,4 +1,6 @@
-"""Names in YAML files and on command lines; the classes and files they refer to are imported when first used.
+"""Look up names of YAML files and command lines; what they refer to is imported when it is first used.
+
+Algorithms are registered in ``algorithms/__init__.py``.
 
 Peers (other libraries' algorithms) and the zoo (trained policies) are layers above this one: they are found by their
 dotted paths, so that an experiment can name them without importing them.

@@ -1,4 +1,4 @@
-"""From an agent to a finished run: train with checkpoints, evaluate, draw, film."""
+"""Train an agent with checkpoints, then evaluate it, plot its curves and record a video."""
 
 from __future__ import annotations
 

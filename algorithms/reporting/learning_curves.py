@@ -278,7 +278,7 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     for g in panel.groups:
         for k, (kind, name) in enumerate(zip(KINDS, panel.names, strict=True)):
             if not alone and k == 0:
-                continue  # of several groups the evaluations alone, or the panel would be crowded
+                continue  # with several groups only evaluations, to avoid clutter
             found = curve(groups[g].runs, name)
             if found is None:
                 continue

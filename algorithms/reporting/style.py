@@ -70,7 +70,7 @@ def text_width(text: str) -> float:
 
 
 def surround(figure: Figure, heading: str, notes: Sequence[str], handles: Sequence[Line2D]) -> None:
-    """Put title and notes above the panels and the legend below; additional lines make the figure higher.
+    """Put title and notes above the panels and the legend below; additional lines make the figure taller.
 
     Args:
         figure: with its panels.
