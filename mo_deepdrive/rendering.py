@@ -1,7 +1,7 @@
 """Frames of a world: a map seen from above, and a panel of readings.
 
-A :class:`Viewer` reads the state of one world. For trails and sums it keeps the decisions drawn
-so far in the episode. Everything is drawn at twice the size and scaled down, which smooths edges, on surfaces in memory; only
+A :class:`Viewer` reads the state of one world. For trails and sums it keeps the decisions drawn so far in the episode.
+Everything is drawn at twice the size and scaled down, which smooths edges, on surfaces in memory; only
 ``render_mode="human"`` needs a display. Static parts are drawn and scaled once.
 """
 
