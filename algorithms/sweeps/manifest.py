@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import read_mapping
+from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment, override
-from algorithms.experiments.jobs import NOT_COMPARED, Job
+from algorithms.experiments.jobs import Job
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 
 if TYPE_CHECKING:
@@ -67,10 +68,11 @@ def label(cell: Mapping[str, Any]) -> str:
 def run_id(config: Mapping[str, Any]) -> str:
     """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
 
-    Device, threads and logging are left out: they do not affect the result.
+    Device, threads and logging (:data:`algorithms.evaluation.seed_groups.INCIDENTAL`) are left out: they do not affect
+    the result.
     """
     hashed = copy.deepcopy(dict(config))
-    for key in NOT_COMPARED:
+    for key in INCIDENTAL:
         *sections, last = key.split(".")
         place = hashed
         for section in sections:
