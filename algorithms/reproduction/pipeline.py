@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from algorithms.evaluation.metrics import FRONT, HYPERVOLUME, STOCHASTIC
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import Run
@@ -143,7 +144,7 @@ def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: Reproductio
     for task, protocol, variant in dict.fromkeys((run.task, run.protocol, run.variant) for run in runs):
         if is_ablation(plan.tasks[task].protocols[protocol]):
             continue
-        metric, policy = ("hypervolume", "front") if task == FRONT_TASK else (utility_metric(task), "stochastic")
+        metric, policy = (HYPERVOLUME, FRONT) if task == FRONT_TASK else (utility_metric(task), STOCHASTIC)
         mine = [run for run in runs if (run.task, run.protocol, run.variant) == (task, protocol, variant)]
         chosen = median_run(mine, results, metric, policy)
         if chosen is not None:
