@@ -30,6 +30,8 @@ from algorithms.reproduction.results import ReproductionResults
 
 # The two algorithms that are compared, by the keys of their variants.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
+# The task with an unknown utility, and the variant that learns its front.
+FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
 # Limits of the criteria.
 SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
 SIMILAR = 0.05  # relative to the baseline's utility
@@ -262,7 +264,7 @@ def _front_metric(metric: str, condition: str, passes: Decision, unit: str = "")
     """A criterion on a metric of PCN's front."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
-        found = iqm(results.values("one_waypoint_front", protocol, "pcn", metric, FRONT))
+        found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
         return Check(condition, f"{found.text()}{unit}", passes(found))
 
     return criterion
@@ -325,7 +327,7 @@ CLAIMS = (
         6,
         (7, 10),
         "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
-        ("one_waypoint_front",),
+        (FRONT_TASK,),
         [
             _front_metric(
                 CARDINALITY,

@@ -12,11 +12,10 @@ from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
-from algorithms.reproduction.claims import CLAIMS, utility_metric
+from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, utility_metric
 from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
 from algorithms.reproduction.report import (
-    FRONT_TASK,
     is_ablation,
     keep_fronts,
     median_run,

@@ -30,6 +30,8 @@ from algorithms.reporting.front_plots import draw_front
 from algorithms.reproduction.claims import (
     BASELINE,
     CLAIMS,
+    FRONT_TASK,
+    FRONT_VARIANT,
     MULTI_OBJECTIVE,
     Claim,
     Verdict,
@@ -47,7 +49,6 @@ if TYPE_CHECKING:
     from algorithms.reproduction.plan import Plan, PlannedRun, Protocol
 
 REPORT_FILE = "reproduction.md"
-FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
 
 
 def write_report(

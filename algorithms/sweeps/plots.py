@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 MAX_CURVES = 8  # cells, as many as there are colours
 
 
-def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
+def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
     """Draw the curves of the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key.
 
     Args:
         sweep: its directory.
         output: the image file of the curves.
-        say: called with every line that describes what was drawn.
+        print_line: called with every line that describes what was drawn.
         warn: called with a message about everything that is left out.
 
     Raises:
@@ -46,12 +46,12 @@ def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Call
     remark = f"the best {len(groups)} of {count} cells, by {what}; {left_out} left out" if left_out else ""
     plot(groups, output, remark)
     for line in [*describe(groups), *([remark] if remark else []), str(output)]:
-        say(line)
+        print_line(line)
     varied = [each for each in (varied_scores(collection, ranking) for ranking in rankings) if each.keys]
     if varied:
         path = output.with_name(f"{output.stem}-cells{output.suffix}")
         plot_effects(varied, path, f"{sweep.resolve().name}: {what}")
-        say(str(path))
+        print_line(str(path))
 
 
 def best_cells(rankings: Sequence[Ranking]) -> list[Cell]:

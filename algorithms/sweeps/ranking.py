@@ -77,11 +77,11 @@ class Ranking:
         """The ranking with its cells sorted."""
         sign = 1.0 if lower_is_better(self.metric) else -1.0
 
-        def badness(cell: Cell) -> float:
+        def sort_key(cell: Cell) -> float:
             score = self.score(cell)
             return np.inf if score is None else sign * score
 
-        return replace(self, cells=tuple(sorted(self.cells, key=badness)))
+        return replace(self, cells=tuple(sorted(self.cells, key=sort_key)))
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:

@@ -222,7 +222,7 @@ def run_on_ray(
     """
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, max(map(_steps, jobs)))
     wanted = [job for job in jobs if asha is not None or not job.done]
-    # Early stopping should hear of the runs that have already started first.
+    # Runs that have already started come first: early stopping compares the others with them.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
     progress = _ProgressCallback(wanted, monitor)
     _connect(address)

@@ -63,24 +63,24 @@ def print_sweep(
             f"no run of sweep {str(sweep)!r} has a final evaluation yet; scripts/plot.py draws what runs have logged"
         )
     scores = collection.scores.collect()
-    every: list[ScoreGroup] = []
+    all_groups: list[ScoreGroup] = []
     to_compare: list[ScoreGroup] = []
     for ranking in rank(collection.cells, scores, metric):
         groups = group_cells(collection, ranking)
-        every += groups
+        all_groups += groups
         to_compare += [_ranked_scores(ranking, group) for group in groups]
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
             print_rows(console, best_cells(ranking, groups, top, console.width), title)
         elif groups:
-            warn(f"left out: no run has {metric} in {ranking.title}")
+            warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
     compared = comparison_table(to_compare)
     if len(compared) > 1:
         count = len(compared) - 1
         title = f"algorithms where nothing else differs: {min(top, count)} of {count} comparisons"
         print_rows(console, compared[: 1 + top], title)
-    return [scores_table(every), compared] if whole else []
+    return [scores_table(all_groups), compared] if whole else []
 
 
 def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:

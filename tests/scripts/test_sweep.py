@@ -394,7 +394,7 @@ def test_an_unknown_metric_of_a_search_is_refused_with_the_known_ones(call: Call
     search = {"space": {RATE: [0.001]}, "metric": "greedy/utility", "trials": 1}
     code, _, error = call(write_sweep(tmp_path, search=search), "--output", "sweep")
     assert code == 2
-    assert "metric 'greedy/utility' is not a metric of the runs; did you mean" in error
+    assert "metric 'greedy/utility' is not among those of the runs; did you mean" in error
 
 
 # ---------------------------------------------------------------------------------------- several processes at once

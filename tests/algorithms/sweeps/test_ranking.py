@@ -53,7 +53,9 @@ def test_cells_are_ranked_among_comparable_cells(tmp_path: Path, base: dict[str,
         rank(collection.cells, scores, "greedy/sucess")
 
 
-@pytest.mark.parametrize(("metric", "best"), [("end/arrived", 16), ("end/collision", 8), ("length", 8), ("success", 16)])
+@pytest.mark.parametrize(
+    ("metric", "best"), [("end/arrived", 16), ("end/collision", 8), ("length", 8), ("success", 16)]
+)
 def test_the_best_cell_has_the_highest_score_unless_lower_is_better(
     tmp_path: Path, base: dict[str, Any], metric: str, best: int
 ) -> None:
