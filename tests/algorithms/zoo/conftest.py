@@ -65,7 +65,10 @@ def call(
 
     def call(script: str, *arguments: Any) -> Done:
         capfd.readouterr()
-        code = scripts[script].main([str(argument) for argument in arguments])
+        try:
+            code = scripts[script].main([str(argument) for argument in arguments])
+        except SystemExit as end:
+            code = end.code
         said = capfd.readouterr()
         return code, said.out, said.err
 
