@@ -42,6 +42,24 @@ from algorithms import ALGORITHMS
 from algorithms.common.atomic_io import write_json
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import hypervolume
+from algorithms.evaluation.front import EVALUATION_FILE
+from algorithms.evaluation.metrics import (
+    COMFORT,
+    GREEDY,
+    LENGTH,
+    STEP,
+    STEPS_PER_SECOND,
+    STOCHASTIC,
+    SUCCESS,
+    TRAIN,
+    UTILITY_ESR,
+    UTILITY_SER,
+    discounted_return_of,
+    evaluation_prefix,
+    maximum_of,
+    mean_of,
+    return_of,
+)
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import load_experiment
@@ -114,11 +132,12 @@ GRID: dict[str, list[Any]] = {
     "entropy_start": [0.001, 0.003, 0.01, 0.03, 0.1],
     "observe_discount": [True, False],
 }
+SYNTHETIC_OBJECTIVES = ("distance", "destination", "g_force", "jerk")
 SYNTHETIC_METRICS = (
-    *("utility_esr", "utility_ser", "success", "length", "mean_g_force", "max_g_force", "mean_jerk", "max_jerk"),
-    *("return/distance", "return/destination", "return/g_force", "return/jerk"),
-    *("discounted_return/distance", "discounted_return/destination"),
-    *("discounted_return/g_force", "discounted_return/jerk"),
+    *(UTILITY_ESR, UTILITY_SER, SUCCESS, LENGTH),
+    *(kind(objective) for objective in COMFORT for kind in (mean_of, maximum_of)),
+    *(return_of(objective) for objective in SYNTHETIC_OBJECTIVES),
+    *(discounted_return_of(objective) for objective in SYNTHETIC_OBJECTIVES),
 )
 
 
@@ -232,7 +251,7 @@ def training_rate(algorithm: str, title: str, hidden: list[int], total: int) -> 
     utility = make_utility(LINEAR[title], env.unwrapped.objectives)  # type: ignore[attr-defined]
     agent = ALGORITHMS[algorithm](env, utility, seed=0, steps=16, hidden=hidden)
     rates: list[float] = []
-    agent.train(total, log=lambda _, metrics: rates.append(metrics["time/steps_per_second"]), log_interval=50)
+    agent.train(total, log=lambda _, metrics: rates.append(metrics[STEPS_PER_SECOND]), log_interval=50)
     return rates[-1]
 
 
@@ -311,9 +330,9 @@ def make_sweep(sweep: Path, runs: int, rows: int) -> None:
     """
     rng = np.random.default_rng(0)
     base = load_experiment(CONFIGS / "one_waypoint" / "mo_a2c_linear.yaml").to_dict()
-    names = [f"{kind}/{name}" for kind in ("eval/greedy", "eval/stochastic") for name in SYNTHETIC_METRICS]
-    names += [f"train/{name}" for name in SYNTHETIC_METRICS[:8]]
-    steps = pl.DataFrame({"step": np.arange(rows) * 8192})
+    names = [evaluation_prefix(policy) + name for policy in (GREEDY, STOCHASTIC) for name in SYNTHETIC_METRICS]
+    names += [TRAIN + name for name in SYNTHETIC_METRICS[:8]]
+    steps = pl.DataFrame({STEP: np.arange(rows) * 8192})
     manifest: list[ManifestRow] = []
     for values, seed in product(islice(product(*GRID.values()), runs // 5), range(5)):
         chosen = dict(zip(GRID, values, strict=True))
@@ -328,7 +347,7 @@ def make_sweep(sweep: Path, runs: int, rows: int) -> None:
         metrics = pl.DataFrame(learnt + 0.5 * rng.standard_normal((rows, len(names))), schema=names)
         steps.hstack(metrics).write_csv(directory / "metrics.csv")
         estimates = {name: {"value": score, "low": score - 0.1, "high": score + 0.1} for name in SYNTHETIC_METRICS}
-        write_json(directory / "evaluation.json", {"policies": {"greedy": estimates, "stochastic": estimates}})
+        write_json(directory / EVALUATION_FILE, {"policies": {GREEDY: estimates, STOCHASTIC: estimates}})
         write_json(directory / "status.json", {"state": "finished", "step": rows * 8192})
     write_manifest(sweep, manifest)
 
@@ -359,13 +378,13 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
     rows: list[Measurement] = []
     targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M"}
     for title, env_id in IDS.items():
-        rows.append(Measurement(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "worlds/s"))
+        rows.append(Measurement(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "steps/s"))
         rate = vector_rate(env_id, 1024, 1, repetitions)
-        rows.append(Measurement(f"{title}, make_vec, N = 1024, 1 thread", rate, "worlds/s", targets[title]))
+        rows.append(Measurement(f"{title}, make_vec, N = 1024, 1 thread", rate, "steps/s", targets[title]))
         if with_threads:
             one = vector_rate(env_id, 4096, 1, repetitions)
             two = vector_rate(env_id, 4096, 2, repetitions)
-            rows.append(Measurement(f"{title}, make_vec, N = 4096, 2 threads", two, "worlds/s"))
+            rows.append(Measurement(f"{title}, make_vec, N = 4096, 2 threads", two, "steps/s"))
             rows.append(Measurement(f"{title}, 2 threads / 1 thread, N = 4096", two / one, "x", "1.8"))
     ours = single_rate(IDS["OneWaypoint"], repetitions, 5000)
     assert ours is not None
@@ -390,8 +409,8 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
     rows.append(Measurement("import and first step, warm cache", warm, "s", "< 1.5"))
     for scenario in ("one-waypoint", "intersection"):
         growth, total = memory_megabytes(scenario)
-        rows.append(Measurement(f"{scenario}, 4096 worlds, growth of resident memory", growth, "MB"))
-        rows.append(Measurement(f"{scenario}, 4096 worlds, resident memory of the process", total, "MB", "< 300"))
+        rows.append(Measurement(f"{scenario}, 4096 environments, growth of resident memory", growth, "MB"))
+        rows.append(Measurement(f"{scenario}, 4096 environments, resident memory of the process", total, "MB", "< 300"))
     return rows + summary_rows(sweep_runs, 1000)
 
 

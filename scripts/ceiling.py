@@ -47,7 +47,7 @@ def print_tables(outcomes: list[ScenarioOutcome], console: Console) -> None:
     table.add_row("95% interval (Wilson)", f"{share.low:.2%} to {share.high:.2%}")
     table.add_row("mean decisions of the solutions found", f"{np.mean(lengths):.1f}" if lengths else "-")
     console.print(table)
-    columns = ("scenario", "gap (m)", "bicycle from", "to", "destination", "worlds kept", "exhausted")
+    columns = ("scenario", "gap (m)", "bicycle from", "to", "destination", "nodes kept", "exhausted")
     table = Table(*columns, title="Not solved: m ahead of the nose, m to its left")
     for i, outcome in enumerate(outcomes):
         if not outcome.solved:

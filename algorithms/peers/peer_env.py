@@ -9,6 +9,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from algorithms.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -48,15 +50,11 @@ class Recorder:
         self._episodes.append((returns, length, success))
 
     def _write(self) -> None:
-        metrics = {"time/steps_per_second": self.steps / (perf_counter() - self._started)}
+        metrics = {STEPS_PER_SECOND: self.steps / (perf_counter() - self._started)}
         if self._episodes:
-            returns = np.array([each[0] for each in self._episodes])
-            if self._utility is not None:
-                metrics["train/utility"] = float(np.mean(self._utility(returns)))
-            metrics["train/success"] = float(np.mean([each[2] for each in self._episodes]))
-            metrics["train/length"] = float(np.mean([each[1] for each in self._episodes]))
-            for objective, mean in zip(self._objectives, returns.mean(axis=0).tolist(), strict=True):
-                metrics[f"train/return/{objective}"] = mean
+            returns, lengths, succeeded = (np.array(each) for each in zip(*self._episodes, strict=True))
+            summary = summarise(self._objectives, returns, lengths, succeeded, utility=self._utility)
+            metrics |= {TRAIN + name: value for name, value in summary.items()}
         self._episodes = []
         self._log(self.steps, metrics)
 

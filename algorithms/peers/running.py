@@ -14,10 +14,11 @@ from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.evaluation.fronts_file import FrontsFile
+from algorithms.evaluation.metrics import FRONT, evaluation_prefix
 from algorithms.experiments.agent_report import attempt_film, film
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.loggers import Logger
-from algorithms.experiments.policy_evaluation import FRONT_EPISODES, POLICIES, evaluate_policies, evaluation_env
+from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
@@ -124,7 +125,11 @@ def _finish_policy(
     measured = {"episodes": settings.final_episodes, "seed": settings.seed, "gamma": settings.gamma}
     write_evaluation(run.path, found, {"step": steps, **about, **measured})
     film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.seed)
-    return {f"eval/{each}/{name}": value for each in POLICIES for name, value in found[each].metrics().items()}
+    return {
+        evaluation_prefix(version) + name: value
+        for version, evaluation in found.items()
+        for name, value in evaluation.metrics().items()
+    }
 
 
 def _finish_front(
@@ -148,7 +153,7 @@ def _finish_front(
     attempt_film(
         lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=settings.seed), console
     )
-    return {f"eval/front/{name}": value for name, value in measured.items()}
+    return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
 
 
 def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:

@@ -18,7 +18,7 @@ from mo_deepdrive.actions import action_table
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
-from mo_deepdrive.simulation.state import ARRIVED, ENDS, RUNNING, VEHICLE, YAW_FRICTION
+from mo_deepdrive.simulation.state import ARRIVED, RUNNING, TIME_LIMIT, VEHICLE, YAW_FRICTION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -168,18 +168,18 @@ class BestFirstSearch:
         batch = self.batch
         before = [self.paths[node] for node in nodes for _ in LETTERS]
         actions = np.resize(np.arange(len(LETTERS)), len(batch.state))
-        worlds = batch.state[: len(before), 0]
-        worlds[:] = np.repeat(self.states[nodes], len(LETTERS))
-        batch.state["end"][len(before) :] = ENDS.index("time_limit")  # unused
+        vehicles = batch.state[: len(before), 0]
+        vehicles[:] = np.repeat(self.states[nodes], len(LETTERS))
+        batch.state["end"][len(before) :] = TIME_LIMIT  # unused
         states, paths = [], []
         for held in range(1, max(HOLDS) + 1):
             batch.step(actions[:, None])
-            for row in np.flatnonzero(worlds["end"] == ARRIVED):
+            for row in np.flatnonzero(vehicles["end"] == ARRIVED):
                 solution: str = before[row] + LETTERS[actions[row]] * held
                 return solution
             if held in HOLDS:
-                running = np.flatnonzero(worlds["end"] == RUNNING)
-                states.append(worlds[running])
+                running = np.flatnonzero(vehicles["end"] == RUNNING)
+                states.append(vehicles[running])
                 paths += [before[row] + LETTERS[actions[row]] * held for row in running]
         self._add(np.concatenate(states), paths)
         return ""

@@ -17,6 +17,7 @@ import numpy as np
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.planning.best_first_search import LETTERS, BestFirstSearch, SearchLimits, SearchResult
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
+from mo_deepdrive.simulation.state import ARRIVED, ENDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -79,7 +80,7 @@ def replay(env: Any, seed: int, actions: str) -> None:
     """
     env.reset(seed=seed)
     ends = [env.step(LETTERS.index(letter))[-1].get("end") for letter in actions]
-    if ends[-1] != "arrived":
+    if ends[-1] != ENDS[ARRIVED]:
         raise RuntimeError(f"the solution of seed {seed} ends with {ends[-1]!r} in the environment")
 
 

@@ -14,11 +14,24 @@ from typing import Literal
 
 import numpy as np
 
+from algorithms.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    HIGHEST_DISTANCE,
+    LOWEST_DISTANCE,
+    STOCHASTIC,
+    SUCCESS,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
+    return_of,
+)
 from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement, spread_ratio
-from algorithms.reproduction.results import FARTHEST, NEAREST, TOTAL_UTILITY, ReproductionResults
+from algorithms.reproduction.results import ReproductionResults
 
 # The two algorithms that are compared, by the keys of their variants.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
+# The task with an unknown utility, and the variant that learns its front.
+FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
 # Limits of the criteria.
 SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
 SIMILAR = 0.05  # relative to the baseline's utility
@@ -107,7 +120,7 @@ class Claim:
 
 
 def compare(
-    results: ReproductionResults, task: str, protocol: str, metric: str, policy: str = "stochastic"
+    results: ReproductionResults, task: str, protocol: str, metric: str, policy: str = STOCHASTIC
 ) -> AlgorithmComparison:
     """Compare A2C and MO-A2C by a metric.
 
@@ -126,7 +139,7 @@ def compare(
 
 def utility_metric(task: str) -> str:
     """The name of the metric for an episode's utility; with two vehicles it is the sum of their utilities."""
-    return TOTAL_UTILITY if task.startswith("intersection") else "utility_esr"
+    return TOTAL_UTILITY_ESR if task.startswith("intersection") else UTILITY_ESR
 
 
 def utility_kind(task: str) -> str:
@@ -172,7 +185,7 @@ def _success_rate(task: str, variant: str, condition: str, passes: Decision) -> 
     """A criterion on the share of episodes in which the vehicle, or all vehicles, arrive."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
-        rate = iqm(results.values(task, protocol, variant, "success"))
+        rate = iqm(results.values(task, protocol, variant, SUCCESS))
         return Check(f"{_label(variant)}: success rate {condition}", f"success rate {percent(rate)}", passes(rate))
 
     return criterion
@@ -203,7 +216,7 @@ def moves_away(task: str, variant: str) -> Criterion:
     """Episodes end farther from the destination than they start."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
-        progress = iqm(results.values(task, protocol, variant, "return/distance"))
+        progress = iqm(results.values(task, protocol, variant, return_of("distance")))
         name = f"{_label(variant)} moves away from the destination"
         return Check(name, f"progress {progress.text()} m", _is_below(progress, 0.0))
 
@@ -251,7 +264,7 @@ def _front_metric(metric: str, condition: str, passes: Decision, unit: str = "")
     """A criterion on a metric of PCN's front."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
-        found = iqm(results.values("one_waypoint_front", protocol, "pcn", metric, "front"))
+        found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
         return Check(condition, f"{found.text()}{unit}", passes(found))
 
     return criterion
@@ -314,21 +327,21 @@ CLAIMS = (
         6,
         (7, 10),
         "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
-        ("one_waypoint_front",),
+        (FRONT_TASK,),
         [
             _front_metric(
-                "cardinality",
+                CARDINALITY,
                 f"over {MIN_POLICIES} non-dominated policies",
                 lambda found: is_above(found, MIN_POLICIES),
             ),
             _front_metric(
-                NEAREST,
+                LOWEST_DISTANCE,
                 f"some policy progresses less than {SHORT_PROGRESS:g} m",
                 lambda found: _is_below(found, SHORT_PROGRESS),
                 " m",
             ),
             _front_metric(
-                FARTHEST,
+                HIGHEST_DISTANCE,
                 f"some policy progresses over {LONG_PROGRESS:g} m",
                 lambda found: is_above(found, LONG_PROGRESS),
                 " m",

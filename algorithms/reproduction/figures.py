@@ -13,10 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.common.atomic_io import atomic_write
+from algorithms.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
 from algorithms.reporting.learning_curves import curve
-from algorithms.reporting.style import COLOURS, STYLE
+from algorithms.reporting.style import COLOURS, DPI, STYLE, surround
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
-from algorithms.reproduction.results import TOTAL_UTILITY, ReproductionResults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,11 +25,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from algorithms.reproduction.plan import Plan
+    from algorithms.reproduction.results import ReproductionResults
 
-DPI = 160
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
 ALGORITHMS = {BASELINE: ("A2C", COLOURS[1]), MULTI_OBJECTIVE: ("MO-A2C", COLOURS[0])}
-POLICY = "stochastic"
 
 
 @dataclass(frozen=True)
@@ -49,11 +48,15 @@ class CurveFigure:
 
 _INTERSECTION = ("intersection_linear", "intersection_nonlinear")
 CURVE_FIGURES = {
-    4: CurveFigure("OneWaypoint", "utility_esr", ("one_waypoint_linear", "one_waypoint_nonlinear")),
-    5: CurveFigure("StaticObstacle", "utility_esr", ("static_obstacle_linear", "static_obstacle_nonlinear")),
-    6: CurveFigure("Intersection, both vehicles together", TOTAL_UTILITY, _INTERSECTION),
-    8: CurveFigure("Intersection, the vehicle that turns left (vehicle 0)", "vehicle_0/utility_esr", _INTERSECTION),
-    9: CurveFigure("Intersection, the vehicle that goes straight (vehicle 1)", "vehicle_1/utility_esr", _INTERSECTION),
+    4: CurveFigure("OneWaypoint", UTILITY_ESR, ("one_waypoint_linear", "one_waypoint_nonlinear")),
+    5: CurveFigure("StaticObstacle", UTILITY_ESR, ("static_obstacle_linear", "static_obstacle_nonlinear")),
+    6: CurveFigure("Intersection, both vehicles together", TOTAL_UTILITY_ESR, _INTERSECTION),
+    8: CurveFigure(
+        "Intersection, the vehicle that turns left (vehicle 0)", vehicle_prefix(0, 2) + UTILITY_ESR, _INTERSECTION
+    ),
+    9: CurveFigure(
+        "Intersection, the vehicle that goes straight (vehicle 1)", vehicle_prefix(1, 2) + UTILITY_ESR, _INTERSECTION
+    ),
 }
 # Drawn from a front by algorithms.reporting.front_plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
@@ -86,13 +89,13 @@ def draw_curves(number: int, plan: Plan, results: ReproductionResults, path: Pat
                 if (protocol, task) not in panels:
                     axis.set_visible(False)
                     continue
-                _draw_panel(axis, results, task, protocol, f"{POLICY}/{spec.metric}")
+                _draw_panel(axis, results, task, protocol, f"{STOCHASTIC}/{spec.metric}")
                 kind = utility_kind(task).capitalize()
                 axis.set_title(f"{kind} utility\n{plan.tasks[task].protocols[protocol].title}", fontsize=9.5)
         for axis in axes[-1]:
             axis.set_xlabel("environment steps")
         for axis in axes[:, 0]:
-            axis.set_ylabel("utility per episode")
+            axis.set_ylabel(title_of(UTILITY_ESR))
         _add_title_and_legend(figure, f"Figure {number}. {spec.title}", _seed_counts(results, panels))
         buffer = BytesIO()
         figure.savefig(buffer, format="png", dpi=DPI)
@@ -112,7 +115,7 @@ def _draw_panel(axis: Axes, results: ReproductionResults, task: str, protocol: s
         runs = results.learning_curves(task, protocol, variant)
         for run in runs:
             if metric in run:
-                axis.plot(run["step"], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
+                axis.plot(run[STEP], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
                 last.append(run[metric][-max(1, len(run[metric]) // 2) :])
         found = curve(runs, metric)
         if found is None:
@@ -145,12 +148,8 @@ def _seed_counts(results: ReproductionResults, panels: Sequence[tuple[str, str]]
 
 
 def _add_title_and_legend(figure: Figure, title: str, seeds: str) -> None:
-    height = figure.get_figheight()
     note = (
-        f"stochastic policy on unseen scenarios; thin: each of {seeds} seeds; thick: mean with 95% bootstrap interval"
+        f"{STOCHASTIC} policy on unseen scenarios; thin: each of {seeds} seeds; thick: mean with 95% bootstrap interval"
     )
-    figure.text(0.012, 1 - 0.12 / height, title, fontsize=13, fontweight="bold", va="top")
-    figure.text(0.012, 1 - 0.40 / height, note, fontsize=9.5, color="#5B6470", va="top")
     handles = [Line2D([], [], color=colour, linewidth=2.4, label=label) for label, colour in ALGORITHMS.values()]
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.006, 0.0), ncols=len(handles), frameon=False)
-    figure.tight_layout(rect=(0, 0.34 / height, 1, 1 - 0.62 / height), h_pad=1.4, w_pad=1.6)
+    surround(figure, title, [note], handles)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from algorithms.evaluation.metrics import FRONT, HYPERVOLUME, STOCHASTIC
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
-from algorithms.reproduction.claims import CLAIMS, utility_metric
+from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, utility_metric
 from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
 from algorithms.reproduction.report import (
-    FRONT_TASK,
     is_ablation,
     keep_fronts,
     median_run,
@@ -143,7 +143,7 @@ def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: Reproductio
     for task, protocol, variant in dict.fromkeys((run.task, run.protocol, run.variant) for run in runs):
         if is_ablation(plan.tasks[task].protocols[protocol]):
             continue
-        metric, policy = ("hypervolume", "front") if task == FRONT_TASK else (utility_metric(task), "stochastic")
+        metric, policy = (HYPERVOLUME, FRONT) if task == FRONT_TASK else (utility_metric(task), STOCHASTIC)
         mine = [run for run in runs if (run.task, run.protocol, run.variant) == (task, protocol, variant)]
         chosen = median_run(mine, results, metric, policy)
         if chosen is not None:

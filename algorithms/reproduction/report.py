@@ -11,11 +11,27 @@ import numpy as np
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.front import Front
+from algorithms.evaluation.metrics import (
+    CARDINALITY,
+    COLLISION,
+    FRONT,
+    GREEDY,
+    HIGHEST_DISTANCE,
+    HYPERVOLUME,
+    LOWEST_DISTANCE,
+    STOCHASTIC,
+    SUCCESS,
+    end_by,
+    return_of,
+    vehicle_prefix,
+)
 from algorithms.evaluation.statistics import iqm, iqm_difference, probability_of_improvement
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reproduction.claims import (
     BASELINE,
     CLAIMS,
+    FRONT_TASK,
+    FRONT_VARIANT,
     MULTI_OBJECTIVE,
     Claim,
     Verdict,
@@ -25,7 +41,7 @@ from algorithms.reproduction.claims import (
     utility_metric,
 )
 from algorithms.reproduction.figures import CURVE_FIGURES, FRONT_FIGURES, draw_curves, file_name
-from algorithms.reproduction.results import FARTHEST, NEAREST, ReproductionResults
+from algorithms.reproduction.results import ReproductionResults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,8 +49,6 @@ if TYPE_CHECKING:
     from algorithms.reproduction.plan import Plan, PlannedRun, Protocol
 
 REPORT_FILE = "reproduction.md"
-FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
-# Another document can have the verdict table between these lines.
 
 
 def write_report(
@@ -89,7 +103,7 @@ def keep_fronts(runs: Sequence[PlannedRun], results: ReproductionResults, direct
     """Save the front of the run with the median hypervolume of every protocol; figures are drawn from it."""
     for protocol in results.protocols(FRONT_TASK):
         mine = [run for run in runs if (run.task, run.protocol) == (FRONT_TASK, protocol)]
-        chosen = median_run(mine, results, "hypervolume", "front")
+        chosen = median_run(mine, results, HYPERVOLUME, FRONT)
         if chosen is not None:
             folder = directory / f"front_{protocol}"
             folder.mkdir(exist_ok=True)
@@ -138,7 +152,7 @@ def verdict_table(plan: Plan, results: ReproductionResults) -> str:
 def _effect_columns(results: ReproductionResults, task: str, protocol: str) -> list[str]:
     """The scores of both algorithms and their comparison; for a front, its number of policies."""
     if task == FRONT_TASK:
-        count = iqm(results.values(task, protocol, FRONT_VARIANT, "cardinality", "front"))
+        count = iqm(results.values(task, protocol, FRONT_VARIANT, CARDINALITY, FRONT))
         return ["", "", f"PCN: {count.text()} non-dominated policies", ""]
     found = compare(results, task, protocol, utility_metric(task))
     estimates = found.baseline, found.multi_objective, found.difference, found.improvement
@@ -169,16 +183,17 @@ def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
     """The scores of a task: a row per protocol, variant and policy."""
     if task == FRONT_TASK:
         return _front_score_table(plan, results)
-    progress = "vehicle_0/return/distance" if task.startswith("intersection") else "return/distance"
+    vehicles = 2 if task.startswith("intersection") else 1
+    progress = vehicle_prefix(0, vehicles) + return_of("distance")
     measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
     rows = [["protocol", "algorithm", "policy", "seeds", "steps", *measures]]
     for protocol in results.protocols(task):
         for variant, label in results.variants(task, protocol).items():
-            for policy in ("stochastic", "greedy"):
+            for policy in (STOCHASTIC, GREEDY):
                 values = partial(results.values, task, protocol, variant, policy=policy)
-                seeds = str(len(values("success")))
+                seeds = str(len(values(SUCCESS)))
                 about = [plan.tasks[task].protocols[protocol].title, label, policy, seeds]
-                rates = [percent(iqm(values(metric))) for metric in ("success", "end/collision")]
+                rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
                 utility, distance = (iqm(values(metric)).text() for metric in (utility_metric(task), progress))
                 rows.append([*about, _steps(results, task, protocol, variant), utility, *rates, distance])
     return markdown_table(rows)
@@ -188,14 +203,14 @@ def _front_score_table(plan: Plan, results: ReproductionResults) -> str:
     """The scores of PCN's fronts: a row per protocol."""
     rows = [["protocol", "seeds", "steps", "hypervolume", "non-dominated policies", "progress of the policies (m)"]]
     for protocol in results.protocols(FRONT_TASK):
-        values = partial(results.values, FRONT_TASK, protocol, FRONT_VARIANT, policy="front")
+        values = partial(results.values, FRONT_TASK, protocol, FRONT_VARIANT, policy=FRONT)
         title = plan.tasks[FRONT_TASK].protocols[protocol].title
         steps = _steps(results, FRONT_TASK, protocol, FRONT_VARIANT)
         hypervolume, cardinality, nearest, farthest = (
-            iqm(values(metric)) for metric in ("hypervolume", "cardinality", NEAREST, FARTHEST)
+            iqm(values(metric)) for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
         )
         progress = f"{nearest.value:.2g} to {farthest.value:.3g}"
-        seeds = str(len(values("hypervolume")))
+        seeds = str(len(values(HYPERVOLUME)))
         rows.append([title, seeds, steps, hypervolume.text(), cardinality.text(), progress])
     return markdown_table(rows)
 
@@ -224,7 +239,7 @@ def _ablation_table(task: str, protocol_key: str, protocol: Protocol, results: R
     baseline = results.values(task, protocol_key, variants[0], metric) if variants else np.zeros(0)
     for variant in variants:
         values = results.values(task, protocol_key, variant, metric)
-        success = percent(iqm(results.values(task, protocol_key, variant, "success")))
+        success = percent(iqm(results.values(task, protocol_key, variant, SUCCESS)))
         effect = ["", ""]
         if variant != variants[0]:
             effect = [iqm_difference(values, baseline).text(), probability_of_improvement(values, baseline).text()]

@@ -13,7 +13,31 @@ import numpy as np
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.metrics_file import read_metrics
-from algorithms.evaluation.front import Front
+from algorithms.evaluation.front import EVALUATION_FILE, Front
+from algorithms.evaluation.metrics import (
+    CARDINALITY,
+    COLLISION,
+    EXPECTED_UTILITY,
+    FRONT,
+    HIGHEST_DISTANCE,
+    HYPERVOLUME,
+    IGD_PLUS,
+    LENGTH,
+    LOWEST_DISTANCE,
+    OFF_LANE,
+    POLICIES,
+    RETURN,
+    STEP,
+    STOCHASTIC,
+    SUCCESS,
+    TIME_LIMIT,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
+    UTILITY_SER,
+    end_by,
+    evaluation_prefix,
+    split_name,
+)
 from algorithms.experiments.run_directory import Run
 
 if TYPE_CHECKING:
@@ -27,12 +51,9 @@ if TYPE_CHECKING:
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
 KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "policy")
-# Of the final evaluation and of those during training; with several vehicles also "vehicle_0/..." and so on.
-METRICS = ("utility_esr", "utility_ser", "success", "end/collision", "end/off_lane", "end/time_limit", "length")
-FRONT_METRICS = ("hypervolume", "cardinality", "expected_utility", "igd_plus")
-# Sum of the utilities of all vehicles (the paper's figure 6), and the range of distances in a front.
-TOTAL_UTILITY, NEAREST, FARTHEST = "total_utility_esr", "lowest_distance", "highest_distance"
-CURVE_POLICIES = ("greedy", "stochastic", "front")
+# Of the final evaluation and of those during training, besides returns; with several vehicles also those of each.
+METRICS = (UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), end_by(OFF_LANE), end_by(TIME_LIMIT), LENGTH)
+FRONT_METRICS = (HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS)
 
 ResultRow = dict[str, Any]
 
@@ -51,7 +72,7 @@ class ReproductionResults:
     curves: list[ResultRow]
 
     def values(
-        self, task: str, protocol: str, variant: str, metric: str, policy: str = "stochastic"
+        self, task: str, protocol: str, variant: str, metric: str, policy: str = STOCHASTIC
     ) -> NDArray[np.float64]:
         """Values (seeds,) of a metric, one per run, in the order of seeds.
 
@@ -97,7 +118,7 @@ class ReproductionResults:
             OSError: if a file cannot be written; no file is left half written.
         """
         atomic_write(directory / SCORES_FILE, _csv(self.scores, KEYS))
-        curve_keys = (*(key for key in KEYS if key not in ("seconds", "policy")), "step")
+        curve_keys = (*(key for key in KEYS if key not in ("seconds", "policy")), STEP)
         # Without name and time in the header, equal curves give equal bytes.
         atomic_write(directory / CURVES_FILE, gzip.compress(_csv(self.curves, curve_keys), mtime=0))
 
@@ -141,11 +162,11 @@ def gather(runs: Iterable[PlannedRun]) -> ReproductionResults:
 def _final_scores(path: Path) -> dict[str, dict[str, float]]:
     """The metrics of the final evaluation of the run in ``path``, by policy."""
     found = {}
-    for policy, estimates in json.loads((path / "evaluation.json").read_text())["policies"].items():
+    for policy, estimates in json.loads((path / EVALUATION_FILE).read_text())["policies"].items():
         metrics = {name: float(each["value"]) for name, each in estimates.items() if _is_kept(name)}
-        if policy == "front":
+        if policy == FRONT:
             distances = _distances(Front.read(path))
-            metrics |= {NEAREST: float(distances.min()), FARTHEST: float(distances.max())}
+            metrics |= {LOWEST_DISTANCE: float(distances.min()), HIGHEST_DISTANCE: float(distances.max())}
         found[policy] = _with_total(metrics)
     return found
 
@@ -161,10 +182,10 @@ def _learning_curve(path: Path) -> list[ResultRow]:
     """The evaluations during training of the run in ``path``."""
     columns = read_metrics(path / "metrics.csv")
     rows = []
-    for policy in CURVE_POLICIES:
-        prefix = f"eval/{policy}/"
+    for policy in POLICIES:
+        prefix = evaluation_prefix(policy)
         names = [name for name in columns if name.startswith(prefix) and _is_kept(name.removeprefix(prefix))]
-        for i, step in enumerate(columns["step"]):
+        for i, step in enumerate(columns[STEP]):
             metrics = {name.removeprefix(prefix): float(columns[name][i]) for name in names}
             metrics = {name: value for name, value in metrics.items() if np.isfinite(value)}
             if metrics:
@@ -172,22 +193,21 @@ def _learning_curve(path: Path) -> list[ResultRow]:
                 rows.append((int(step), inner))
     merged: dict[int, ResultRow] = {}
     for step, metrics in rows:
-        merged.setdefault(step, {"step": step}).update(metrics)
+        merged.setdefault(step, {STEP: step}).update(metrics)
     return [merged[step] for step in sorted(merged)]
 
 
 def _is_kept(name: str) -> bool:
     """Whether the tables have a metric."""
-    vehicle, slash, rest = name.partition("/")
-    plain = rest if slash and vehicle.startswith("vehicle_") else name
-    return plain in METRICS or plain in FRONT_METRICS or plain.startswith("return/")
+    metric = split_name(name).metric
+    return metric in METRICS or metric in FRONT_METRICS or metric.startswith(RETURN)
 
 
 def _with_total(metrics: dict[str, float]) -> dict[str, float]:
-    utilities = [
-        value for name, value in metrics.items() if name.startswith("vehicle_") and name.endswith("/utility_esr")
-    ]
-    return {**metrics, TOTAL_UTILITY: sum(utilities)} if utilities else metrics
+    """The metrics and, with several vehicles, the sum of their utilities."""
+    parts = {name: split_name(name) for name in metrics}
+    utilities = [metrics[name] for name, part in parts.items() if part.vehicle and part.metric == UTILITY_ESR]
+    return {**metrics, TOTAL_UTILITY_ESR: sum(utilities)} if utilities else metrics
 
 
 def _csv(rows: Sequence[ResultRow], keys: Sequence[str]) -> bytes:
@@ -216,7 +236,7 @@ def _read_csv(text: str) -> list[ResultRow]:
         for name, value in line.items():
             if value == "":
                 continue
-            if name in ("seed", "steps", "step"):
+            if name in ("seed", "steps", STEP):
                 row[name] = int(value)
             else:
                 row[name] = value if name in KEYS and name != "seconds" else float(value)

@@ -30,6 +30,8 @@ import numpy as np
 import polars as pl
 
 from algorithms.common.atomic_io import leftovers
+from algorithms.evaluation.front import EVALUATION_FILE
+from algorithms.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 from algorithms.experiments.run_directory import read_status
 from algorithms.reporting.learning_curves import MAX_POINTS, Columns
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
@@ -44,10 +46,8 @@ if os.name == "posix":
 
 FOLDER = "collected"
 MAX_NAMED = 3  # runs that a message lists by name
-SCORE_KEYS = ("policy", "vehicle", "metric")  # what identifies a score of a run
-ScoreKey = tuple[str, str, str]
+SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
 NUMBERS = ("value", "low", "high")
-POLICIES = ("greedy", "stochastic", "front")
 
 
 @dataclass(frozen=True)
@@ -150,13 +150,13 @@ class Collection:
         """
         if not names:
             return {}
-        mine = self.metrics.filter(pl.col("run").is_in(runs)).select("run", "step", *names)
-        last = mine.select(pl.col("step").max()).collect().item() or 0
+        mine = self.metrics.filter(pl.col("run").is_in(runs)).select("run", STEP, *names)
+        last = mine.select(pl.col(STEP).max()).collect().item() or 0
         binned = (
-            mine.unpivot(names, index=["run", "step"], variable_name="metric")
+            mine.unpivot(names, index=["run", STEP], variable_name="metric")
             .filter(pl.col("value").is_finite())
-            .group_by("run", "metric", pl.col("step") // (last // points + 1))
-            .agg(pl.col("step").mean().alias("mean_step"), pl.col("value").mean())
+            .group_by("run", "metric", pl.col(STEP) // (last // points + 1))
+            .agg(pl.col(STEP).mean().alias("mean_step"), pl.col("value").mean())
             .collect(engine="streaming")
         )
         return {
@@ -164,7 +164,7 @@ class Collection:
                 name: column.to_numpy()
                 for name, column in rows.sort("mean_step")
                 .pivot("metric", index="mean_step", values="value")
-                .rename({"mean_step": "step"})
+                .rename({"mean_step": STEP})
                 .fill_null(np.nan)
                 .to_dict()
                 .items()
@@ -185,19 +185,19 @@ class Collection:
         if self.scored:
             return "final", final
         metrics = self.metrics
-        names = [name for name in metrics.collect_schema().names() if name.startswith("eval/")]
+        names = [name for name in metrics.collect_schema().names() if name.startswith(EVALUATION)]
         if not names:
             return "last", final
         long = (
-            metrics.select("run", "step", *names)
-            .unpivot(names, index=["run", "step"], variable_name="name")
+            metrics.select("run", STEP, *names)
+            .unpivot(names, index=["run", STEP], variable_name="name")
             .filter(pl.col("value").is_finite())
             .group_by("run", "name")
-            .agg(pl.col("value").sort_by("step").last())
+            .agg(pl.col("value").sort_by(STEP).last())
             .collect(engine="streaming")
         )
-        keys = [split_score_name(name.removeprefix("eval/")) for name in long["name"]]
-        columns = [pl.Series(name, [key[i] for key in keys], pl.String) for i, name in enumerate(SCORE_KEYS)]
+        places = [split_name(name) for name in long["name"]]
+        columns = [pl.Series(key, [place[i] for place in places], pl.String) for i, key in enumerate(SCORE_KEYS)]
         return "last", long.with_columns(columns).drop("name")
 
 
@@ -276,10 +276,10 @@ def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFram
     found: list[tuple[Any, ...]] = []
     problems = []
     for row in rows:
-        path = sweep / row.directory / "evaluation.json"
+        path = sweep / row.directory / EVALUATION_FILE
         try:
             found += [
-                (row.id, policy, *_split_vehicle(name), *(estimate[number] for number in NUMBERS))
+                (row.id, *split_name(f"{policy}/{name}"), *(estimate[number] for number in NUMBERS))
                 for policy, summary in json.loads(path.read_text(encoding="utf-8"))["policies"].items()
                 for name, estimate in summary.items()
             ]
@@ -289,21 +289,6 @@ def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFram
             problems.append(f"{path}: {error}")
     types = {**dict.fromkeys(("run", *SCORE_KEYS), pl.String()), **dict.fromkeys(NUMBERS, pl.Float64())}
     return pl.DataFrame(found, types, orient="row"), problems
-
-
-def _split_vehicle(name: str) -> tuple[str, str]:
-    """``vehicle_0/end/collision`` as ``("vehicle_0", "end/collision")``; without a vehicle, it is ""."""
-    vehicle, slash, metric = name.partition("/")
-    return (vehicle, metric) if slash and vehicle.startswith("vehicle_") else ("", name)
-
-
-def split_score_name(name: str) -> ScoreKey:
-    """``greedy/vehicle_0/success`` as ``("greedy", "vehicle_0", "success")``; without a policy, it is ""."""
-    policy, slash, rest = name.partition("/")
-    if not slash or policy not in POLICIES:
-        policy, rest = "", name
-    vehicle, metric = _split_vehicle(rest)
-    return policy, vehicle, metric
 
 
 def as_json(value: Any) -> str:

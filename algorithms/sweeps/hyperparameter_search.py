@@ -60,7 +60,7 @@ def _sampler(search: HyperparameterSearchSettings) -> optuna.samplers.BaseSample
 
     if search.sampler == "random":
         return optuna.samplers.RandomSampler(seed=search.seed)
-    # constant_liar keeps the points of a batch apart, which have no scores yet.
+    # Without constant_liar the points of a batch, which have no scores yet, would be close to each other.
     return optuna.samplers.TPESampler(seed=search.seed, constant_liar=True)
 
 

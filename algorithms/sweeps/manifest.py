@@ -68,7 +68,8 @@ def label(cell: Mapping[str, Any]) -> str:
 def run_id(config: Mapping[str, Any]) -> str:
     """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
 
-    Device, threads and logging are left out: they do not affect the result.
+    Device, threads and logging (:data:`algorithms.evaluation.seed_groups.INCIDENTAL`) are left out: they do not affect
+    the result.
     """
     hashed = copy.deepcopy(dict(config))
     for key in INCIDENTAL:

@@ -17,6 +17,7 @@ import polars as pl
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import read_metrics
+from algorithms.evaluation.metrics import STEP
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,7 +87,7 @@ class MetricsPart:
         known = {run: self.logs[run] for run, log in logs.items() if log.same(self.logs.get(run))}
         if len(known) == len(logs) == len(self.logs) and columns == self.columns:
             return self
-        frames = [pl.DataFrame(schema={"run": pl.String, "step": pl.Int64})]
+        frames = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})]
         if known:
             frames.append(pl.read_parquet(self.path, glob=False).filter(pl.col("run").is_in(list(known))))
         for run, log in logs.items():
@@ -128,7 +129,7 @@ def update_metrics(folder: Path, files: Mapping[str, Path]) -> dict[str, LogStat
         if not log.same(read.get(run)):
             with contextlib.suppress(OSError), files[run].open("rb") as file:
                 columns |= set(_header(file.readline()))
-    ordered = ["run", "step", *sorted(columns - {"run", "step"})]
+    ordered = ["run", STEP, *sorted(columns - {"run", STEP})]
     result: dict[str, LogState] = {}
     for path, runs in plan.items():
         if runs:
@@ -186,7 +187,7 @@ def _assign_runs(
 def _header(line: bytes) -> list[str]:
     """The columns in the first line of a metrics.csv; none if the line is incomplete or not a header."""
     names = next(csv.reader([line.decode(errors="replace")]), []) if line.endswith(b"\n") else []
-    return names if names[:1] == ["step"] else []
+    return names if names[:1] == [STEP] else []
 
 
 def _read_rows(path: Path) -> pl.DataFrame:
@@ -201,13 +202,13 @@ def _read_rows(path: Path) -> pl.DataFrame:
     # read_metrics is slow but tolerates ragged rows and says what is wrong; polars reads only files that are regular.
     if names and data.count(b",") == (len(names) - 1) * data.count(b"\n"):
         with contextlib.suppress(pl.exceptions.PolarsError):
-            types = {name: pl.Int64() if name == "step" else pl.Float64() for name in names}
+            types = {name: pl.Int64() if name == STEP else pl.Float64() for name in names}
             return pl.read_csv(data, schema=types).fill_nan(None)
     try:
         columns = read_metrics(path)
     except UnicodeDecodeError as error:
         raise ValueError(f"metrics file {str(path)!r} is broken: {error}") from None
-    return pl.DataFrame(columns).with_columns(pl.col("step").cast(pl.Int64)).fill_nan(None)
+    return pl.DataFrame(columns).with_columns(pl.col(STEP).cast(pl.Int64)).fill_nan(None)
 
 
 def _with_columns(frame: pl.DataFrame, columns: Sequence[str]) -> pl.DataFrame:

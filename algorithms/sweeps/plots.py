@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 MAX_CURVES = 8  # cells, as many as there are colours
 
 
-def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Callable[[str], None]) -> None:
+def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
     """Draw the curves of the best cells of a sweep, and into ``OUTPUT-cells`` the scores of all runs against each key.
 
     Args:
         sweep: its directory.
         output: the image file of the curves.
-        say: called with every line that describes what was drawn.
+        print_line: called with every line that describes what was drawn.
         warn: called with a message about everything that is left out.
 
     Raises:
@@ -38,44 +38,44 @@ def plot_sweep(sweep: Path, output: Path, say: Callable[[str], None], warn: Call
     for remark in collection.remarks:
         warn(f"left out: {remark}")
     when, scores = collection.latest_scores()
-    settings = rank(collection.cells, scores)
-    what = f"{when} {' or '.join(dict.fromkeys(setting.score_name for setting in settings if setting.scores))}"
-    groups = best_curves(collection, settings)
+    rankings = rank(collection.cells, scores)
+    what = f"{when} {' or '.join(dict.fromkeys(ranking.score_name for ranking in rankings if ranking.scores))}"
+    groups = best_curves(collection, rankings)
     count = len(collection.cells)
     left_out = count - len(groups)
     remark = f"the best {len(groups)} of {count} cells, by {what}; {left_out} left out" if left_out else ""
     plot(groups, output, remark)
     for line in [*describe(groups), *([remark] if remark else []), str(output)]:
-        say(line)
-    varied = [each for each in (varied_scores(collection, setting) for setting in settings) if each.keys]
+        print_line(line)
+    varied = [each for each in (varied_scores(collection, ranking) for ranking in rankings) if each.keys]
     if varied:
         path = output.with_name(f"{output.stem}-cells{output.suffix}")
         plot_effects(varied, path, f"{sweep.resolve().name}: {what}")
-        say(str(path))
+        print_line(str(path))
 
 
-def best_cells(settings: Sequence[Ranking]) -> list[Cell]:
-    """The best cells: the best of every setting, then the second best of every setting, and so on, up to MAX_CURVES.
+def best_cells(rankings: Sequence[Ranking]) -> list[Cell]:
+    """The best cells: the best of every ranking, then the second best of every ranking, and so on, up to MAX_CURVES.
 
-    They are returned by setting.
+    They are returned by ranking.
     """
-    places = sorted((place, s) for s, setting in enumerate(settings) for place in range(len(setting.ranked)))
-    return [settings[s].cells[place] for s, place in sorted((s, place) for place, s in places[:MAX_CURVES])]
+    places = sorted((place, r) for r, ranking in enumerate(rankings) for place in range(len(ranking.ranked)))
+    return [rankings[r].cells[place] for r, place in sorted((r, place) for place, r in places[:MAX_CURVES])]
 
 
-def best_curves(collection: Collection, settings: Sequence[Ranking]) -> list[CurveGroup]:
+def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[CurveGroup]:
     """The curves of the best cells, of those runs that have a score; with several cells of the ranked policies alone.
 
     Raises:
         ValueError: if no run has any metrics.
     """
-    cells = best_cells(settings)
+    cells = best_cells(rankings)
     names = collection.metrics.collect_schema().names()
     wanted = {name for cell in cells for name in drawn(names, cell.config)}
     if len(cells) > 1:
-        ranked = tuple(evaluation_prefix(setting.policy) for setting in settings if setting.policy)
+        ranked = tuple(evaluation_prefix(ranking.policy) for ranking in rankings if ranking.policy)
         wanted = {name for name in wanted if name.startswith(ranked)}
-    runs = {run for setting in settings for run in setting.scores}
+    runs = {run for ranking in rankings for run in ranking.scores}
     found = collection.curves([row.id for cell in cells for row in cell.rows if row.id in runs], sorted(wanted))
     labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = [
@@ -85,13 +85,13 @@ def best_curves(collection: Collection, settings: Sequence[Ranking]) -> list[Cur
     return [group for group in groups if group.runs]
 
 
-def varied_scores(collection: Collection, setting: Ranking) -> VariedScores:
-    """The scores of a setting's runs, and the values of each key that varies among them, in the manifest's order."""
-    rows = [row for row in collection.rows if row.id in setting.scores]
+def varied_scores(collection: Collection, ranking: Ranking) -> VariedScores:
+    """The scores of a ranking's runs, and the values of each key that varies among them, in the manifest's order."""
+    rows = [row for row in collection.rows if row.id in ranking.scores]
     keys = varying_keys([row.cell for row in rows])
     names = short_names(keys)
     values = {names[key]: _numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
-    return VariedScores(setting.title, setting.score_name, np.array([setting.scores[row.id] for row in rows]), values)
+    return VariedScores(ranking.title, ranking.score_name, np.array([ranking.scores[row.id] for row in rows]), values)
 
 
 def _numbers_or_words(values: Sequence[Any]) -> NDArray[np.float64] | list[str]:

@@ -11,15 +11,31 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from algorithms.experiments.config import EnvironmentSettings, UtilitySettings, find_environment, is_ours
-from algorithms.sweeps.collection import POLICIES, SCORE_KEYS, Cell, ScoreKey, as_json, split_score_name
+from algorithms.evaluation.metrics import (
+    EXPECTED_UTILITY,
+    FRONT,
+    GREEDY,
+    HYPERVOLUME,
+    POLICIES,
+    STOCHASTIC,
+    UTILITY_ESR,
+    MetricName,
+    known_metric,
+    lower_is_better,
+    split_name,
+)
+from algorithms.reporting.seed_tables import environment_label, utility_label
+from algorithms.sweeps.collection import SCORE_KEYS, Cell, as_json
 from algorithms.sweeps.manifest import label
-from mo_deepdrive.config import EnvConfig, nearest
 
 # Cells are ranked by the first of these metrics that the runs have.
-DEFAULT_METRICS = ("greedy/utility_esr", "front/hypervolume", "front/expected_utility", "stochastic/utility_esr")
+DEFAULT_METRICS = (
+    MetricName(GREEDY, "", UTILITY_ESR),
+    MetricName(FRONT, "", HYPERVOLUME),
+    MetricName(FRONT, "", EXPECTED_UTILITY),
+    MetricName(STOCHASTIC, "", UTILITY_ESR),
+)
 TOTAL = "total"  # instead of a vehicle: the sum over all vehicles
-LOWER_IS_BETTER = ("igd_plus", "additive_epsilon", "length", "mean_g_force", "max_g_force", "mean_jerk", "max_jerk")
 
 
 @dataclass(frozen=True)
@@ -59,13 +75,13 @@ class Ranking:
 
     def sorted_best_first(self) -> Ranking:
         """The ranking with its cells sorted."""
-        sign = 1.0 if self.metric in LOWER_IS_BETTER or self.metric.startswith("end/") else -1.0
+        sign = 1.0 if lower_is_better(self.metric) else -1.0
 
-        def badness(cell: Cell) -> float:
+        def sort_key(cell: Cell) -> float:
             score = self.score(cell)
             return np.inf if score is None else sign * score
 
-        return replace(self, cells=tuple(sorted(self.cells, key=badness)))
+        return replace(self, cells=tuple(sorted(self.cells, key=sort_key)))
 
 
 def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None) -> list[Ranking]:
@@ -75,43 +91,61 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
         cells: in any order.
         scores: with the columns run, policy, vehicle, metric and value.
         metric: such as "greedy/utility_esr" or "stochastic/vehicle_0/success"; without a policy, the first of
-            :data:`POLICIES` that has the metric; None for the first of :data:`DEFAULT_METRICS` that the runs have.
+            :data:`algorithms.evaluation.metrics.POLICIES` that has the metric; None for the first of
+            :data:`DEFAULT_METRICS` that the runs have.
 
     Raises:
-        ValueError: if no run has the metric.
+        ValueError: if no run has the metric, as :func:`check_metric`.
     """
     groups: dict[str, list[Cell]] = {}
     for cell in cells:
         groups.setdefault(_comparison_key(cell.config), []).append(cell)
-    wanted = [
-        (each, whose, name)
-        for policy, vehicle, name in map(split_score_name, [metric] if metric else DEFAULT_METRICS)
-        for each in ([policy] if policy else POLICIES)
-        for whose in ([vehicle] if vehicle else ["", TOTAL])
-    ]
     finite = scores.select("run", *SCORE_KEYS, "value").filter(pl.col("value").is_finite())
+    if metric is not None:
+        check_metric(metric, finite)
+    wanted = [
+        MetricName(policy, vehicle, given.metric)
+        for given in (DEFAULT_METRICS if metric is None else (split_name(metric),))
+        for policy in ([given.policy] if given.policy else POLICIES)
+        for vehicle in ([given.vehicle] if given.vehicle else ["", TOTAL])
+    ]
     finite = pl.concat([finite, totals(finite)])
     rankings = []
     for title, members in zip(_titles(list(groups.values())), groups.values(), strict=True):
         ids = [row.id for cell in members for row in cell.rows]
-        key, known = _first(wanted, finite.filter(pl.col("run").is_in(ids)))
-        rankings.append(Ranking(title, *key, tuple(members), known).sorted_best_first())
-    if metric and not any(ranking.scores for ranking in rankings):
-        found = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
-        raise ValueError(
-            f"metric {metric!r} is not a metric of the final evaluations; "
-            f"{nearest(metric, ['/'.join(filter(None, key)) for key in found])}"
-        )
+        name, known = _first(wanted, finite.filter(pl.col("run").is_in(ids)))
+        rankings.append(Ranking(title, *name, tuple(members), known).sorted_best_first())
     return rankings
 
 
-def _first(wanted: Iterable[ScoreKey], scores: pl.DataFrame) -> tuple[ScoreKey, dict[str, float]]:
+def check_metric(metric: str, scores: pl.DataFrame) -> None:
+    """Check that some run has a metric; its policy and vehicle may be omitted.
+
+    Args:
+        metric: such as "greedy/vehicle_0/success".
+        scores: with the columns policy, vehicle and metric.
+
+    Raises:
+        ValueError: as :func:`algorithms.evaluation.metrics.known_metric`.
+    """
+    places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
+    names = ["/".join(filter(None, place)) for place in places]
+    shortened = {
+        "/".join(filter(None, parts))
+        for policy, vehicle, name in places
+        for parts in ((vehicle, name), (policy, name), (name,))
+    }
+    if metric not in shortened:
+        known_metric(metric, names)
+
+
+def _first(wanted: Iterable[MetricName], scores: pl.DataFrame) -> tuple[MetricName, dict[str, float]]:
     """The first of ``wanted`` that some run has, and its values by run."""
-    for key in wanted:
-        found = scores.filter(**dict(zip(SCORE_KEYS, key, strict=True)))
+    for name in wanted:
+        found = scores.filter(**name._asdict())
         if len(found):
-            return key, dict(found.select("run", "value").iter_rows())
-    return ("", "", ""), {}
+            return name, dict(found.select("run", "value").iter_rows())
+    return MetricName("", "", ""), {}
 
 
 def totals(scores: pl.DataFrame) -> pl.DataFrame:
@@ -144,25 +178,7 @@ def _titles(groups: Sequence[Sequence[Cell]]) -> list[str]:
 
 
 def _title(config: Mapping[str, Any]) -> str:
-    utility = UtilitySettings(**config["utility"]) if config["utility"] else None
-    labels = environment_label(EnvironmentSettings(**config["environment"])), utility_label(utility)
-    return ", ".join(filter(None, labels))
-
-
-def environment_label(settings: EnvironmentSettings) -> str:
-    """The id, and the arguments that differ from the defaults."""
-    if not is_ours(find_environment(settings.id)):
-        return settings.id
-    defaults = {name: field.default for name, field in EnvConfig.model_fields.items()}
-    changed = [f"{name}={value}" for name, value in settings.arguments.items() if value != defaults[name]]
-    return " ".join([settings.id, *changed])
-
-
-def utility_label(settings: UtilitySettings | None) -> str:
-    """The name, followed by the vehicles with a different utility; "" if the utility is unknown."""
-    if settings is None:
-        return ""
-    return " ".join([settings.name, *(f"{vehicle}={own.name}" for vehicle, own in settings.vehicles.items())])
+    return ", ".join(filter(None, (environment_label(config["environment"]), utility_label(config["utility"]))))
 
 
 # -------------------------------------------------------------------------------------------------------------- labels

@@ -16,12 +16,13 @@ from ray import tune
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
+from algorithms.evaluation.metrics import EVALUATION, STEP
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
+from algorithms.reporting.seed_tables import final_metrics
 from algorithms.sweeps.manifest import read_manifest
-from algorithms.sweeps.run_scores import final_metrics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -79,8 +80,8 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
         config: dict[str, Any], reports: queue.SimpleQueue[TuneReport | BaseException], stop: threading.Event
     ) -> None:
         def watch(step: int, metrics: Mapping[str, float]) -> None:
-            if any(name.startswith("eval/") for name in metrics):
-                reports.put({"step": step, **metrics})
+            if any(name.startswith(EVALUATION) for name in metrics):
+                reports.put({STEP: step, **metrics})
 
         try:
             sweep = Path(config["sweep"])
@@ -111,7 +112,7 @@ def _logged_evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
     if not path.is_file():
         return []
     columns = read_metrics(path)
-    steps = columns.pop("step")
+    steps = columns.pop(STEP)
     last = read_status(job.path).get("step", 0)
     return [
         (int(step), {name: float(column[i]) for name, column in columns.items() if not np.isnan(column[i])})
@@ -125,8 +126,8 @@ class _RecordingAsha(ASHAScheduler):  # type: ignore[misc]  # Ray's types are no
 
     def __init__(self, settings: AshaSettings, max_steps: int):
         super().__init__(
-            time_attr="step",
-            metric=f"eval/{settings.metric}",
+            time_attr=STEP,
+            metric=EVALUATION + settings.metric,
             mode=settings.direction[:3],
             max_t=max_steps,
             grace_period=min(settings.grace_period, max_steps),
@@ -221,7 +222,7 @@ def run_on_ray(
     """
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, max(map(_steps, jobs)))
     wanted = [job for job in jobs if asha is not None or not job.done]
-    # Early stopping should hear of the runs that have already started first.
+    # Runs that have already started come first: early stopping compares the others with them.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
     progress = _ProgressCallback(wanted, monitor)
     _connect(address)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from algorithms.evaluation.metrics import MetricName, known_metric
+from algorithms.evaluation.metrics import MetricName
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
     Rows,
@@ -63,64 +63,41 @@ def print_sweep(
             f"no run of sweep {str(sweep)!r} has a final evaluation yet; scripts/plot.py draws what runs have logged"
         )
     scores = collection.scores.collect()
-    if metric is not None:
-        check_metric(metric, scores)
-    every: list[ScoreGroup] = []
+    all_groups: list[ScoreGroup] = []
     to_compare: list[ScoreGroup] = []
-    for setting in rank(collection.cells, scores, metric):
-        groups = group_cells(collection, setting)
-        every += groups
-        to_compare += [_ranked_scores(setting, group) for group in groups]
-        if setting.ranked:
-            shown = min(top, len(setting.ranked))
-            title = f"{setting.title}: {shown} of {len(setting.cells)} cells, by {setting.score_name}"
-            print_rows(console, best_cells(setting, groups, top, console.width), title)
+    for ranking in rank(collection.cells, scores, metric):
+        groups = group_cells(collection, ranking)
+        all_groups += groups
+        to_compare += [_ranked_scores(ranking, group) for group in groups]
+        if ranking.ranked:
+            shown = min(top, len(ranking.ranked))
+            title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
+            print_rows(console, best_cells(ranking, groups, top, console.width), title)
         elif groups:
-            warn(f"left out: no run has {metric} in {setting.title}")
+            warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
     compared = comparison_table(to_compare)
     if len(compared) > 1:
         count = len(compared) - 1
         title = f"algorithms where nothing else differs: {min(top, count)} of {count} comparisons"
         print_rows(console, compared[: 1 + top], title)
-    return [scores_table(every), compared] if whole else []
+    return [scores_table(all_groups), compared] if whole else []
 
 
-def check_metric(metric: str, scores: pl.DataFrame) -> None:
-    """Check that some run has a metric; its policy and vehicle may be omitted.
-
-    Args:
-        metric: as ``greedy/vehicle_0/success``.
-        scores: with the columns policy, vehicle and metric.
-
-    Raises:
-        ValueError: as :func:`algorithms.evaluation.metrics.known_metric`.
-    """
-    places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
-    names = ["/".join(filter(None, place)) for place in places]
-    shortened = {
-        "/".join(filter(None, parts))
-        for policy, vehicle, name in places
-        for parts in ((vehicle, name), (policy, name), (name,))
-    }
-    if metric not in shortened:
-        known_metric(metric, names)
-
-
-def group_cells(collection: Collection, setting: Ranking) -> list[ScoreGroup]:
-    """The cells of a setting that have final evaluations, in its order."""
-    wanted = collection.scores.filter(pl.col("metric").is_in([*TABLE_METRICS, setting.metric]))
+def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
+    """The cells of a ranking that have final evaluations, in its order."""
+    wanted = collection.scores.filter(pl.col("metric").is_in([*TABLE_METRICS, ranking.metric]))
     known = wanted.select("run", *SCORE_KEYS, "value").collect()
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
-    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=setting.metric))]).rows():
+    for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
         # A total is in the row of all vehicles together if that has no such score itself.
         scores[run].setdefault(MetricName(policy, "" if vehicle == TOTAL else vehicle, metric), value)
     groups = []
-    for cell in setting.cells:
+    for cell in ranking.cells:
         texts = {key: value_text(value) for key, value in cell.keys.items()}
         task = {key: text for key, text in texts.items() if key not in ALGORITHM_KEYS}
         trial = {} if cell.trial is None else {"trial": str(cell.trial)}
         algorithm = cell.config["algorithm"]["name"]
-        group = ScoreGroup({**trial, **texts}, task, algorithm, setting.title, wanted=len(cell.rows))
+        group = ScoreGroup({**trial, **texts}, task, algorithm, ranking.title, wanted=len(cell.rows))
         for row in cell.rows:
             if row.id in collection.scored:
                 group.seeds.append(row.seed)
@@ -130,32 +107,32 @@ def group_cells(collection: Collection, setting: Ranking) -> list[ScoreGroup]:
     return groups
 
 
-def _ranked_scores(setting: Ranking, group: ScoreGroup) -> ScoreGroup:
-    """A group with the scores of one policy and vehicle alone, those by which its setting is sorted."""
-    place = (setting.policy, "" if setting.vehicle == TOTAL else setting.vehicle)
+def _ranked_scores(ranking: Ranking, group: ScoreGroup) -> ScoreGroup:
+    """A group with the scores of one policy and vehicle alone, those by which its ranking is sorted."""
+    place = (ranking.policy, "" if ranking.vehicle == TOTAL else ranking.vehicle)
     return replace(group, scores={name: values for name, values in group.scores.items() if name[:2] == place})
 
 
-def best_cells(setting: Ranking, groups: Sequence[ScoreGroup], top: int, width: int) -> Rows:
-    """The best cells of a setting for the terminal: short names of their keys, and the scores of one policy.
+def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int, width: int) -> Rows:
+    """The best cells of a ranking for the terminal: short names of their keys, and the scores of one policy.
 
     Args:
-        setting: the cells.
+        ranking: the cells.
         groups: their scores, in the same order.
         top: cells at most.
         width: columns of the terminal.
     """
-    cells = setting.ranked[:top]
-    keys = varying_keys([cell.keys for cell in setting.cells])
+    cells = ranking.ranked[:top]
+    keys = varying_keys([cell.keys for cell in ranking.cells])
     columns = {name: value_labels([cell.keys.get(key) for cell in cells]) for key, name in short_names(keys).items()}
     brief = []
     for i, group in enumerate(groups[: len(cells)]):
         trial = {name: text for name, text in group.about.items() if name == "trial"}
         names = {name: texts[i] for name, texts in columns.items()}
-        brief.append(replace(_ranked_scores(setting, group), about={**trial, **names}))
-    rows = scores_table(brief, [setting.metric, *(name for name in TABLE_METRICS if name != setting.metric)])
+        brief.append(replace(_ranked_scores(ranking, group), about={**trial, **names}))
+    rows = scores_table(brief, [ranking.metric, *(name for name in TABLE_METRICS if name != ranking.metric)])
     rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in SCORE_KEYS] for row in rows]
-    return _fitting(rows, rows[0].index(setting.metric) + 1, width)
+    return _fitting(rows, rows[0].index(ranking.metric) + 1, width)
 
 
 def _fitting(rows: Rows, least: int, width: int) -> Rows:

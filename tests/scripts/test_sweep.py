@@ -18,7 +18,6 @@ import pytest
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
 from algorithms.sweeps import runner
-from tests.helpers.scripts import load_script
 from tests.helpers.short_runs import assert_same_run, job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
@@ -35,6 +34,8 @@ from tests.helpers.sweep_files import (
 )
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from algorithms.experiments.dashboard import Dashboard
 
 Done = tuple[int, str, str]  # exit code, standard output, standard error
@@ -48,7 +49,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
 
 @pytest.fixture(scope="module")
-def script(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def script(load_script: Callable[[str], ModuleType], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
     """The script, with forked workers: this process has compiled everything, so they start at once."""
     perform(job(tmp_path_factory.mktemp("warm")))
     with forked_workers():
@@ -56,7 +57,9 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 @pytest.fixture
-def call(script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
+def call(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Call:
     """Run the script in the test's folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
@@ -72,7 +75,7 @@ def call(script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: py
 
 
 @pytest.fixture(scope="module")
-def whole(script: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(script: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sweep of two learning rates and two seeds, trained without interruption."""
     folder = tmp_path_factory.mktemp("whole")
     assert script.main(["--config", str(write_sweep(folder, seeds=2)), "--output", str(folder / "whole")]) == 0
@@ -289,7 +292,7 @@ def test_runs_on_a_missing_device_fail_with_a_message(call: Call, tmp_path: Path
     file = write_sweep(tmp_path, grid={}, overrides={"training.device": "cuda:99"})
     code, out, _ = call(file, "--output", "sweep")
     assert code == 1
-    assert "training.device = 'cuda:99' is not there" in failures(out)
+    assert "training.device = 'cuda:99' does not exist" in failures(out)
     assert not (tmp_path / "sweep" / "runs").exists()
 
 
@@ -391,7 +394,7 @@ def test_an_unknown_metric_of_a_search_is_refused_with_the_known_ones(call: Call
     search = {"space": {RATE: [0.001]}, "metric": "greedy/utility", "trials": 1}
     code, _, error = call(write_sweep(tmp_path, search=search), "--output", "sweep")
     assert code == 2
-    assert "metric 'greedy/utility' is not a metric of the runs; did you mean" in error
+    assert "metric 'greedy/utility' is not among those of the runs; did you mean" in error
 
 
 # ---------------------------------------------------------------------------------------- several processes at once

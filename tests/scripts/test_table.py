@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -14,17 +15,16 @@ from algorithms.reporting.seed_tables import TABLE_METRICS
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
+    from types import ModuleType
 
 ROOT = REPOSITORY
-table: Any = None  # the script
+Script = Callable[..., int]  # calls a script with arguments and returns its exit code
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _load_table(load_script: Callable[[str], Any]) -> None:
-    global table
-    table = load_script("table")
+@pytest.fixture
+def run_table(load_script: Callable[[str], ModuleType]) -> Script:
+    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
 
 
 def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> Path:
@@ -40,11 +40,7 @@ def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> 
     return path
 
 
-def run_table(*arguments: Path | str) -> int:
-    return table.main([str(argument) for argument in arguments])
-
-
-def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: Path) -> None:
+def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: Path, run_table: Script) -> None:
     scores = {"a2c": [1.0, 2.0, 6.0], "mo_a2c": [11.0, 12.0, 16.0]}
     for algorithm, utilities in scores.items():
         for seed, utility in enumerate(utilities):
@@ -66,7 +62,7 @@ def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: 
     assert float(compared[8]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
 
 
-def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path) -> None:
+def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path, run_table: Script) -> None:
     for algorithm, utility in (("a2c", 1.0), ("mo_a2c", 3.0)):
         for seed in (0, 1):
             config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
@@ -100,7 +96,7 @@ def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Pat
 
 
 def test_a_run_without_a_final_evaluation_is_named_and_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_run(tmp_path, "a2c", 0, 1.0)
     unfinished = make_run(tmp_path, "a2c", 1, None)
@@ -111,7 +107,7 @@ def test_a_run_without_a_final_evaluation_is_named_and_left_out(
 
 
 def test_folders_without_runs_and_repeated_seeds_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
@@ -132,7 +128,7 @@ def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, floa
     (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
 
 
-def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path) -> None:
+def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path, run_table: Script) -> None:
     for config, base in (("one_waypoint/pcn", 100.0), ("peers/pcn", 40.0)):
         for seed, more in enumerate((1.0, 2.0, 6.0)):
             numbers = {"hypervolume": base + more, "cardinality": base, "expected_utility": more, "igd_plus": 0.5}
@@ -166,7 +162,7 @@ def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path) 
     assert float(compared["low"]) < 60.0 < float(compared["high"])
 
 
-def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path) -> None:
+def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, run_table: Script) -> None:
     for config in ("one_waypoint/pcn", "peers/pcn"):
         make_front_run(tmp_path, config, 0, {"hypervolume": 7.5, "cardinality": 3.0})
     output = tmp_path / "scores.csv"

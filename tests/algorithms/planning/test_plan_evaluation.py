@@ -1,4 +1,4 @@
-"""The evaluation of plans, compared with a replay in the batch of worlds of the environments."""
+"""The evaluation of plans, compared with a replay in the batch that the environments use."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ def test_a_figure_shows_every_seed_in_the_colours_of_both_algorithms(tmp_path: P
         [row for part in parts for row in part.scores], [row for part in parts for row in part.curves]
     )
     assert draw_curves(4, plan, results, tmp_path / "figure.png")
-    picture = np.asarray(Image.open(tmp_path / "figure.png").convert("RGB")).reshape(-1, 3)
+    pixels = np.asarray(Image.open(tmp_path / "figure.png").convert("RGB")).reshape(-1, 3)
     for colour in ((0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)):
-        assert (np.abs(picture.astype(int) - colour).max(axis=1) < 8).sum() > 500
+        assert (np.abs(pixels.astype(int) - colour).max(axis=1) < 8).sum() > 500
     assert not draw_curves(5, plan, results, tmp_path / "nothing.png")
     assert not (tmp_path / "nothing.png").exists()

@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from algorithms.reproduction.plan import load_plan, planned_runs
-from algorithms.reproduction.report import (
-    verdict_table,
-)
+from algorithms.reproduction.report import verdict_table
 from algorithms.reproduction.results import ReproductionResults, gather
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import TINY
-from tests.helpers.scripts import load_script
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import ModuleType
 
 
 @pytest.fixture
-def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+def call(
+    load_script: Callable[[str], ModuleType],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Callable[..., Any]:
     (tmp_path / "plan.yaml").write_text(TINY)
     monkeypatch.chdir(tmp_path)
 

@@ -29,7 +29,7 @@ def test_every_run_of_the_plan_has_a_valid_config_and_a_unique_folder(tmp_path: 
         assert not run.job.experiment.logging.save_figures
 
 
-def test_every_claim_and_figure_has_its_cells_in_the_plan() -> None:
+def test_every_claim_and_figure_has_its_tasks_in_the_plan() -> None:
     plan = load_plan(PLAN)
     assert [each.number for each in CLAIMS] == [1, 2, 3, 4, 5, 6]
     assert {figure for each in CLAIMS for figure in each.figures} == set(FIGURES) == {4, 5, 6, 7, 8, 9, 10}

@@ -7,11 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.reproduction.plan import Plan, load_plan
-from algorithms.reproduction.report import (
-    is_ablation,
-    verdict_table,
-    write_report,
-)
+from algorithms.reproduction.report import is_ablation, verdict_table, write_report
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
 

@@ -333,7 +333,7 @@ def test_up_to_five_invalid_cells_are_named(tmp_path: Path, count: int) -> None:
         ({"utility.name": ["statistics:median_low"]}, "statistics:median_low", "fails on returns"),
         ({"utility.vehicles": [{"vehicle_7": UTILITY}]}, "vehicle_7", "vehicle_0"),
         ({"algorithm.learning_rate.deeper": [1]}, "algorithm.learning_rate.deeper=1", "learning_rate"),
-        ({"training.device": ["quantum"]}, "training.device=quantum", "no device"),
+        ({"training.device": ["quantum"]}, "training.device=quantum", "is not a valid device"),
         ({"environment.id": ["mo-deepdrive-one-waypint-v0"]}, "one-waypint", "mo-deepdrive-one-waypoint-v0"),
         ({"algorithm.name": ["mo_a2d"]}, "algorithm.name=mo_a2d", "'mo_a2c'"),
     ],

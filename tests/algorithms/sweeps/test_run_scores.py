@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.experiments.jobs import Job, perform
-from algorithms.sweeps.run_scores import final_metrics, read_scores
+from algorithms.reporting.seed_tables import final_metrics
+from algorithms.sweeps.run_scores import read_scores
 from tests.helpers.short_runs import job
 
 if TYPE_CHECKING:
@@ -74,6 +75,6 @@ def test_a_run_that_has_not_ended_has_no_score(pruned: Job, state: str | None) -
 
 def test_an_unknown_metric_is_refused_with_the_nearest_ones(finished: Job, pruned: Job) -> None:
     for wanted in (finished, pruned):
-        with pytest.raises(ValueError, match="is not a metric of the runs; did you mean") as error:
+        with pytest.raises(ValueError, match="is not among those of the runs; did you mean") as error:
             read_scores([wanted], "greedy/utility_ers")
         assert METRIC in str(error.value)

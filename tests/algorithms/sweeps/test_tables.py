@@ -1,35 +1,69 @@
-"""Metrics by which the table of a sweep can be sorted; the tables themselves are tested with their collection."""
+"""The table of a sweep, through the command line."""
 
 from __future__ import annotations
 
-import polars as pl
+import csv
+import shutil
+from typing import TYPE_CHECKING, Any
+
 import pytest
 
-from algorithms.sweeps.tables import check_metric
+from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
 
-SCORES = pl.DataFrame(
-    [("greedy", "", "success"), ("greedy", "vehicle_0", "utility_esr"), ("front", "", "hypervolume")],
-    ["policy", "vehicle", "metric"],
-    orient="row",
-)
+if TYPE_CHECKING:
+    from pathlib import Path
 
-
-@pytest.mark.parametrize(
-    "metric",
-    ["greedy/success", "success", "greedy/vehicle_0/utility_esr", "vehicle_0/utility_esr", "greedy/utility_esr"],
-)
-def test_policy_and_vehicle_may_be_omitted(metric: str) -> None:
-    check_metric(metric, SCORES)
+    from algorithms.sweeps.manifest import ManifestRow
+    from tests.helpers.made_up_sweeps import Script
 
 
-@pytest.mark.parametrize(
-    ("metric", "message"),
-    [
-        ("greedy/sucess", "did you mean 'greedy/success'"),
-        ("policy/kl", "metric 'policy/kl' was renamed; write 'policy/approx_kl'"),
-        ("front/success", "is not among those of the runs"),
-    ],
-)
-def test_other_metrics_are_refused(metric: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        check_metric(metric, SCORES)
+def test_the_table_shows_the_best_cells_and_the_csv_has_all(
+    tmp_path: Path, grid: list[ManifestRow], capsys: pytest.CaptureFixture[str], table: Script
+) -> None:
+    rows = make_sweep(tmp_path, grid)
+    shutil.rmtree(tmp_path / rows[-1].directory)
+    output = tmp_path / "scores.csv"
+    assert table(tmp_path, "--top", "2", "--output", output) == 0
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1
+    assert "1 of 18 runs have no final evaluation (1 waiting)" in shown.err
+    assert "2 of 6 cells, by greedy utility" in shown.out
+    lines = [line.split("│")[1:4] for line in shown.out.splitlines() if line.startswith("│")]
+    assert [[cell.strip() for cell in line] for line in lines] == [["0.01", "16", "3"], ["0.01", "32", "2 of 3"]]
+    table_rows = list(csv.reader(output.read_text().splitlines()))
+    header, *cells = table_rows[: table_rows.index([])]
+    assert header[:4] == ["algorithm.learning_rate", "algorithm.steps", "policy", "seeds"]
+    assert len(cells) == 12
+    assert cells[0][:4] == ["0.01", "16", "greedy", "3"]
+    utility = cells[0][header.index("utility_esr")]
+    assert float(utility.split()[0]) == pytest.approx(10.1)
+    assert utility == f"10.10 [{10.0:.2f}, {10.2:.2f}]"
+    assert cells[-1][:4] == ["0.0001", "32", "stochastic", "3"]
+    assert table(tmp_path, "--sort", "stochastic/utility_esr", "--output", output) == 0
+    assert next(csv.reader(output.read_text().splitlines()[1:]))[0] == "0.0001"
+    assert table(tmp_path, "--sort", "greedy/utlity_esr") == 2
+    assert "did you mean 'greedy/utility_esr'" in capsys.readouterr().err
+
+
+def test_the_table_of_a_search_shows_its_trials(tmp_path: Path, base: dict[str, Any], table: Script) -> None:
+    points = [{"algorithm.learning_rate": rate} for rate in (0.0012345678, 0.0078)]
+    make_sweep(tmp_path, [make_row(base, point, seed, trial) for trial, point in enumerate(points) for seed in (0, 1)])
+    output = tmp_path / "scores.csv"
+    assert table(tmp_path, "--output", output) == 0
+    found = list(csv.reader(output.read_text().splitlines()))
+    assert found[0][:3] == ["trial", "algorithm.learning_rate", "policy"]
+    assert [row[:2] for row in found[1:4:2]] == [["1", "0.0078"], ["0", "0.0012345678"]]
+
+
+def test_algorithms_are_compared_in_cells_that_differ_in_nothing_else(
+    tmp_path: Path, base: dict[str, Any], table: Script
+) -> None:
+    bases = {"a": base, "b": config_of("one_waypoint/a2c_linear"), "c": config_of("one_waypoint/a2c_nonlinear")}
+    cells = [{"config": name, "algorithm.steps": steps} for name in bases for steps in (8, 16)]
+    make_sweep(tmp_path, [make_row(bases[cell["config"]], cell, seed) for cell in cells for seed in range(3)])
+    output = tmp_path / "scores.csv"
+    assert table(tmp_path, "--output", output) == 0
+    found = list(csv.reader(output.read_text().splitlines()))
+    compared = found[found.index([]) + 1 :]
+    assert compared[0][:4] == ["algorithm.steps", "policy", "difference", "of"]
+    assert [row[:3] for row in compared[1:]] == [[steps, "greedy", "mo_a2c - a2c"] for steps in ("8", "16")]

@@ -9,7 +9,6 @@ import pytest
 from rich.console import Console
 
 from algorithms import zoo
-from tests.helpers.scripts import load_script
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
     FRONTS,
@@ -20,7 +19,9 @@ from tests.helpers.zoo import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
+    from types import ModuleType
 
     from algorithms.experiments.run_directory import Run
 
@@ -47,14 +48,14 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(scope="session")
-def scripts() -> dict[str, Any]:
+def scripts(load_script: Callable[[str], ModuleType]) -> dict[str, ModuleType]:
     """The scripts as modules."""
     return {name: load_script(name) for name in ("train", "evaluate", "choose", "play")}
 
 
 @pytest.fixture
 def call(
-    scripts: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    scripts: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Call:
     """Run a script in the test's folder, with a console wide enough for its tables."""
     monkeypatch.chdir(tmp_path)
@@ -64,7 +65,10 @@ def call(
 
     def call(script: str, *arguments: Any) -> Done:
         capfd.readouterr()
-        code = scripts[script].main([str(argument) for argument in arguments])
+        try:
+            code = scripts[script].main([str(argument) for argument in arguments])
+        except SystemExit as end:
+            code = end.code
         said = capfd.readouterr()
         return code, said.out, said.err
 

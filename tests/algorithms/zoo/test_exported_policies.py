@@ -82,9 +82,9 @@ def test_a_policy_that_is_trained_further_uses_its_new_episodes(trained: Trained
     agent = policy_of(export(trained("pcn"), "policy", tmp_path))
     agent.train(200)
     returns, lengths = agent.commands()
-    best = agent.store.best()
-    assert {*map(tuple, returns)} <= {*map(tuple, agent.store.returns[best].astype(np.float32))}
-    assert {*lengths} <= {*agent.store.lengths[best]}
+    best = agent.buffer.best()
+    assert {*map(tuple, returns)} <= {*map(tuple, agent.buffer.returns[best].astype(np.float32))}
+    assert {*lengths} <= {*agent.buffer.lengths[best]}
 
 
 @pytest.mark.slow
@@ -194,7 +194,7 @@ def test_training_cannot_be_resumed_from_a_policy_alone(trained: Trained, kind: 
 
 def test_an_untrained_front_cannot_be_saved(tmp_path: Path) -> None:
     agent = build(FRONTS["pcn"]())
-    with pytest.raises(ValueError, match="the store holds no episode yet"):
+    with pytest.raises(ValueError, match="the buffer holds no episode yet"):
         agent.save_policy(tmp_path / "policy")
     assert not list(tmp_path.iterdir())
 

@@ -1,0 +1,43 @@
+"""Fixtures: an experiment, the manifest of a sweep of it, and the scripts that show sweeps."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.helpers.made_up_sweeps import config_of, make_row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
+    from algorithms.sweeps.manifest import ManifestRow
+    from tests.helpers.made_up_sweeps import Script
+
+
+@pytest.fixture(scope="session")
+def base() -> dict[str, Any]:
+    """A resolved experiment."""
+    return config_of("one_waypoint/mo_a2c_linear")
+
+
+@pytest.fixture
+def grid(base: dict[str, Any]) -> list[ManifestRow]:
+    """Six cells of three seeds."""
+    rates, steps = (1e-4, 1e-3, 1e-2), (16, 32)
+    cells = [{"algorithm.learning_rate": rate, "algorithm.steps": step} for rate, step in product(rates, steps)]
+    return [make_row(base, cell, seed) for cell in cells for seed in range(3)]
+
+
+@pytest.fixture
+def table(load_script: Callable[[str], ModuleType]) -> Script:
+    """Call scripts/table.py."""
+    return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def plot(load_script: Callable[[str], ModuleType]) -> Script:
+    """Call scripts/plot.py."""
+    return lambda *arguments: load_script("plot").main([str(argument) for argument in arguments])

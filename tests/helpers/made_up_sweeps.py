@@ -1,0 +1,86 @@
+"""Finished sweeps with made-up metrics and scores."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from algorithms.common.metrics_file import MetricsFile
+from algorithms.experiments.config import load_experiment
+from algorithms.sweeps.manifest import ManifestRow, run_id, write_manifest
+from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+Script = Callable[..., int]  # calls a script with arguments and returns its exit code
+
+
+def make_row(base: Mapping[str, Any], cell: dict[str, Any], seed: int, trial: int | None = None) -> ManifestRow:
+    """A line of a manifest: ``base`` with the values of the cell, whose key "config" is only a name."""
+    config = copy.deepcopy(dict(base))
+    for key, value in {**cell, "training.seed": seed}.items():
+        if key != "config":
+            *sections, last = key.split(".")
+            place = config
+            for section in sections:
+                place = place[section]
+            place[last] = value
+    name = run_id(config)
+    return ManifestRow(name, f"runs/{config['algorithm']['name']}-seed{seed}-{name}", cell, seed, trial, config)
+
+
+def config_of(name: str) -> dict[str, Any]:
+    """The resolved experiment of ``configs/NAME.yaml``."""
+    return load_experiment(REPOSITORY / f"configs/{name}.yaml").to_dict()
+
+
+def log(sweep: Path, row: ManifestRow, rows: Sequence[tuple[int, dict[str, float]]]) -> Path:
+    """Write the metrics of a run, as training does."""
+    path = sweep / row.directory / "metrics.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = MetricsFile(path)
+    for step, metrics in rows:
+        file.write(step, metrics)
+    return path
+
+
+def end(sweep: Path, row: ManifestRow, policies: Mapping[str, Mapping[str, float]], state: str = "finished") -> None:
+    """Write the status of a run; if it has finished, its final evaluation too."""
+    directory = sweep / row.directory
+    directory.mkdir(parents=True, exist_ok=True)
+    (directory / "status.json").write_text(json.dumps({"state": state, "step": 100}))
+    if state == "finished":
+        summary = {
+            policy: {name: {"value": value, "low": value - 1.0, "high": None} for name, value in metrics.items()}
+            for policy, metrics in policies.items()
+        }
+        (directory / "evaluation.json").write_text(json.dumps({"policies": summary}))
+
+
+def scores_of(row: ManifestRow) -> float:
+    """A score that is unique to each run: it increases with the learning rate and slightly with the seed."""
+    return 1000.0 * row.config["algorithm"]["learning_rate"] + 0.1 * row.seed
+
+
+def make_sweep(sweep: Path, rows: Sequence[ManifestRow], points: int = 12) -> list[ManifestRow]:
+    """A finished sweep."""
+    for row in rows:
+        score = scores_of(row)
+        logged: list[tuple[int, dict[str, float]]] = []
+        for i in range(points):
+            logged.append((10 * i, {"eval/greedy/utility_esr": score + i, "eval/greedy/return/jerk": -float(i)}))
+            logged.append((10 * i + 5, {"train/utility": score * i, "loss/policy": 0.5}))
+        log(sweep, row, logged)
+        numbers = {"utility_esr": score, "success": 0.5, "end/collision": -score}
+        end(sweep, row, {"greedy": numbers, "stochastic": {**numbers, "utility_esr": -score}})
+    write_manifest(sweep, rows)
+    return list(rows)
+
+
+def parts(sweep: Path) -> dict[str, int]:
+    """The parts of the metrics and when they were written."""
+    return {path.name: path.stat().st_mtime_ns for path in sorted((sweep / "collected/metrics").glob("*.parquet"))}
