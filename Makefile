@@ -44,11 +44,12 @@ lint: $(READY)
 	$(VENV)/bin/codespell
 
 test: lint
-	$(VENV)/bin/python -m pytest --numprocesses 2 --ignore tests/cluster
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster
 
-# For the inner loop: no lint, and nothing that takes more than a few seconds.
+# For the inner loop: no lint, nothing that takes longer than a second, and few examples per property.
 test-fast: $(READY)
-	$(VENV)/bin/python -m pytest --numprocesses 2 --ignore tests/cluster -m "not slow and not cluster"
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster -m "not slow and not cluster" \
+		--hypothesis-profile fast
 
 # Starts and stops a temporary Slurm (Debian's slurm-wlm and munge, as root) and temporary Ray clusters.
 test-cluster: $(READY)

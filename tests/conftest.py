@@ -31,6 +31,8 @@ hypothesis.settings.register_profile(
     max_examples=60,
     suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.filter_too_much],
 )
+# Of `make test-fast`.
+hypothesis.settings.register_profile("fast", hypothesis.settings.get_profile("mo-deepdrive"), max_examples=8)
 hypothesis.settings.load_profile("mo-deepdrive")
 
 

@@ -216,6 +216,7 @@ def resumable(name: str, seed: int) -> Any:
     return make_agent(cls, env_id, seed=seed, **{**settings, **SCHEDULES, **arguments, "env": env})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RESUMED)
 @pytest.mark.parametrize("updates", [1, 4])
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(name: str, updates: int, tmp_path: Path) -> None:
@@ -427,6 +428,7 @@ def test_a_failed_save_keeps_the_previous_checkpoint(
     assert [entry.name for entry in tmp_path.iterdir()] == ["checkpoint"]
 
 
+@pytest.mark.slow
 @CLASSES
 def test_deep_sea_treasure_is_learned_in_seconds(cls: type[ActorCritic]) -> None:
     """By Welch's test over 100 episodes each: better than the initial, random policy by four standard errors."""
@@ -451,6 +453,7 @@ def test_deep_sea_treasure_is_learned_in_seconds(cls: type[ActorCritic]) -> None
     assert after.mean() > 0.5 * 0.7 - 0.5 * 1.0
 
 
+@pytest.mark.slow
 @CLASSES
 def test_one_waypoint_is_learned_in_300_000_steps(cls: type[ActorCritic]) -> None:
     agent = make_agent(cls, num_envs=64, steps=8)

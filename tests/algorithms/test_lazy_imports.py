@@ -26,6 +26,7 @@ def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
     assert loaded == "[]\n"
 
 
+@pytest.mark.slow
 def test_importing_one_algorithm_does_not_import_the_others(run_python: Callable[[str], str]) -> None:
     loaded = run_python(
         "import sys\n"

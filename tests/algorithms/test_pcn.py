@@ -18,8 +18,9 @@ from safetensors.torch import load_file, save_file
 from algorithms import MOA2C, PCN
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import make_env
-from algorithms.common.pareto import hypervolume, indicators, non_dominated
+from algorithms.common.pareto import hypervolume, non_dominated
 from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.front import indicators
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy

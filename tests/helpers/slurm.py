@@ -284,7 +284,7 @@ def slurm_cluster(
 ) -> Iterator[SlurmCluster]:
     """A cluster of one node with ``cpus`` CPUs (possibly more than exist), stopped with its jobs at the end.
 
-    Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of a job in ``main`` pre-empts
+    Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of a job in ``main`` preempts
     it: the steps of the latter get a signal, and unless it ends or requeues itself it is killed and requeued
     ``grace`` to ``grace`` + 10 seconds later. With ``signal_on_preemption`` the signal is the one that the job
     requested with ``--signal``; otherwise, or without such a request, it is SIGTERM. SIGKILL follows SIGTERM after

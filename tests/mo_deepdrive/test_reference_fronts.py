@@ -228,6 +228,7 @@ def test_unknown_names_are_refused_with_the_known_ones() -> None:
         mo_deepdrive.reference_front(objectives=["collision"])
 
 
+@pytest.mark.slow
 def test_importing_the_package_does_not_import_the_requirements_of_fronts(run_python: Callable[[str], str]) -> None:
     found = run_python(
         "import sys, mo_deepdrive\nprint('moocore' in sys.modules)\n"

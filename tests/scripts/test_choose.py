@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import ModuleType
 
+pytestmark = pytest.mark.slow
+
 EPISODES, SEED = 3, 21
 ARGUMENTS = {"time_limit": 3}
 DRIVING = f"""

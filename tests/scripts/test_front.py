@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import ModuleType
 
+pytestmark = pytest.mark.slow
+
 OPEN = ("one_waypoint", "static_obstacle")
 SMALL = ["--decisions", "300000", "--anew"]
 RUN = "one_waypoint_linear-a2c-printed"  # in the zoo

@@ -116,6 +116,7 @@ def test_two_people_drive_at_one_keyboard(
     assert "episode 1" not in output
 
 
+@pytest.mark.slow
 def test_an_episode_against_a_run_is_recorded(
     play: ModuleType, typing: Typist, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
+
 from tests.helpers.script_runs import (
     Call,
     refused,
@@ -11,6 +13,8 @@ from tests.helpers.script_runs import (
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+pytestmark = pytest.mark.slow
 
 
 def test_plot_draws_runs(finished: Path, tmp_path: Path, call: Call) -> None:

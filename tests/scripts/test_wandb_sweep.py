@@ -29,7 +29,7 @@ from tests.helpers.paths import REPOSITORY
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX commands and signals")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="needs POSIX commands and signals")]
 
 DEFINITION = "configs/sweeps/wandb.yaml"
 TIMEOUT = 240

@@ -11,6 +11,7 @@ from algorithms.common.advantages import generalised_advantages, utility_gradien
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections
 
 
+@pytest.mark.slow
 @given(c=collections(), decay=st.floats(0.0, 1.0))
 def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_loop(
     c: dict[str, torch.Tensor], decay: float

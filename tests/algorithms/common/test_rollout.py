@@ -166,6 +166,7 @@ def collected() -> Callable[[str], Collected]:
     return get
 
 
+@pytest.mark.slow
 @ALL
 def test_a_rollout_has_the_documented_shapes_and_types(collected: Callable[[str], Collected], situation: str) -> None:
     c = collected(situation)

@@ -189,6 +189,7 @@ def test_episode_i_is_the_first_one_of_a_single_environment_with_that_seed(
     assert_replayed(found, agent, single, 40, 0.9)
 
 
+@pytest.mark.slow
 def test_a_trained_policy_that_arrives_is_replayed_with_its_success() -> None:
     agent = make_agent(A2C, utility=make_utility("one_waypoint_linear", OBJECTIVES), num_envs=64, steps=8)
     agent.train(60_000)

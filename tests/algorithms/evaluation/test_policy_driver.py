@@ -29,6 +29,7 @@ def make_agent(**arguments: Any) -> MOA2C:
     return agent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 @pytest.mark.parametrize("mine", [0, 1])
 def test_a_policy_drives_the_other_vehicle_as_it_would_without_a_person(mine: int, action_type: str) -> None:

@@ -108,6 +108,7 @@ def test_the_difference_has_the_sign_of_the_first_and_an_interval_around_it() ->
     assert back.value == pytest.approx(-found.value)
 
 
+@pytest.mark.slow
 def test_intervals_of_the_difference_cover_the_truth_about_as_often_as_they_should() -> None:
     rng = np.random.default_rng(1)
     covered = 0

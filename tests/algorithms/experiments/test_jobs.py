@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.mark.slow
 def test_a_job_is_trained_and_evaluated_once_without_figures(tmp_path: Path) -> None:
     wanted = job(tmp_path)
     assert not wanted.done
@@ -47,6 +48,7 @@ def test_device_threads_and_logging_are_not_compared(tmp_path: Path) -> None:
     assert differences(first, second) == ["algorithm.gamma = 0.99 there, 0.5 wanted"]
 
 
+@pytest.mark.slow
 def test_a_job_with_an_id_is_one_run_of_wandb_however_often_it_is_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

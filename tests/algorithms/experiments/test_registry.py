@@ -25,6 +25,7 @@ def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[st
     assert loaded.splitlines() == [str(sorted(ALGORITHMS)), "[] False"]
 
 
+@pytest.mark.slow
 def test_peers_are_not_imported_for_an_algorithm_of_this_project(run_python: Callable[[str], str]) -> None:
     loaded = run_python(
         "import sys\n"

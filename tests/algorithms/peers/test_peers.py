@@ -52,6 +52,7 @@ def test_a_missing_peer_is_unavailable_with_the_error_of_its_import() -> None:
     assert replace(peer, path="json:loads").unavailable_reason() is None
 
 
+@pytest.mark.slow
 def test_importing_the_table_does_not_import_the_libraries() -> None:
     code = (
         "import sys, algorithms.peers; print([m for m in ('morl_baselines', 'stable_baselines3') if m in sys.modules])"

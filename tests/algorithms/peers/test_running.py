@@ -34,6 +34,7 @@ def front_config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_run_of_a_peer_has_the_same_files_as_other_runs(
     front_config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

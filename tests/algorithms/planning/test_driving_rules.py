@@ -10,6 +10,7 @@ from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import FULL_SCALE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
 def test_some_random_rules_arrive(scenario: str, action_type: str) -> None:

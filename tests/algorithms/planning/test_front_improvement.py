@@ -35,6 +35,7 @@ def test_fronts_are_shipped_where_the_package_reads_them() -> None:
     assert shipped_front_file("one_waypoint", "discrete").is_file()
 
 
+@pytest.mark.slow
 def test_the_same_seed_finds_the_same_front_and_another_seed_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ def test_one_objective_is_refused() -> None:
         draw_front(front_of([[1.0]]), Path("nowhere"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("k", "d"), [(1, 4), (2, 3), (12, 5), (40, 6), (300, 2)])
 def test_fronts_of_every_size_can_be_drawn(tmp_path: Path, k: int, d: int) -> None:
     front = driving(k, d)
@@ -60,6 +61,7 @@ def test_fronts_of_every_size_can_be_drawn(tmp_path: Path, k: int, d: int) -> No
         assert all((edge == 255).all() for edge in edges), f"nothing is cut off in {path.name}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("k", "differing"), [(1, 0.0), (20, 0.0), (2, 1.0)])
 def test_fronts_without_variation_or_known_arrivals_can_be_drawn(tmp_path: Path, k: int, differing: float) -> None:
     names = ("objective_0", "objective_1", "$x$ costs_$")
@@ -68,6 +70,7 @@ def test_fronts_without_variation_or_known_arrivals_can_be_drawn(tmp_path: Path,
     draw_front(front_of(returns, names, episodes=1), tmp_path)
 
 
+@pytest.mark.slow
 def test_figures_are_reproducible(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()

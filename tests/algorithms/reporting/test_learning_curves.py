@@ -54,6 +54,7 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     assert [group.label for group in groups] == ["mo_a2c, gamma 0.99", "a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
 
 
+@pytest.mark.slow
 def test_two_vehicles_have_separate_panels_and_one_for_both(make: Make) -> None:
     run = make("a")
     names = ["success", *(f"vehicle_{v}/{name}" for v in (0, 1) for name in ("success", "return/lane_violation"))]

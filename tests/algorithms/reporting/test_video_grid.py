@@ -38,6 +38,7 @@ def assert_near(pixels: Frame, colour: NDArray[np.float64], tolerance: float = 1
     assert np.abs(pixels.astype(float) - colour).max() < tolerance
 
 
+@pytest.mark.slow
 def test_four_tracks_form_a_square_and_each_keeps_its_last_frame(tmp_path: Path) -> None:
     lengths = (3, 8, 5, 1)
 

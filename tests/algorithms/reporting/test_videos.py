@@ -85,6 +85,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     return Filmed(agent, count, iio.imread(path), accrued, discounts)
 
 
+@pytest.mark.slow
 def test_a_video_lasts_until_both_vehicles_have_ended(filmed: Filmed) -> None:
     assert len(filmed.frames) == filmed.count == 1 + LIMIT * FPS + round(HOLD * FPS)
     arrived = [resembles(label(frame, 1), GREEN) for frame in filmed.frames]
@@ -106,6 +107,7 @@ def test_the_policy_observes_the_rewards_of_its_vehicle(filmed: Filmed) -> None:
     assert (filmed.accrued[arrival:, 1] == filmed.accrued[arrival, 1]).all(), "who has ended earns nothing more"
 
 
+@pytest.mark.slow
 def test_each_episode_of_one_vehicle_is_filmed_from_its_start_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

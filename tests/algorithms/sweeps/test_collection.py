@@ -53,6 +53,7 @@ def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid:
     assert runs["rows"].unique().to_list() == [24]
 
 
+@pytest.mark.slow
 def test_polars_and_pandas_read_the_parts_as_one_table(
     tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -223,6 +223,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_the_id_of_a_run_changes_with_everything_that_affects_its_result(
     resolved: dict[str, Any], data: st.DataObject

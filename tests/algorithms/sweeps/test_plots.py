@@ -5,6 +5,8 @@ from __future__ import annotations
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 from algorithms.sweeps.collection import collect
 from algorithms.sweeps.manifest import ManifestRow, write_manifest
 from tests.helpers.made_up_sweeps import config_of, end, log, make_row, make_sweep, scores_of
@@ -12,11 +14,10 @@ from tests.helpers.made_up_sweeps import config_of, end, log, make_row, make_swe
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import pytest
-
     from tests.helpers.made_up_sweeps import Script
 
 
+@pytest.mark.slow
 def test_figures_of_a_sweep(
     tmp_path: Path, base: dict[str, Any], capsys: pytest.CaptureFixture[str], plot: Script
 ) -> None:

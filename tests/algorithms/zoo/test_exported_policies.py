@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.mark.slow
 @EVERY_ACTOR_CRITIC
 def test_an_exported_policy_acts_bit_for_bit_like_the_complete_checkpoint(
     trained: Trained, kind: str, tmp_path: Path
@@ -48,6 +49,7 @@ def test_an_exported_policy_acts_bit_for_bit_like_the_complete_checkpoint(
     assert_same_episodes(whole_agent(run), policy_of(path), run.experiment)
 
 
+@pytest.mark.slow
 @EVERY_FRONT
 def test_an_exported_front_equals_that_of_the_complete_checkpoint_bit_for_bit(
     trained: Trained, kind: str, tmp_path: Path

@@ -479,6 +479,7 @@ def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) 
 # ------------------------------------------------------------------------------------------- without MOMAland, and docs
 
 
+@pytest.mark.slow
 def test_only_the_aec_environment_needs_momaland(run_python: Any) -> None:
     printed = run_python(
         "import sys\n"

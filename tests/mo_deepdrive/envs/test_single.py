@@ -450,6 +450,7 @@ def test_episode_statistics_of_mo_gymnasium_are_right(make_single: Make, scenari
 # ----------------------------------------------------------------------------------------------------- fresh imports
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IDS.values())
 def test_mo_gymnasium_makes_the_ids_by_the_modules_name_in_a_fresh_interpreter(run_python: Any, name: str) -> None:
     printed = run_python(

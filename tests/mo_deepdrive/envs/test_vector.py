@@ -398,6 +398,7 @@ def test_one_intersection_is_a_row_of_many(make_vector: Make, action_type: str, 
     assert restarted >= 4 * 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_flags_persist_until_the_world_is_reset_and_vehicles_off_the_road_earn_nothing(

@@ -113,6 +113,7 @@ def test_densely_sampled_segments_agree(shapes: Any) -> None:
     assert 4_000 < sampled.sum() < 16_000
 
 
+@pytest.mark.slow
 def test_densely_sampled_boxes_agree(shapes: Any) -> None:
     rng = np.random.default_rng(1)
     first = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
@@ -189,6 +190,7 @@ def pass_a_bicycle(env: Any, heading: float, speed: float, bicycle: np.ndarray) 
     return ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frequencies", FREQUENCIES)
 def test_a_car_that_drives_straight_collides_exactly_if_the_bicycle_is_in_its_swath(
     make_vector: Any, shapes: Any, frequencies: tuple[int, int]
@@ -254,6 +256,7 @@ def smallest_gap(shapes: Any, before: np.ndarray, after: np.ndarray, point: np.n
     return float(np.maximum(abs(right) - shapes.width / 2, abs(ahead) - shapes.length / 2).min())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frequency", "fastest"), [(10, 25.0), (60, 60.0)])
 def test_a_car_that_turns_passes_through_nothing(make_vector: Any, shapes: Any, frequency: int, fastest: float) -> None:
     # One physics step per decision, so that telemetry shows every pose.

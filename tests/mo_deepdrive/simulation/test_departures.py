@@ -208,6 +208,7 @@ def is_fair(shapes: Any, goal: np.ndarray, bicycle: np.ndarray) -> bool:
     return bool(near > 1.0 and shapes.gap(car, bicycle) > 0)
 
 
+@pytest.mark.slow
 def test_7_a_bicycle_at_the_vehicle_or_the_destination_is_drawn_again(make_single: Any, shapes: Any) -> None:
     env = make_single("static_obstacle")
     redrawn = 0

@@ -224,6 +224,7 @@ def check_one_vehicle(make: Any, shapes: Any, entry: dict[str, Any], steps: dict
     return len(replay)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 def test_one_vehicle_drives_as_recorded(golden: Golden, make_single: Any, shapes: Any, scenario: str) -> None:
     entries = [vehicles[0] for vehicles in golden.of(scenario).values()]
@@ -304,6 +305,7 @@ def check_two_vehicles(
     return sum(len(replay) for replay in replays), flips
 
 
+@pytest.mark.slow
 def test_two_vehicles_at_the_intersection_drive_as_recorded(golden: Golden, make_vector: Any, shapes: Any) -> None:
     episodes = golden.of("intersection").values()
     compared = [check_two_vehicles(make_vector, shapes, vehicles, golden.steps) for vehicles in episodes]
