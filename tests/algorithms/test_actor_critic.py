@@ -128,6 +128,7 @@ def test_eval_accepts_observations_of_a_discrete_space(cls: type[ActorCritic]) -
     assert [int(agent.eval(i)) for i in range(9)] == expected.tolist()
 
 
+@pytest.mark.slow
 @CLASSES
 def test_schedules_run_from_their_first_value_to_their_last(cls: type[ActorCritic]) -> None:
     settings = {"entropy_start": 0.1, "entropy_end": 0.001, "entropy_until": 0.5}

@@ -82,6 +82,7 @@ def small_run(cls: type[ActorCritic], place: str, seed: int = 0, **hyperparamete
     return agent
 
 
+@pytest.mark.slow
 @CLASSES
 @EVERYWHERE
 def test_training_runs_and_the_policy_gives_valid_actions(cls: type[ActorCritic], place: str) -> None:
@@ -101,6 +102,7 @@ def test_training_runs_and_the_policy_gives_valid_actions(cls: type[ActorCritic]
     np.testing.assert_array_equal(action, agent.eval(observation, accrued_reward=None, discount=1.0))
 
 
+@pytest.mark.slow
 @CLASSES
 @EVERYWHERE
 def test_a_seed_determines_every_weight_and_another_seed_gives_others(

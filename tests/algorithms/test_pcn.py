@@ -508,6 +508,7 @@ def test_training_metrics_are_means_over_the_exploring_episodes(
     assert lines[-1][1]["policy/non_dominated"] == len(agent.buffer.best())
 
 
+@pytest.mark.slow
 @EVERYWHERE
 def test_a_seed_determines_everything_and_another_seed_gives_another_run(place: str, tmp_path: Path) -> None:
     runs = []
@@ -528,6 +529,7 @@ def test_training_does_not_touch_the_global_generators() -> None:
     assert np.array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["one_waypoint", "deep-sea-treasure"])
 def test_evaluations_do_not_disturb_training(place: str, tmp_path: Path) -> None:
     states, lines = [], []
@@ -570,6 +572,7 @@ def test_logged_fronts_have_the_logged_indicators() -> None:
 # Checkpoints.
 
 
+@pytest.mark.slow
 @EVERYWHERE
 def test_a_resumed_run_is_the_uninterrupted_run(place: str, tmp_path: Path) -> None:
     whole = small_pcn(place)
@@ -668,6 +671,7 @@ def drive(agent: PCN, env: Any, condition: np.ndarray, seed: int, gamma: float) 
     return total, discounted, length
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env_id", "arguments"),
     [(ONE_WAYPOINT, {"time_limit": 2}), (ONE_WAYPOINT, {"time_limit": 2, **CONTINUOUS}), (SEA, {})],
@@ -735,6 +739,7 @@ def test_policies_evaluated_together_act_as_each_does_alone() -> None:
 # Other environments.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observed", ["discrete", "box"])
 @pytest.mark.parametrize("continuous", [False, True])
 def test_every_trade_off_of_a_toy_is_found(observed: str, continuous: bool) -> None:
@@ -762,6 +767,7 @@ def test_every_trade_off_of_a_toy_is_found(observed: str, continuous: bool) -> N
     assert env.action_space.contains(agent.eval(observation, [2.0, 2.0], 4))
 
 
+@pytest.mark.slow
 def test_the_whole_known_front_of_the_deep_sea_is_found(repository: Path) -> None:
     experiment = load_experiment(repository / "configs" / "deep_sea_treasure" / "pcn.yaml", ["--seed=10"])
     agent = build(experiment)

@@ -32,6 +32,7 @@ def learner_of(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCri
     return agent, agent.learners[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [{}, CONTINUOUS], ids=["discrete", "continuous"])
 @pytest.mark.parametrize("normalised", [False, True])
 def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(env: dict[str, Any], normalised: bool) -> None:

@@ -261,6 +261,7 @@ def test_a_driver_drives_the_other_vehicle_and_receives_everything(mine: int, ac
     assert driver.calls[-1][0] == "reset"
 
 
+@pytest.mark.slow
 def test_importing_play_imports_neither_torch_nor_algorithms(run_python: Callable[[str], str]) -> None:
     found = run_python(
         "import sys, mo_deepdrive.play\nprint([name for name in ('torch', 'algorithms') if name in sys.modules])"

@@ -66,6 +66,7 @@ def test_a_front_file_is_small_and_names_the_source_of_every_policy(scenario: st
     assert reference_fronts.write(scenario, action_type, policies) == text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
 def test_every_policy_is_non_dominated_for_one_of_the_gammas(scenario: str, action_type: str) -> None:
     policies = reference_fronts.shipped(scenario, action_type)

@@ -319,6 +319,7 @@ def test_vector_environments_render_one_frame_per_world() -> None:
     assert (frames[0] != frames[1]).any()
 
 
+@pytest.mark.slow
 def test_record_video_writes_a_video(tmp_path: Path) -> None:
     env = gymnasium.make(SINGLE_IDS[1], render_mode="rgb_array", time_limit=0.5, disable_env_checker=True)
     recorder: Any = RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
@@ -371,6 +372,7 @@ def test_human_mode_reopens_its_window_after_pygame_quits(human_env: Any) -> Non
     assert pygame.display.get_surface() is not None
 
 
+@pytest.mark.slow
 def test_importing_the_module_prints_nothing_and_does_not_change_environment_variables(
     run_python: Callable[[str], str],
 ) -> None:

@@ -475,6 +475,7 @@ def distance_return(env: Any, seed: int, policy: Any) -> float:
     return rewards_by_name(env, run(env, policy)[1])["distance"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", OPEN)
 def test_spinning_reversing_and_parking_earn_nothing(world: Any, chase: Any, scenario: str) -> None:
     env = world(scenario)
@@ -787,6 +788,7 @@ def expected_observation(env: Any, world: int, v: int) -> list[float]:
     return expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_an_observation_is_that_of_the_specification(make_vector: Any, chase: Any, scenario: str) -> None:
     env = make_vector(scenario, 6, action_type="continuous")

@@ -29,6 +29,7 @@ def test_generalised_advantages_adds_up_to_the_end_of_the_episode_like_a_double_
     torch.testing.assert_close(generalised_advantages(deltas, going_on, decay), expected)
 
 
+@pytest.mark.slow
 @given(c=collections(), decay=st.floats(0.0, 1.0))
 def test_generalised_advantages_of_vectors_is_that_of_every_component(c: dict[str, torch.Tensor], decay: float) -> None:
     together = generalised_advantages(c["rewards"], c["going_on"].unsqueeze(-1), decay)

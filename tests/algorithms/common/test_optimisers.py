@@ -36,6 +36,7 @@ def step(parameters: list[torch.nn.Parameter], optimiser: torch.optim.Adam) -> N
     optimiser.step()
 
 
+@pytest.mark.slow
 def test_a_restored_optimiser_takes_the_same_steps() -> None:
     (first, adam), (second, restored) = small_problem(), small_problem()
     step(first, adam)

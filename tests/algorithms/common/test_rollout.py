@@ -212,6 +212,7 @@ def test_the_cases_contain_the_events_that_the_other_tests_need(
         assert not c.all("acted").all()
 
 
+@pytest.mark.slow
 @ALL
 def test_accrued_rewards_and_discounts_follow_their_recurrence_and_reset_after_every_episode(
     collected: Callable[[str], Collected], situation: str
@@ -332,6 +333,7 @@ def test_a_vehicle_that_has_left_the_road_is_masked_until_the_reset(
     assert not (truncated & c.all("terminated")).any()
 
 
+@pytest.mark.slow
 @TWO_VEHICLES
 def test_two_vehicles_replay_the_rollout_including_final_observations(
     collected: Callable[[str], Collected], situation: str

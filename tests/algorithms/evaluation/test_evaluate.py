@@ -67,6 +67,7 @@ def differ(first: Evaluation, second: Evaluation) -> bool:
 # Separation from learning.
 
 
+@pytest.mark.slow
 @CLASSES
 @pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
 def test_training_with_and_without_evaluations_gives_the_same_weights(cls: type[ActorCritic], env_id: str) -> None:
@@ -175,6 +176,7 @@ def assert_replayed(found: Evaluation, agent: ActorCritic, single: Any, seed: in
         assert found.ends[i, 0] == expected["ends"]
 
 
+@pytest.mark.slow
 @CLASSES
 @pytest.mark.parametrize("place", SITUATIONS)
 @pytest.mark.parametrize("num_envs", [1, 4])

@@ -227,6 +227,7 @@ def test_wandb_that_fails_during_training_is_disabled_with_one_message(
     assert "is disabled from here on" in message
 
 
+@pytest.mark.slow
 def test_the_real_wandb_stores_an_offline_run(tmp_path: Path) -> None:
     pytest.importorskip("wandb")
     with Logger(tmp_path, wandb=WandbSettings(project="p", mode="offline"), say=pytest.fail) as logger:

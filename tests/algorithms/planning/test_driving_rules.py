@@ -21,6 +21,7 @@ def test_some_random_rules_arrive(scenario: str, action_type: str) -> None:
     assert (evaluated.returns[1][:, destination] == 1.0).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side", "sign"), [(-1.0, 1.0), (1.0, -1.0)])
 def test_a_rule_steers_towards_the_point_on_the_way(side: float, sign: float) -> None:
     """A positive steer turns to the left."""

@@ -49,6 +49,7 @@ def test_the_same_seed_finds_the_same_front_and_another_seed_another(
     assert first.policies != other.policies
 
 
+@pytest.mark.slow
 def test_progress_reaches_the_number_of_decisions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front_search, "POPULATION", 64)
     calls: list[int] = []

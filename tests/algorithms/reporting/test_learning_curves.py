@@ -121,6 +121,7 @@ def test_rows_without_a_value_are_skipped_and_long_curves_averaged() -> None:
     assert curve([{"step": steps}], "a") is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_figures_are_drawn_of_one_group_and_of_several(make: Make, tmp_path: Path, count: int) -> None:
     runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c")][: count + 1]

@@ -58,6 +58,7 @@ def test_four_tracks_form_a_square_and_each_keeps_its_last_frame(tmp_path: Path)
     assert list(tmp_path.iterdir()) == [tmp_path / "video.mp4"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_up_to_three_tracks_are_side_by_side(tmp_path: Path, n: int) -> None:
     count = write_video_grid(
@@ -117,6 +118,7 @@ def test_scaling_averages_pixels() -> None:
     np.testing.assert_array_equal(small, plain(0.5, COLOURS[0], (20, 30)))
 
 
+@pytest.mark.slow
 def test_captions_that_do_not_fit_shrink_and_are_then_shortened() -> None:
     def ink(text: str, width: int = 300) -> tuple[int, int]:
         """Width and height of what is written."""

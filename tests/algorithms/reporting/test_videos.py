@@ -96,6 +96,7 @@ def test_a_video_lasts_until_both_vehicles_have_ended(filmed: Filmed) -> None:
     assert late.index(True) == LIMIT * FPS
 
 
+@pytest.mark.slow
 def test_the_policy_observes_the_rewards_of_its_vehicle(filmed: Filmed) -> None:
     gamma = filmed.agent.config.gamma
     powers = gamma ** np.arange(LIMIT * FPS)

@@ -20,6 +20,7 @@ from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, parts, 
 # -------------------------------------------------------------------------------------------------------------- content
 
 
+@pytest.mark.slow
 def test_the_files_have_the_metrics_and_scores_of_all_runs(tmp_path: Path, grid: list[ManifestRow]) -> None:
     rows = make_sweep(tmp_path, grid)
     collection = collect(tmp_path)

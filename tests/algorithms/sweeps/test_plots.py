@@ -41,6 +41,7 @@ def test_figures_of_a_sweep(
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_an_unfinished_sweep_is_plotted_by_its_last_evaluations(
     tmp_path: Path, grid: list[ManifestRow], capsys: pytest.CaptureFixture[str], plot: Script, table: Script
 ) -> None:

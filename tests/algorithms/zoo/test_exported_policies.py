@@ -70,6 +70,7 @@ def test_an_exported_front_equals_that_of_the_complete_checkpoint_bit_for_bit(
     assert (path / "front.csv").read_bytes() == (run.path / "front.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_front_limited_to_fewer_policies_has_the_same_ones(trained: Trained, tmp_path: Path) -> None:
     run = trained("pcn")
     agents = whole_agent(run), policy_of(export(run, "policy", tmp_path))
@@ -103,6 +104,7 @@ def test_loading_a_policy_replaces_the_previous_one(trained: Trained, tmp_path: 
         assert (found == expected) == (after != first.checkpoint)
 
 
+@pytest.mark.slow
 @EVERY_KIND
 def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: str, tmp_path: Path) -> None:
     run = trained(kind)
@@ -127,6 +129,7 @@ def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: 
                 assert torch.equal(tensor, wanted), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "overrides", "limit"),
     [
@@ -201,6 +204,7 @@ def test_an_untrained_front_cannot_be_saved(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @EVERY_KIND
 def test_a_broken_policy_is_refused_and_changes_nothing(trained: Trained, kind: str, tmp_path: Path) -> None:
     run = trained(kind)

@@ -70,6 +70,7 @@ def test_the_zoo_has_only_policies() -> None:
     assert folders == {*zoo.names()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", zoo.names())
 def test_a_shipped_policy_loads_and_acts(name: str) -> None:
     path = zoo.find(name)

@@ -9,6 +9,7 @@ from mo_deepdrive.objectives import INDEX
 from tests.helpers.interfaces import ACTION_TYPES, INTERFACES, PLANS, assert_same, record, replay_vector
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_the_recorded_episodes_end_as_planned(action_type: str, end_together: bool) -> None:
@@ -26,6 +27,7 @@ def test_the_recorded_episodes_end_as_planned(action_type: str, end_together: bo
         assert lengths["the left turn fails"][0] < lengths["the left turn fails"][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end_together", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 @pytest.mark.parametrize("interface", [name for name in INTERFACES if name != "vector"])

@@ -88,6 +88,7 @@ def test_pettingzoos_tests_of_parallel_environments_pass(arguments: dict[str, An
         parallel_seed_test(lambda: mo_deepdrive.parallel_env(keep_finished=keep_finished, **arguments), num_cycles=50)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep_finished", [False, True])
 @pytest.mark.parametrize("arguments", EVERY, ids=name_of)
 def test_momalands_tests_of_aec_environments_pass(arguments: dict[str, Any], keep_finished: bool) -> None:

@@ -301,6 +301,7 @@ def test_the_cost_sign_changes_the_sign_of_costs_and_their_bounds(make_single: M
 # ------------------------------------------------------------------------------------------------------------ spaces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
 def test_observations_and_rewards_never_leave_their_spaces(make_single: Make, scenario: str, action_type: str) -> None:
     kinds: dict[str, Env] = {
@@ -347,6 +348,7 @@ def test_observations_and_rewards_never_leave_their_spaces(make_single: Make, sc
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
 def test_long_episodes_never_leave_the_spaces(make_vector: Make, scenario: str, action_type: str) -> None:
     env = make_vector(scenario, 256, action_type=action_type, harmful_g_force=None, cost_sign="paper")
@@ -462,6 +464,7 @@ def test_mo_gymnasium_makes_the_ids_by_the_modules_name_in_a_fresh_interpreter(r
     assert printed.split() == ["True", name]
 
 
+@pytest.mark.slow
 def test_importing_the_package_imports_neither_torch_nor_pygame(run_python: Any) -> None:
     printed = run_python(
         "import sys, mo_deepdrive, gymnasium\n"

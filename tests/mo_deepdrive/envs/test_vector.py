@@ -106,6 +106,7 @@ def test_a_cost_of_zero_is_not_minus_zero(make_vector: Make, scenario: str) -> N
         assert not np.signbit(result[1]).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "action_type"), OPEN_EVERY)
 def test_rows_are_single_environments_over_whole_episodes(
     make_single: Make, make_vector: Make, scenario: str, action_type: str
@@ -219,6 +220,7 @@ def test_two_threads_give_the_results_of_one(make_vector: Make, scenario: str, a
 # ------------------------------------------------------------------------------------------------------ saved states
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize(("scenario", "action_type"), EVERY)
 def test_a_saved_state_resumes_exactly_in_a_new_environment(

@@ -96,6 +96,7 @@ def inside(shapes: Any, box: np.ndarray, many: np.ndarray) -> np.ndarray:
     return (abs(right) <= shapes.width / 2) & (abs(ahead) <= shapes.length / 2)
 
 
+@pytest.mark.slow
 def test_densely_sampled_segments_agree(shapes: Any) -> None:
     rng = np.random.default_rng(0)
     boxes = rng.uniform([-5, -5, -4], [5, 5, 4], (20_000, 3))
@@ -330,6 +331,7 @@ def contact_interval(shapes: Any, starts: np.ndarray, speeds: np.ndarray) -> tup
     return enter, leave
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("simulation_frequency", [60, 10])
 def test_two_vehicles_that_cross_at_any_speed_do_not_pass_through_each_other(
     make_vector: Any, shapes: Any, simulation_frequency: int

@@ -233,6 +233,7 @@ all_rules = st.builds(
 )
 
 
+@pytest.mark.slow
 @needs_extended_precision
 @settings(max_examples=200)
 @given(cars, all_targets, all_rules)
