@@ -16,7 +16,7 @@ pi_old that collected it:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 from pydantic import Field, model_validator
@@ -37,6 +37,7 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import centralised_inputs, make_actor, mlp
 from algorithms.common.optimisers import set_learning_rate
+from algorithms.common.rollout import Samples
 from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 from mo_deepdrive.config import Settings
 
@@ -93,30 +94,6 @@ class PPOConfig(Settings):
     def _consistent(self) -> PPOConfig:
         check_entropy_schedule(self.entropy_start, self.entropy_end)
         return self
-
-
-class Samples(NamedTuple):
-    """M samples of one vehicle.
-
-    Attributes:
-        inputs: (M, i) what the actor saw.
-        critic_inputs: (M, ...) what the critic saw.
-        actions: (M,) or (M, k).
-        log_prob: (M,) log-probability of the actions under pi_old.
-        advantages: (M,) A_t.
-        targets: (M,) y_t.
-    """
-
-    inputs: torch.Tensor
-    critic_inputs: torch.Tensor
-    actions: torch.Tensor
-    log_prob: torch.Tensor
-    advantages: torch.Tensor
-    targets: torch.Tensor
-
-    def at(self, where: torch.Tensor) -> Samples:
-        """The samples at indices, or where a mask is True; the axes of the mask become one."""
-        return Samples(*(tensor[where] for tensor in self))
 
 
 class PPOLearner(Learner):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -77,6 +77,30 @@ class VehicleRollout(Rollout):
         discounts = self.discounts[:-1][where]
         accrued = self.accrued[:-1][where] + discounts.unsqueeze(-1) * self.rewards[where]
         return self.final[where], accrued, discounts * accrued_discount
+
+
+class Samples(NamedTuple):
+    """M samples of one vehicle, as PPO and MO-PPO learn from them.
+
+    Attributes:
+        inputs: (M, i) what the actor saw.
+        critic_inputs: (M, ...) what the critic saw.
+        actions: (M,) or (M, k).
+        log_prob: (M,) log-probability of the actions under pi_old.
+        advantages: (M,) A_t.
+        targets: (M,) or (M, d) y_t of the critic.
+    """
+
+    inputs: torch.Tensor
+    critic_inputs: torch.Tensor
+    actions: torch.Tensor
+    log_prob: torch.Tensor
+    advantages: torch.Tensor
+    targets: torch.Tensor
+
+    def at(self, where: torch.Tensor) -> Samples:
+        """The samples at indices, or where a mask is True; the axes of the mask become one."""
+        return Samples(*(tensor[where] for tensor in self))
 
 
 @dataclass

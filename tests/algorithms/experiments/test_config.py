@@ -313,3 +313,18 @@ def test_peers_are_known_by_name_but_cannot_be_built(write: Write, name: str) ->
         np.testing.assert_array_equal(experiment.evaluation.reference_point, reference)
     with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's; scripts/peers.py runs it"):
         build(experiment)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "new"),
+    [
+        (TEXT, "logging.pictures=false", "'logging.pictures' was renamed; write 'save_figures'"),
+        (FRONT, "algorithm.haste=1", "'haste' was renamed; write 'horizon_reduction'"),
+        (FRONT, "algorithm.ambition=0.5", "'ambition' was renamed; write 'return_noise'"),
+        (FRONT, "algorithm.store_episodes=100", "'store_episodes' was renamed; write 'buffer_size'"),
+        (FRONT, "algorithm.updates=50", "'updates' was renamed; write 'gradient_steps'"),
+    ],
+)
+def test_old_keys_are_refused_with_their_new_names(write: Write, text: str, key: str, new: str) -> None:
+    with pytest.raises(ValueError, match=new):
+        load_experiment(write(text), [f"--{key}"])
