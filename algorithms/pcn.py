@@ -150,7 +150,7 @@ class PCN(Agent):
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # Draws commands, random actions and batches.
         self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
-        self._warmed_up = 0
+        self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
         self._observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
@@ -160,9 +160,8 @@ class PCN(Agent):
 
     def begin(self) -> None:
         """Fill the buffer with episodes of random actions."""
-        while self._warmed_up < self.config.warmup_episodes:
+        while self._collected < self.config.warmup_episodes:
             self._collect(None)
-            self._warmed_up += self.env.num_envs
 
     def update(self, progress: float) -> dict[str, float]:
         """Follow one command per environment for an episode, then imitate the buffer; the losses by name."""
@@ -225,6 +224,7 @@ class PCN(Agent):
         self.bounds = self.buffer.bounds()
         self.step += int(lengths.sum())
         self.updates += 1
+        self._collected += n
         self.episodes.append(Episodes(np.zeros_like(lengths), returns, discounted.astype(float), lengths, succeeded))
         return discounted
 
@@ -434,7 +434,7 @@ class PCN(Agent):
         return {
             "generator": self.generator.get_state(),
             "draws": self.draws.get_state(),
-            "counts": torch.tensor([self.updates, self._warmed_up, self.env_seed]),
+            "counts": torch.tensor([self.updates, self._collected, self.env_seed]),
             **self._policy_tensors(),
             **{f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()},
             **{f"store.{name}": tensor for name, tensor in self.buffer.get_state().items()},
@@ -443,7 +443,7 @@ class PCN(Agent):
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.set_policy(state)
-        self.updates, self._warmed_up, self.env_seed = state["counts"].tolist()
+        self.updates, self._collected, self.env_seed = state["counts"].tolist()
         set_optimiser_state(self.optimiser, strip_prefix(state, "optimiser."))
         self.generator.set_state(state["generator"])
         self.draws.set_state(state["draws"])
