@@ -216,8 +216,8 @@ def test_frames_are_rendered() -> None:
         ({"time_limit": "long"}, "'time_limit' = 'long'"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
         ({"utility": "intersection_linaer"}, "'intersection_linaer' is unknown; did you mean 'intersection_linear'"),
-        ({"utility": "one_waypoint_linear"}, "is defined on .*; the environment emits .*lane_violation"),
-        ({"objectives": ["distance", "collision"]}, "'intersection_linear' is defined on"),
+        ({"utility": "one_waypoint_linear"}, "is defined for .*; the environment has .*lane_violation"),
+        ({"objectives": ["distance", "collision"]}, "'intersection_linear' is defined for"),
         ({"utility": 3}, "utility = 3 must be"),
         ({"utility": "linear"}, "needs the argument 'weights'"),
         ({"utility": {"name": "linear", "arguments": {"weights": [1.0, 2.0]}}}, "must be 6 finite numbers"),
@@ -236,7 +236,7 @@ def test_an_invalid_config_is_refused(config: dict[str, Any], message: str) -> N
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ({"vehicle_0": IDLE}, "lack .*vehicle_1"),
+        ({"vehicle_0": IDLE}, "missing for .*vehicle_1"),
         ({"vehicle_0": IDLE, "vehicle_1": IDLE, "vehicle_2": IDLE}, "vehicle_2"),
         ({"vehicle_0": IDLE, "vehicle_1": 22}, "22 of vehicle_1"),
         ({"vehicle_0": math.nan, "vehicle_1": IDLE}, "nan of vehicle_0"),
