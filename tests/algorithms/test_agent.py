@@ -392,7 +392,7 @@ def test_a_checkpoint_is_read_without_running_code_from_it(checkpoint: Path, mon
     def forbidden(*_: Any, **__: Any) -> None:
         raise AssertionError("a pickle is being read")
 
-    make_agent(MOA2C, steps=8).load(checkpoint)  # compiled code comes out of Numba's cache, which is a pickle
+    make_agent(MOA2C, steps=8).load(checkpoint)  # Numba loads compiled code from its cache, which is a pickle
     for module, name in ((pickle, "load"), (pickle, "loads"), (pickle, "Unpickler"), (torch, "load"), (np, "load")):
         monkeypatch.setattr(module, name, forbidden)
     agent = make_agent(MOA2C, steps=8)
