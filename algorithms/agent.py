@@ -28,7 +28,7 @@ from algorithms.evaluation.metrics import (
     summarise,
     vehicle_prefix,
 )
-from algorithms.evaluation.splits import FIRST_EVALUATION_SEED, FIRST_TRAINING_SEED
+from algorithms.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ class Agent(ABC):
         *,
         eval_interval: int | None = None,
         eval_episodes: int = 100,
-        eval_seed: int = FIRST_EVALUATION_SEED,
+        eval_seed: int = SPLITS["validation"].start,
         eval_gamma: float = 0.99,
         reference_point: Sequence[float] | None = None,
         reference_front: NDArray[np.float64] | None = None,

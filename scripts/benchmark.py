@@ -60,6 +60,7 @@ from algorithms.evaluation.metrics import (
     mean_of,
     return_of,
 )
+from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import load_experiment
@@ -263,7 +264,7 @@ def our_pcn() -> tuple[float, float]:
     agent.train(experiment.training.total_timesteps)
     seconds = time.perf_counter() - started
     settings = experiment.evaluation
-    front = evaluate_front(agent, experiment, episodes=settings.final_episodes, seed=settings.seed)
+    front = evaluate_front(agent, experiment, episodes=settings.final_episodes, seed=SPLITS[settings.split].start)
     return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
 
 

@@ -1,6 +1,6 @@
 """How many random StaticObstacle scenarios can be solved at all: an upper bound for the success of every policy.
 
-    python scripts/ceiling.py --scenarios 200 --seed 1000000 --output ceiling.csv
+    python scripts/ceiling.py --scenarios 200 --seed 3000000 --output ceiling.csv
 
 Scenario i is the one that ``reset(seed=seed + i)`` draws. It is searched best first in the simulation itself
 (`algorithms.planning.solvability`); solutions are replayed in the public environment.
@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from algorithms.evaluation.splits import SPLITS
 from algorithms.evaluation.statistics import rate
 from algorithms.planning.best_first_search import LETTERS
 from algorithms.planning.solvability import ScenarioOutcome, describe_geometry, solve_scenarios, write_outcomes
@@ -25,7 +26,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     """The options of this script."""
     parser = argparse.ArgumentParser(description="The share of StaticObstacle scenarios that can be solved at all.")
     parser.add_argument("--scenarios", type=int, default=200, help="number of scenarios (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1_000_000, help="scenario i has seed + i (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=SPLITS["test"].start, help="scenario i has seed + i (default: %(default)s)")
     parser.add_argument("--output", type=Path, help="CSV: scenario, solved, decisions, actions (letters, a for 0)")
     parser.add_argument("--beam", type=int, default=4096, help="states simulated at a time (default: %(default)s)")
     options = parser.parse_args(arguments)

@@ -11,7 +11,7 @@ import torch
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.metrics import SUCCESS, end_rates, summarise, vehicle_prefix
-from algorithms.evaluation.splits import FIRST_EVALUATION_SEED
+from algorithms.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -109,7 +109,7 @@ def evaluate(
     env: VectorEnv,
     *,
     episodes: int = 100,
-    seed: int = FIRST_EVALUATION_SEED,
+    seed: int = SPLITS["validation"].start,
     greedy: bool = True,
     gamma: float = 0.99,
 ) -> Evaluation:

@@ -1,15 +1,48 @@
-"""Which seeds of scenarios are for training and which for evaluation: no scenario is in both.
+"""The three splits of scenario seeds. No scenario is in two of them.
 
-An environment that is reset with a seed draws its scenario from it. Evaluations, during training and at its end, count
-up from a small seed, one per episode; training counts up from :data:`FIRST_TRAINING_SEED` plus a 32-bit number that the
-run's seed determines.
+An environment that is reset with a seed draws its scenario from it. Training counts up from
+:data:`FIRST_TRAINING_SEED` plus a 32-bit number that the run's seed determines. Evaluations count up from the first seed
+of a split, one per episode:
+
+- ``validation``: learning curves, and everything that is chosen by a score, such as hyperparameters or checkpoints.
+- ``test``: final scores, which nothing is chosen by.
 """
 
 from __future__ import annotations
 
-# Seeds below it are for evaluation, from it on for training.
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Split = Literal["validation", "test"]
+
+# Scores of different versions of the splits are from different scenarios.
+SPLITS_VERSION = 1
+SPLITS: Mapping[Split, range] = {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_001_000)}
 FIRST_TRAINING_SEED = 2**32
-# Of the first episode of an evaluation, where the experiment does not set another one.
-FIRST_EVALUATION_SEED = 1_000_000
-# What an experiment may set stays below it, so that counting up over the episodes does not reach the training seeds.
+# A seed that a user gives for an evaluation stays below it, so that counting up does not reach the training seeds.
 EVALUATION_SEED_LIMIT = 2**31
+
+
+def check_episodes(name: str, episodes: int, split: Split) -> None:
+    """Check that a split has a scenario for each of ``episodes`` episodes.
+
+    Args:
+        name: what sets the number of episodes, for the message.
+        episodes: the number.
+        split: the split.
+
+    Raises:
+        ValueError: if it has not.
+    """
+    if episodes > len(SPLITS[split]):
+        raise ValueError(f"{name} = {episodes} exceeds the {len(SPLITS[split]):,} scenarios of the {split} split")
+
+
+def describe_episodes(episodes: int, seed: int) -> str:
+    """The episodes of an evaluation as text, for example "1000 episodes of the test split"."""
+    for split, seeds in SPLITS.items():
+        if seed == seeds.start and episodes <= len(seeds):
+            return f"{episodes} episodes of the {split} split"
+    return f"{episodes} episodes from seed {seed}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from algorithms.evaluation.splits import describe_episodes
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.tables import evaluation_table, write_evaluation
@@ -67,7 +68,7 @@ def report_agent(
         )
         return video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
     evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
-    console.print(evaluation_table(evaluations, f"{title}{episodes} episodes from seed {seed}"))
+    console.print(evaluation_table(evaluations, title + describe_episodes(episodes, seed)))
     if directory is not None:
         about = {"step": agent.step, "episodes": episodes, "seed": seed, "gamma": experiment.evaluation.gamma}
         write_evaluation(directory, evaluations, about)

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT
+from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import Run, default_directory
 from mo_deepdrive.config import nearest
@@ -81,19 +81,23 @@ def new_run(options: argparse.Namespace, experiment: Experiment) -> Run:
 
 
 def add_evaluation_arguments(
-    parser: argparse.ArgumentParser, *, default_episodes: int | None = None, video: str
+    parser: argparse.ArgumentParser, *, default_episodes: int | None = None, default_split: Split | None = None, video: str
 ) -> None:
-    """Add --episodes, --seed and --video, which :func:`evaluation_arguments` checks.
+    """Add --episodes, --split, --seed and --video, which :func:`evaluation_arguments` checks.
 
     Args:
         parser: of the script.
         default_episodes: episodes without the option; the config's if None.
+        default_split: split of scenario seeds without the option; the config's if None.
         video: help text of --video.
     """
-    default = "as in the config" if default_episodes is None else str(default_episodes)
-    help_text = f"episodes per policy (default: {default})"
+    episodes, split = ("as in the config" if each is None else each for each in (default_episodes, default_split))
+    help_text = f"episodes per policy (default: {episodes})"
     parser.add_argument("--episodes", type=int, default=default_episodes, metavar="N", help=help_text)
-    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: as in the config)")
+    scenarios = parser.add_mutually_exclusive_group()
+    help_text = f"split of scenario seeds (default: {split})"
+    scenarios.add_argument("--split", choices=SPLITS, default=default_split, help=help_text)
+    scenarios.add_argument("--seed", type=int, metavar="S", help="seed of the first episode, instead of a split")
     parser.add_argument("--video", metavar="FILE", help=video)
 
 
@@ -112,10 +116,14 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
     """
     settings = experiment.evaluation
     episodes = settings.final_episodes if options.episodes is None else options.episodes
-    seed = settings.seed if options.seed is None else options.seed
     if episodes < 1:
         raise ValueError(f"--episodes {episodes} must be at least 1")
-    if seed not in SEEDS:
+    seed = options.seed
+    if seed is None:
+        split = options.split or settings.split
+        check_episodes("--episodes", episodes, split)
+        seed = SPLITS[split].start
+    elif seed not in SEEDS:
         raise ValueError(f"--seed {seed} must be between {SEEDS.start} and {SEEDS.stop - 1}")
     check_parent("--video", options.video)
     return episodes, seed

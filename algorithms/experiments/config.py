@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field
 import mo_deepdrive
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.evaluation.metrics import vehicle_name
-from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, FIRST_EVALUATION_SEED
+from algorithms.evaluation.splits import Split, check_episodes
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
@@ -84,18 +84,21 @@ class EvaluationSettings(Settings):
 
     Attributes:
         interval: environment steps between evaluations during training; None for a twentieth of the training.
-        episodes: episodes per evaluation during training.
+        episodes: episodes per evaluation during training, which are the first ones of the validation split.
         final_episodes: episodes of the evaluation at the end.
-        seed: seed of the first evaluation episode; training draws its seeds from 2**32 onwards.
+        split: the split of scenario seeds (:mod:`algorithms.evaluation.splits`) of the evaluation at the end;
+            "validation" for runs that are compared in order to choose one.
         gamma: discount of the reported discounted returns.
         reference_point: reference point of a front's hypervolume, one number per objective; None for the default of
             this package's environments, and for no hypervolume on others.
     """
 
+    renamed = {"seed": "split"}
+
     interval: Count | None = None
     episodes: Count = 100
     final_episodes: Count = 200
-    seed: int = Field(default=FIRST_EVALUATION_SEED, ge=0, lt=EVALUATION_SEED_LIMIT)
+    split: Split = "test"
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
     reference_point: list[float] | None = None
 
@@ -211,6 +214,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     algorithm = attempt(lambda: _algorithm(experiment.algorithm))
     attempt(lambda: _check_device(experiment.training.device, here))
+    attempt(lambda: _check_episodes(experiment.evaluation))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
     reference: dict[str, Any] = {}
@@ -364,6 +368,12 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
     except ValueError as error:
         raise ValueError(f"evaluation.reference_point must be given: {error}") from None
     return {"reference_point": point.values.tolist()}
+
+
+def _check_episodes(settings: EvaluationSettings) -> dict[str, Any]:
+    check_episodes("evaluation.episodes", settings.episodes, "validation")
+    check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
+    return {}
 
 
 def _check_device(name: str, here: bool) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.evaluation.front import best_known_front
 from algorithms.evaluation.fronts_file import FrontsFile
+from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
@@ -144,7 +145,7 @@ def train(
                 eval_env,
                 eval_interval=evaluation.interval,
                 eval_episodes=evaluation.episodes,
-                eval_seed=evaluation.seed,
+                eval_seed=SPLITS["validation"].start,
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
                 reference_front=reference_front,
@@ -189,7 +190,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             run.experiment,
             console,
             episodes=settings.final_episodes,
-            seed=settings.seed,
+            seed=SPLITS[settings.split].start,
             directory=run.path,
             video=run.path / "video.mp4" if figures else None,
         )

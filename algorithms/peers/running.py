@@ -15,6 +15,7 @@ from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.evaluation.metrics import FRONT, evaluation_prefix
+from algorithms.evaluation.splits import SPLITS, describe_episodes
 from algorithms.experiments.agent_report import attempt_film, film
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.loggers import Logger
@@ -120,11 +121,11 @@ def _finish_policy(
     """Evaluate the single policy, write the report and a video; returns its metrics by name."""
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
-    found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.seed)
-    console.print(evaluation_table(found, f"{settings.final_episodes} episodes from seed {settings.seed}"))
-    measured = {"episodes": settings.final_episodes, "seed": settings.seed, "gamma": settings.gamma}
+    found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=SPLITS[settings.split].start)
+    console.print(evaluation_table(found, describe_episodes(settings.final_episodes, SPLITS[settings.split].start)))
+    measured = {"episodes": settings.final_episodes, "seed": SPLITS[settings.split].start, "gamma": settings.gamma}
     write_evaluation(run.path, found, {"step": steps, **about, **measured})
-    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.seed)
+    film(policy, run.experiment, run.path / "video.mp4", console, seed=SPLITS[settings.split].start)
     return {
         evaluation_prefix(version) + name: value
         for version, evaluation in found.items()
@@ -151,13 +152,13 @@ def _finish_front(
     )
     path = run.path / "video.mp4"
     attempt_film(
-        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=settings.seed), console
+        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=SPLITS[settings.split].start), console
     )
     return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
 
 
 def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:
-    """The front of ``policies``: the non-dominated ones in greedy episodes with the experiment's evaluation seeds."""
+    """The front of ``policies``: the non-dominated ones in greedy episodes with the scenarios of the final evaluation."""
     settings = experiment.evaluation
     env = evaluation_env(experiment, min(FRONT_EPISODES, settings.final_episodes * len(policies)))
     try:
@@ -166,12 +167,12 @@ def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:
             len(policies),
             env,
             episodes=settings.final_episodes,
-            seed=settings.seed,
+            seed=SPLITS[settings.split].start,
             gamma=settings.gamma,
         )
     finally:
         env.close()
     front = Front.of_evaluations(
-        found, policies.conditions, policies.condition_names, gamma=settings.gamma, seed=settings.seed
+        found, policies.conditions, policies.condition_names, gamma=settings.gamma, seed=SPLITS[settings.split].start
     )
     return front.non_dominated()

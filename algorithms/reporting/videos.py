@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.splits import FIRST_EVALUATION_SEED
+from algorithms.evaluation.splits import SPLITS
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def record(
     path: str | Path,
     *,
     episodes: int = 3,
-    seed: int = FIRST_EVALUATION_SEED,
+    seed: int = SPLITS["test"].start,
     greedy: bool = True,
 ) -> int:
     """Write an MP4 of a few episodes, one after the other; the file appears when it is complete.

@@ -1,26 +1,31 @@
-"""No scenario is both trained on and evaluated on."""
+"""No scenario is in two splits, and training, evaluations and final scores each draw from their own."""
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
-from algorithms.agent import FIRST_TRAINING_SEED as FIRST_SEED_OF_AGENTS
-from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, FIRST_EVALUATION_SEED, FIRST_TRAINING_SEED
-from algorithms.experiments.config import EvaluationSettings
+from algorithms.agent import Agent
+from algorithms.evaluation.splits import (
+    EVALUATION_SEED_LIMIT,
+    FIRST_TRAINING_SEED,
+    SPLITS,
+    SPLITS_VERSION,
+    check_episodes,
+    describe_episodes,
+)
+from algorithms.experiments.config import Experiment, load_experiment, make_experiment
+from tests.helpers.short_runs import VALUES
 
-MOST_EPISODES = 2**31  # of one evaluation, far more than is practical
+
+def test_the_splits_are_those_of_version_1() -> None:
+    assert SPLITS_VERSION == 1
+    assert SPLITS == {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_001_000)}
+    assert FIRST_TRAINING_SEED == 2**32
 
 
-def test_the_seeds_of_training_and_evaluation_do_not_overlap() -> None:
-    evaluation = range(EVALUATION_SEED_LIMIT - 1 + MOST_EPISODES)
-    assert FIRST_EVALUATION_SEED in evaluation
-    assert FIRST_TRAINING_SEED not in evaluation
-    assert evaluation.stop <= FIRST_TRAINING_SEED
-
-
-def test_agents_and_experiments_use_these_seeds() -> None:
-    assert FIRST_SEED_OF_AGENTS == FIRST_TRAINING_SEED
-    assert EvaluationSettings().seed == FIRST_EVALUATION_SEED
-    assert EvaluationSettings(seed=EVALUATION_SEED_LIMIT - 1).seed == EVALUATION_SEED_LIMIT - 1
-    with pytest.raises(ValueError, match="less than"):
-        EvaluationSettings(seed=EVALUATION_SEED_LIMIT)
+def test_no_scenario_is_in_two_splits() -> None:
+    for first, second in itertools.pairwise(sorted(SPLITS.values(), key=lambda seeds: seeds.start)):
+        assert first.stop <= second.start
+    assert max(seeds.stop for seeds in SPLITS.values()) <= EVALUATION_SEED_LIMIT <= FIRST_TRAINING_SEED
