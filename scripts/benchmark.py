@@ -60,7 +60,6 @@ from algorithms.evaluation.metrics import (
     mean_of,
     return_of,
 )
-from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import load_experiment
@@ -264,7 +263,7 @@ def our_pcn() -> tuple[float, float]:
     agent.train(experiment.training.total_timesteps)
     seconds = time.perf_counter() - started
     settings = experiment.evaluation
-    front = evaluate_front(agent, experiment, episodes=settings.final_episodes, seed=SPLITS[settings.split].start)
+    front = evaluate_front(agent, experiment, episodes=settings.final_episodes, seed=settings.final_seed)
     return seconds, hypervolume(front.discounted, DEEP_SEA_POINT)
 
 

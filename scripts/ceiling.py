@@ -26,7 +26,9 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     """The options of this script."""
     parser = argparse.ArgumentParser(description="The share of StaticObstacle scenarios that can be solved at all.")
     parser.add_argument("--scenarios", type=int, default=200, help="number of scenarios (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=SPLITS["test"].start, help="scenario i has seed + i (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=SPLITS["test"].start, help="scenario i has seed + i (default: %(default)s)"
+    )
     parser.add_argument("--output", type=Path, help="CSV: scenario, solved, decisions, actions (letters, a for 0)")
     parser.add_argument("--beam", type=int, default=4096, help="states simulated at a time (default: %(default)s)")
     options = parser.parse_args(arguments)

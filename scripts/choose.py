@@ -60,7 +60,9 @@ def parse_arguments(arguments: list[str]) -> Namespace:
     parser.add_argument(
         "--arguments", default="{}", metavar="YAML", help="arguments of the utility, such as '{weights: [1, 2]}'"
     )
-    add_evaluation_arguments(parser, default_episodes=20, default_split="validation", video="also film the chosen policy")
+    add_evaluation_arguments(
+        parser, default_episodes=20, default_split="validation", video="also film the chosen policy"
+    )
     return parser.parse_args(arguments)
 
 

@@ -1,8 +1,8 @@
 """The three splits of scenario seeds. No scenario is in two of them.
 
 An environment that is reset with a seed draws its scenario from it. Training counts up from
-:data:`FIRST_TRAINING_SEED` plus a 32-bit number that the run's seed determines. Evaluations count up from the first seed
-of a split, one per episode:
+:data:`FIRST_TRAINING_SEED` plus a 32-bit number that the run's seed determines. Evaluations count up from the first
+seed of a split, one per episode:
 
 - ``validation``: learning curves, and everything that is chosen by a score, such as hyperparameters or checkpoints.
 - ``test``: final scores, which nothing is chosen by.

@@ -81,7 +81,11 @@ def new_run(options: argparse.Namespace, experiment: Experiment) -> Run:
 
 
 def add_evaluation_arguments(
-    parser: argparse.ArgumentParser, *, default_episodes: int | None = None, default_split: Split | None = None, video: str
+    parser: argparse.ArgumentParser,
+    *,
+    default_episodes: int | None = None,
+    default_split: Split | None = None,
+    video: str,
 ) -> None:
     """Add --episodes, --split, --seed and --video, which :func:`evaluation_arguments` checks.
 

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field
 import mo_deepdrive
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.evaluation.metrics import vehicle_name
-from algorithms.evaluation.splits import Split, check_episodes
+from algorithms.evaluation.splits import SPLITS, Split, check_episodes
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
@@ -101,6 +101,11 @@ class EvaluationSettings(Settings):
     split: Split = "test"
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
     reference_point: list[float] | None = None
+
+    @property
+    def final_seed(self) -> int:
+        """Seed of the first episode of the evaluation at the end."""
+        return SPLITS[self.split].start
 
 
 class WandbSettings(Settings):

@@ -190,7 +190,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             run.experiment,
             console,
             episodes=settings.final_episodes,
-            seed=SPLITS[settings.split].start,
+            seed=settings.final_seed,
             directory=run.path,
             video=run.path / "video.mp4" if figures else None,
         )

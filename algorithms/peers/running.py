@@ -15,7 +15,7 @@ from algorithms.evaluation.evaluate import evaluate_each
 from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.evaluation.metrics import FRONT, evaluation_prefix
-from algorithms.evaluation.splits import SPLITS, describe_episodes
+from algorithms.evaluation.splits import describe_episodes
 from algorithms.experiments.agent_report import attempt_film, film
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.loggers import Logger
@@ -121,11 +121,11 @@ def _finish_policy(
     """Evaluate the single policy, write the report and a video; returns its metrics by name."""
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
-    found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=SPLITS[settings.split].start)
-    console.print(evaluation_table(found, describe_episodes(settings.final_episodes, SPLITS[settings.split].start)))
-    measured = {"episodes": settings.final_episodes, "seed": SPLITS[settings.split].start, "gamma": settings.gamma}
+    found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.final_seed)
+    console.print(evaluation_table(found, describe_episodes(settings.final_episodes, settings.final_seed)))
+    measured = {"episodes": settings.final_episodes, "seed": settings.final_seed, "gamma": settings.gamma}
     write_evaluation(run.path, found, {"step": steps, **about, **measured})
-    film(policy, run.experiment, run.path / "video.mp4", console, seed=SPLITS[settings.split].start)
+    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed)
     return {
         evaluation_prefix(version) + name: value
         for version, evaluation in found.items()
@@ -152,13 +152,14 @@ def _finish_front(
     )
     path = run.path / "video.mp4"
     attempt_film(
-        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=SPLITS[settings.split].start), console
+        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=settings.final_seed),
+        console,
     )
     return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
 
 
 def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:
-    """The front of ``policies``: the non-dominated ones in greedy episodes with the scenarios of the final evaluation."""
+    """The front of ``policies``: the non-dominated ones in greedy episodes of the final evaluation."""
     settings = experiment.evaluation
     env = evaluation_env(experiment, min(FRONT_EPISODES, settings.final_episodes * len(policies)))
     try:
@@ -167,12 +168,12 @@ def evaluate_front(policies: PeerPolicies, experiment: Experiment) -> Front:
             len(policies),
             env,
             episodes=settings.final_episodes,
-            seed=SPLITS[settings.split].start,
+            seed=settings.final_seed,
             gamma=settings.gamma,
         )
     finally:
         env.close()
     front = Front.of_evaluations(
-        found, policies.conditions, policies.condition_names, gamma=settings.gamma, seed=SPLITS[settings.split].start
+        found, policies.conditions, policies.condition_names, gamma=settings.gamma, seed=settings.final_seed
     )
     return front.non_dominated()

@@ -773,7 +773,7 @@ def test_the_whole_known_front_of_the_deep_sea_is_found(repository: Path) -> Non
     agent = build(experiment)
     agent.train(experiment.training.total_timesteps)
     env = make_env(SEA, 8)
-    front = agent.front(env, episodes=1, seed=experiment.evaluation.seed, gamma=0.99)
+    front = agent.front(env, episodes=1, seed=2_000_000, gamma=0.99)
     known = np.array(env.envs[0].unwrapped.pareto_front(0.99))
     reference = experiment.evaluation.reference_point
     assert reference == [0.0, -25.0]

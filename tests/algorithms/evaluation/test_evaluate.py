@@ -365,7 +365,7 @@ def test_comfort_is_reported_per_decision_as_mean_and_largest_magnitude() -> Non
     [
         (ONE_WAYPOINT, {"time_limit": 11.0}),
         (STATIC_OBSTACLE, {"time_limit": 20.0}),
-        (INTERSECTION, {"action_type": "continuous", "time_limit": 6.0}),
+        (INTERSECTION, {"action_type": "continuous", "time_limit": 9.0}),
         (INTERSECTION, {"end_together": True, "time_limit": 15.0}),
     ],
 )

@@ -1,27 +1,34 @@
-"""No scenario is in two splits, and training, evaluations and final scores each draw from their own."""
+"""No scenario is in two splits, and training, learning curves and final scores each draw from their own."""
 
 from __future__ import annotations
 
 import itertools
+import json
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.agent import Agent
+from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.splits import (
     EVALUATION_SEED_LIMIT,
     FIRST_TRAINING_SEED,
     SPLITS,
     SPLITS_VERSION,
+    Split,
     check_episodes,
     describe_episodes,
 )
-from algorithms.experiments.config import Experiment, load_experiment, make_experiment
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.jobs import Job, perform
 from tests.helpers.short_runs import VALUES
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_the_splits_are_those_of_version_1() -> None:
     assert SPLITS_VERSION == 1
-    assert SPLITS == {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_001_000)}
+    assert dict(SPLITS) == {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_001_000)}
     assert FIRST_TRAINING_SEED == 2**32
 
 
@@ -29,3 +36,54 @@ def test_no_scenario_is_in_two_splits() -> None:
     for first, second in itertools.pairwise(sorted(SPLITS.values(), key=lambda seeds: seeds.start)):
         assert first.stop <= second.start
     assert max(seeds.stop for seeds in SPLITS.values()) <= EVALUATION_SEED_LIMIT <= FIRST_TRAINING_SEED
+
+
+@pytest.mark.parametrize("split", ["validation", "test"])
+def test_a_run_uses_each_split_for_its_purpose(split: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resets: list[int | list[int] | None] = []
+    original = EnvAdapter.reset
+
+    def reset(self: EnvAdapter, seed: int | list[int] | None = None) -> Any:
+        resets.append(seed)
+        return original(self, seed)
+
+    monkeypatch.setattr(EnvAdapter, "reset", reset)
+    experiment = make_experiment({**VALUES, "evaluation": {"episodes": 2, "final_episodes": 4, "split": split}})
+    perform(Job("run", experiment, tmp_path / "run"))
+    training = [seed for seed in resets if isinstance(seed, int)]
+    *curve, greedy, stochastic = [seed for seed in resets if isinstance(seed, list)]
+    assert training
+    assert all(seed >= FIRST_TRAINING_SEED for seed in training)
+    assert len(curve) > 2
+    assert all(seeds == list(SPLITS["validation"][:2]) for seeds in curve)
+    assert greedy == stochastic == list(SPLITS[split][:4])
+    assert json.loads((tmp_path / "run" / "evaluation.json").read_text())["seed"] == SPLITS[split].start
+
+
+def test_a_split_has_no_more_scenarios_than_it_has() -> None:
+    check_episodes("--episodes", 1000, "test")
+    check_episodes("--episodes", 1001, "validation")
+    with pytest.raises(ValueError, match="--episodes = 1001 exceeds the 1,000 scenarios of the test split"):
+        check_episodes("--episodes", 1001, "test")
+    with pytest.raises(ValueError, match=r"evaluation\.final_episodes = 1001 exceeds the 1,000 scenarios of the test"):
+        make_experiment({**VALUES, "evaluation": {"final_episodes": 1001}})
+    with pytest.raises(ValueError, match=r"evaluation\.episodes = 1000001 exceeds the 1,000,000 scenarios of the val"):
+        make_experiment({**VALUES, "evaluation": {"episodes": 1_000_001}})
+
+
+def test_the_former_seed_of_evaluations_is_refused_with_the_new_setting() -> None:
+    with pytest.raises(ValueError, match=r"'evaluation\.seed' was renamed; write 'split'"):
+        make_experiment({**VALUES, "evaluation": {"seed": 1_000_000}})
+
+
+@pytest.mark.parametrize(
+    ("episodes", "seed", "text"),
+    [
+        (1000, 3_000_000, "1000 episodes of the test split"),
+        (100, 2_000_000, "100 episodes of the validation split"),
+        (100, 3_000_001, "100 episodes from seed 3000001"),
+        (1001, 3_000_000, "1001 episodes from seed 3000000"),
+    ],
+)
+def test_episodes_are_described_by_their_split(episodes: int, seed: int, text: str) -> None:
+    assert describe_episodes(episodes, seed) == text

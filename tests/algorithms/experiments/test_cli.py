@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -22,6 +23,9 @@ from algorithms.experiments.cli import (
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from tests.helpers.short_runs import VALUES
+
+if TYPE_CHECKING:
+    from algorithms.evaluation.splits import Split
 
 
 @pytest.fixture
@@ -64,24 +68,31 @@ def test_a_new_run_is_in_its_output_or_a_directory_named_after_its_config(
     assert default.path.parent == Path("runs/fast")
 
 
-def evaluation_options(*arguments: str, default_episodes: int | None = None) -> Namespace:
+def evaluation_options(
+    *arguments: str, default_episodes: int | None = None, default_split: Split | None = None
+) -> Namespace:
     parser = make_parser(None)
-    add_evaluation_arguments(parser, default_episodes=default_episodes, video="film it")
+    add_evaluation_arguments(parser, default_episodes=default_episodes, default_split=default_split, video="film it")
     return parser.parse_args(list(arguments))
 
 
 def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(experiment: Experiment) -> None:
     settings = experiment.evaluation
-    assert evaluation_arguments(evaluation_options(), experiment) == (settings.final_episodes, settings.seed)
-    assert evaluation_arguments(evaluation_options(default_episodes=20), experiment) == (20, settings.seed)
-    given = evaluation_options("--episodes=7", "--seed=0", default_episodes=20)
+    assert evaluation_arguments(evaluation_options(), experiment) == (settings.final_episodes, 3_000_000)
+    assert evaluation_arguments(evaluation_options(default_episodes=20), experiment) == (20, 3_000_000)
+    given = evaluation_options("--episodes=7", "--seed=0", default_episodes=20, default_split="validation")
     assert evaluation_arguments(given, experiment) == (7, 0)
+    given = evaluation_options("--split=validation")
+    assert evaluation_arguments(given, experiment) == (settings.final_episodes, 2_000_000)
+    given = evaluation_options("--split=test", default_split="validation")
+    assert evaluation_arguments(given, experiment) == (settings.final_episodes, 3_000_000)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--episodes=0"], "--episodes 0 must be at least 1"),
+        (["--episodes=1001"], "--episodes = 1001 exceeds the 1,000 scenarios of the test split"),
         (["--seed=-1"], "--seed -1 must be between 0 and 2147483647"),
         (["--seed=2147483648"], "--seed 2147483648"),
         (["--video=nowhere/a.mp4"], "--video 'nowhere/a.mp4': .*nowhere' is not a directory"),

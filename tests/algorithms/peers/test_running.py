@@ -53,10 +53,10 @@ def test_the_run_of_a_peer_has_the_same_files_as_other_runs(
     assert Run.open(run.path).experiment == run.experiment
 
 
-def test_a_front_is_evaluated_with_the_seeds_of_the_experiment(front_config: Path) -> None:
-    experiment = load_experiment(front_config, ["--evaluation.final_episodes=2", "--evaluation.seed=77"])
+def test_a_front_is_evaluated_in_the_split_of_the_experiment(front_config: Path) -> None:
+    experiment = load_experiment(front_config, ["--evaluation.final_episodes=2", "--evaluation.split=validation"])
     front = evaluate_front(constant_policies(make_task(), [0, 2, 3, 3]), experiment)
-    assert (front.episodes, front.seed) == (2, 77)
+    assert (front.episodes, front.seed) == (2, 2_000_000)
     assert front.condition_names == ("action",)
     assert 1 <= len(front) <= 3
     np.testing.assert_array_equal(front.low, front.high)

@@ -25,7 +25,7 @@ def test_every_run_of_the_plan_has_a_valid_config_and_a_unique_folder(tmp_path: 
     assert not seeds & set(range(5)) | seeds & set(range(100, 210))  # seeds of other tables and of tuning
     for run in wanted:
         assert run.job.experiment.training.seed == run.seed
-        assert run.job.experiment.evaluation.seed == 1_000_000
+        assert run.job.experiment.evaluation.split == "test"
         assert not run.job.experiment.logging.save_figures
 
 
