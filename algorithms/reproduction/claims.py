@@ -1,7 +1,9 @@
-"""The paper's claims and the criteria that decide them; both were fixed before the runs were trained.
+"""The paper's claims and the criteria that decide them, which were fixed before the runs were trained.
 
 A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
-contains the limit. A claim is reproduced if all criteria pass, not reproduced if one fails, and inconclusive otherwise.
+contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
+too, unless longer training could only confirm the answer. A claim is reproduced if all criteria pass, not reproduced if
+one fails, and inconclusive otherwise.
 Scores are interquartile means over seeds (Agarwal et al. 2021) of the final evaluation of the stochastic policy, which
 is the policy that actor-critics optimise.
 """
@@ -10,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from algorithms.evaluation.metrics import (
     CARDINALITY,
     FRONT,
     HIGHEST_DISTANCE,
+    HYPERVOLUME,
     LOWEST_DISTANCE,
     STOCHASTIC,
     SUCCESS,
@@ -25,8 +28,20 @@ from algorithms.evaluation.metrics import (
     UTILITY_ESR,
     return_of,
 )
-from algorithms.evaluation.statistics import Estimate, iqm, iqm_difference, probability_of_improvement, spread_ratio
-from algorithms.reproduction.results import ReproductionResults
+from algorithms.evaluation.statistics import (
+    Estimate,
+    iqm,
+    iqm_difference,
+    mean,
+    probability_of_improvement,
+    spread_ratio,
+    spread_ratio_power,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from algorithms.reproduction.results import ReproductionResults
 
 # The two algorithms that are compared, by the keys of their variants.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
@@ -35,6 +50,9 @@ FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
 # Limits of the criteria.
 SOLVED, LEARNED, FAILED = 0.95, 0.5, 0.05  # success rates
 SIMILAR = 0.05  # relative to the baseline's utility
+FLAT = 0.05  # gain at the end of training, relative to the score that is reached
+RATIOS = (0.5, 0.25)  # true ratios of deviations, for which the power of the test is reported
+MIN_EVALUATIONS = 5  # of a learning curve, to tell whether it is flat
 MIN_POLICIES = 10  # of a broad front
 SHORT_PROGRESS, LONG_PROGRESS = 1.0, 10.0  # m: from standing still to arriving
 
@@ -48,15 +66,17 @@ class Check:
     Attributes:
         criterion: in words.
         measured: the measured value with its interval.
-        passed: None if the interval is inconclusive.
+        passed: None if it is inconclusive.
+        stopped_at: the step at which training stopped too early for an answer; None if that is not the reason.
     """
 
     criterion: str
     measured: str
     passed: bool | None
+    stopped_at: int | None = None
 
 
-Criterion = Callable[[ReproductionResults, str], Check]  # of the results and the key of a protocol
+Criterion = Callable[["ReproductionResults", str], Check]  # of the results and the key of a protocol
 Decision = Callable[[Estimate], bool | None]
 
 
@@ -68,12 +88,14 @@ class AlgorithmComparison:
         baseline, multi_objective: interquartile means over seeds.
         difference: multi_objective - baseline.
         improvement: probability that a run of MO-A2C scores higher than a run of A2C.
+        width: of the interval of a run's score over evaluation episodes, the wider of both; 0 if it is not known.
     """
 
     baseline: Estimate
     multi_objective: Estimate
     difference: Estimate
     improvement: Estimate
+    width: float
 
 
 @dataclass(frozen=True)
@@ -84,6 +106,13 @@ class Verdict:
     protocol: str
     conclusion: Conclusion
     checks: tuple[Check, ...]
+
+    @property
+    def text(self) -> str:
+        """The conclusion, and the step at which training stopped if that was too early for another one."""
+        steps = [check.stopped_at for check in self.checks if check.stopped_at is not None]
+        early = self.conclusion == "inconclusive" and steps
+        return f"{self.conclusion}: stopped at {max(steps):,} steps" if early else self.conclusion
 
 
 @dataclass(frozen=True)
@@ -134,6 +163,7 @@ def compare(
         iqm(multi_objective),
         iqm_difference(multi_objective, baseline),
         probability_of_improvement(multi_objective, baseline),
+        max(results.episodes_width(task, protocol, each, metric, policy) for each in (BASELINE, MULTI_OBJECTIVE)),
     )
 
 
@@ -145,6 +175,57 @@ def utility_metric(task: str) -> str:
 def utility_kind(task: str) -> str:
     """Either "linear" or "non-linear"."""
     return "non-linear" if task.endswith("nonlinear") else "linear"
+
+
+def is_settled(results: ReproductionResults, task: str, protocol: str) -> bool:
+    """Whether the learning curves were flat at the end of training.
+
+    They are if, for every compared algorithm, the upper end of the interval over seeds of the gain (the mean of the
+    last fifth of the evaluations minus that of the fifth before) is below FLAT times the mean of the last fifth. The
+    score is the utility of the stochastic policy, for a front its hypervolume.
+    """
+    front = task == FRONT_TASK
+    name = f"{FRONT}/{HYPERVOLUME}" if front else f"{STOCHASTIC}/{utility_metric(task)}"
+    return all(
+        _is_flat([curve[name] for curve in results.learning_curves(task, protocol, variant) if name in curve])
+        for variant in ((FRONT_VARIANT,) if front else (BASELINE, MULTI_OBJECTIVE))
+    )
+
+
+def _is_flat(curves: Sequence[NDArray[np.float64]]) -> bool:
+    """Whether the curves of one algorithm, one per seed, are flat at their end; False if they are too short to tell."""
+    scores = [curve[np.isfinite(curve)] for curve in curves]
+    if not scores or min(len(each) for each in scores) < MIN_EVALUATIONS:
+        return False
+    fifths = [(each[-2 * (n := len(each) // 5) : -n].mean(), each[-n:].mean()) for each in scores]
+    before, last = np.array(fifths).T
+    return is_above(mean(last - before), FLAT * abs(float(last.mean()))) is False
+
+
+def _check(
+    results: ReproductionResults,
+    task: str,
+    protocol: str,
+    criterion: str,
+    measured: str,
+    passed: bool | None,
+    lasting: bool | None = None,
+) -> Check:
+    """A check, which is inconclusive if training stopped too early for its answer.
+
+    Args:
+        results: with the learning curves.
+        task: key of the task that the criterion is about.
+        protocol: key of the protocol.
+        criterion: in words.
+        measured: the measured value with its interval.
+        passed: what the interval over seeds says.
+        lasting: the answer that longer training could only confirm; None if it could change both.
+    """
+    if passed is None or passed is lasting or is_settled(results, task, protocol):
+        return Check(criterion, measured, passed)
+    steps = [row["steps"] for row in results.scores if (row["task"], row["protocol"]) == (task, protocol)]
+    return Check(criterion, measured, None, stopped_at=max(steps))
 
 
 def is_above(estimate: Estimate, limit: float) -> bool | None:
@@ -181,35 +262,36 @@ def _label(variant: str) -> str:
     return "A2C" if variant == BASELINE else "MO-A2C"
 
 
-def _success_rate(task: str, variant: str, condition: str, passes: Decision) -> Criterion:
+def _success_rate(task: str, variant: str, condition: str, passes: Decision, lasting: bool) -> Criterion:
     """A criterion on the share of episodes in which the vehicle, or all vehicles, arrive."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
         rate = iqm(results.values(task, protocol, variant, SUCCESS))
-        return Check(f"{_label(variant)}: success rate {condition}", f"success rate {percent(rate)}", passes(rate))
+        name = f"{_label(variant)}: success rate {condition}"
+        return _check(results, task, protocol, name, f"success rate {percent(rate)}", passes(rate), lasting)
 
     return criterion
 
 
 def solves(task: str, variant: str) -> Criterion:
     """The success rate is above SOLVED."""
-    return _success_rate(task, variant, f"above {SOLVED:.0%}", lambda rate: is_above(rate, SOLVED))
+    return _success_rate(task, variant, f"above {SOLVED:.0%}", lambda rate: is_above(rate, SOLVED), lasting=True)
 
 
 def fails(task: str, variant: str) -> Criterion:
     """The success rate is below FAILED."""
     condition = f"below {FAILED:.0%} ({utility_kind(task)} utility)"
-    return _success_rate(task, variant, condition, lambda rate: _is_below(rate, FAILED))
+    return _success_rate(task, variant, condition, lambda rate: _is_below(rate, FAILED), lasting=False)
 
 
 def learns(task: str, variant: str) -> Criterion:
     """The success rate is above LEARNED."""
-    return _success_rate(task, variant, f"above {LEARNED:.0%}", lambda rate: is_above(rate, LEARNED))
+    return _success_rate(task, variant, f"above {LEARNED:.0%}", lambda rate: is_above(rate, LEARNED), lasting=True)
 
 
 def does_not_learn(task: str, variant: str) -> Criterion:
     """The success rate is below LEARNED."""
-    return _success_rate(task, variant, f"below {LEARNED:.0%}", lambda rate: _is_below(rate, LEARNED))
+    return _success_rate(task, variant, f"below {LEARNED:.0%}", lambda rate: _is_below(rate, LEARNED), lasting=False)
 
 
 def moves_away(task: str, variant: str) -> Criterion:
@@ -218,7 +300,7 @@ def moves_away(task: str, variant: str) -> Criterion:
     def criterion(results: ReproductionResults, protocol: str) -> Check:
         progress = iqm(results.values(task, protocol, variant, return_of("distance")))
         name = f"{_label(variant)} moves away from the destination"
-        return Check(name, f"progress {progress.text()} m", _is_below(progress, 0.0))
+        return _check(results, task, protocol, name, f"progress {progress.text()} m", _is_below(progress, 0.0))
 
     return criterion
 
@@ -229,11 +311,9 @@ def similar_utility(task: str) -> Criterion:
     def criterion(results: ReproductionResults, protocol: str) -> Check:
         found = compare(results, task, protocol, utility_metric(task))
         margin = SIMILAR * abs(found.baseline.value)
-        return Check(
-            f"the utilities differ by less than {SIMILAR:.0%}",
-            f"difference {found.difference.text()}, {SIMILAR:.0%} is {margin:.2g}",
-            _is_within(found.difference, margin),
-        )
+        name = f"the utilities differ by less than {SIMILAR:.0%}"
+        measured = f"difference {found.difference.text(found.width)}, {SIMILAR:.0%} is {margin:.2g}"
+        return _check(results, task, protocol, name, measured, _is_within(found.difference, margin))
 
     return criterion
 
@@ -242,8 +322,9 @@ def higher_utility(task: str) -> Criterion:
     """MO-A2C has a higher utility than A2C."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
-        difference = compare(results, task, protocol, utility_metric(task)).difference
-        return Check("MO-A2C has the higher utility", f"difference {difference.text()}", is_above(difference, 0.0))
+        found = compare(results, task, protocol, utility_metric(task))
+        name, measured = "MO-A2C has the higher utility", f"difference {found.difference.text(found.width)}"
+        return _check(results, task, protocol, name, measured, is_above(found.difference, 0.0))
 
     return criterion
 
@@ -253,19 +334,24 @@ def more_consistent(task: str) -> Criterion:
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
         metric = utility_metric(task)
-        pair = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
-        ratio = spread_ratio(*pair)
-        return Check("MO-A2C varies less between seeds", f"ratio of deviations {ratio.text()}", _is_below(ratio, 1.0))
+        first, second = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
+        ratio = spread_ratio(first, second)
+        runs = min(len(first), len(second))
+        powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
+        measured = f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}"
+        name = "MO-A2C varies less between seeds"
+        return _check(results, task, protocol, name, measured, _is_below(ratio, 1.0))
 
     return criterion
 
 
 def _front_metric(metric: str, condition: str, passes: Decision, unit: str = "") -> Criterion:
-    """A criterion on a metric of PCN's front."""
+    """A criterion on a metric of PCN's front, which longer training broadens."""
 
     def criterion(results: ReproductionResults, protocol: str) -> Check:
         found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
-        return Check(condition, f"{found.text()}{unit}", passes(found))
+        measured = f"{found.text()}{unit}"
+        return _check(results, FRONT_TASK, protocol, condition, measured, passes(found), lasting=True)
 
     return criterion
 

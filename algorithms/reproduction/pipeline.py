@@ -16,6 +16,7 @@ from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, utility_metric
 from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
 from algorithms.reproduction.report import (
+    QUICK,
     is_ablation,
     keep_fronts,
     median_run,
@@ -157,6 +158,8 @@ def _write(
     plan: Plan, results: ReproductionResults, figures: Sequence[int], options: ReproductionOptions, console: Console
 ) -> None:
     """Write the report, and print the verdicts."""
-    paths = write_report(plan, results, options.output_folder, figures, how=options.command)
-    console.print(verdict_table(plan, results), markup=False, highlight=False, soft_wrap=True)
+    paths = write_report(plan, results, options.output_folder, figures, how=options.command, quick=options.quick)
+    console.print(verdict_table(plan, results, quick=options.quick), markup=False, highlight=False, soft_wrap=True)
+    if options.quick:
+        console.print(QUICK)
     console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)

@@ -49,10 +49,18 @@ if TYPE_CHECKING:
     from algorithms.reproduction.plan import Plan, PlannedRun, Protocol
 
 REPORT_FILE = "reproduction.md"
+QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
+COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this part of the median
 
 
 def write_report(
-    plan: Plan, results: ReproductionResults, directory: Path, figures: Sequence[int], *, how: str
+    plan: Plan,
+    results: ReproductionResults,
+    directory: Path,
+    figures: Sequence[int],
+    *,
+    how: str,
+    quick: bool = False,
 ) -> list[Path]:
     """Write the results, the report and the figures.
 
@@ -62,6 +70,7 @@ def write_report(
         directory: where to write.
         figures: numbers of the paper's figures to draw; those of fronts are drawn from the fronts in ``directory``.
         how: the command that creates the same report, which the report quotes.
+        quick: whether the runs are too short for verdicts.
 
     Returns:
         The paths of the report and the figures.
@@ -77,7 +86,7 @@ def write_report(
             figure_paths[figure] = [path] if draw_curves(figure, plan, results, path) else []
         else:
             figure_paths[figure] = _draw_front_figure(figure, directory)
-    text = _document(plan, results, figure_paths, how)
+    text = _document(plan, results, figure_paths, how, quick)
     atomic_write(directory / REPORT_FILE, text.encode())
     return [directory / REPORT_FILE, *(path for paths in figure_paths.values() for path in paths)]
 
@@ -135,8 +144,14 @@ def markdown_table(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "/") for cell in line) + " |" for line in lines)
 
 
-def verdict_table(plan: Plan, results: ReproductionResults) -> str:
-    """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size."""
+def verdict_table(plan: Plan, results: ReproductionResults, *, quick: bool = False) -> str:
+    """The verdicts as Markdown: a row per claim, protocol and task, with scores and effect size.
+
+    Args:
+        plan: of the reproduction.
+        results: of its runs.
+        quick: whether the runs are too short for verdicts; they are then not judged.
+    """
     rows = [["claim", "protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict"]]
     for claim in CLAIMS:
         for protocol, verdict in verdicts(claim, results).items():
@@ -144,7 +159,7 @@ def verdict_table(plan: Plan, results: ReproductionResults) -> str:
             for i, task in enumerate(claim.tasks):
                 which = f" ({utility_kind(task)})" if len(claim.tasks) > 1 else ""
                 name = f"{claim.number}. {claim.statement}" if i == 0 else ""
-                conclusion = f"**{verdict.conclusion}**" if i == 0 else ""
+                conclusion = "" if i > 0 else "not judged" if quick else f"**{verdict.text}**"
                 rows.append([name, title + which, *_effect_columns(results, task, protocol), conclusion])
     return markdown_table(rows)
 
@@ -155,8 +170,8 @@ def _effect_columns(results: ReproductionResults, task: str, protocol: str) -> l
         count = iqm(results.values(task, protocol, FRONT_VARIANT, CARDINALITY, FRONT))
         return ["", "", f"PCN: {count.text()} non-dominated policies", ""]
     found = compare(results, task, protocol, utility_metric(task))
-    estimates = found.baseline, found.multi_objective, found.difference, found.improvement
-    return [estimate.text() for estimate in estimates]
+    utilities = [each.text(found.width) for each in (found.baseline, found.multi_objective, found.difference)]
+    return [*utilities, found.improvement.text()]
 
 
 def verdicts(claim: Claim, results: ReproductionResults) -> dict[str, Verdict]:
@@ -185,7 +200,7 @@ def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
         return _front_score_table(plan, results)
     vehicles = 2 if task.startswith("intersection") else 1
     progress = vehicle_prefix(0, vehicles) + return_of("distance")
-    measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
+    measures = ["utility (ESR)", "± of one run", "success rate", "collisions", "progress (m)"]
     rows = [["protocol", "algorithm", "policy", "seeds", "steps", *measures]]
     for protocol in results.protocols(task):
         for variant, label in results.variants(task, protocol).items():
@@ -194,14 +209,18 @@ def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
                 seeds = str(len(values(SUCCESS)))
                 about = [plan.tasks[task].protocols[protocol].title, label, policy, seeds]
                 rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
-                utility, distance = (iqm(values(metric)).text() for metric in (utility_metric(task), progress))
-                rows.append([*about, _steps(results, task, protocol, variant), utility, *rates, distance])
+                width = results.episodes_width(task, protocol, variant, utility_metric(task), policy)
+                utility, distance = iqm(values(utility_metric(task))).text(width), iqm(values(progress)).text()
+                half_width = f"{width / 2:.2g}" if width else ""
+                steps = _steps(results, task, protocol, variant)
+                rows.append([*about, steps, utility, half_width, *rates, distance])
     return markdown_table(rows)
 
 
 def _front_score_table(plan: Plan, results: ReproductionResults) -> str:
     """The scores of PCN's fronts: a row per protocol."""
-    rows = [["protocol", "seeds", "steps", "hypervolume", "non-dominated policies", "progress of the policies (m)"]]
+    measures = ["hypervolume", "collapsed runs", "non-dominated policies", "progress of the policies (m)"]
+    rows = [["protocol", "seeds", "steps", *measures]]
     for protocol in results.protocols(FRONT_TASK):
         values = partial(results.values, FRONT_TASK, protocol, FRONT_VARIANT, policy=FRONT)
         title = plan.tasks[FRONT_TASK].protocols[protocol].title
@@ -210,8 +229,9 @@ def _front_score_table(plan: Plan, results: ReproductionResults) -> str:
             iqm(values(metric)) for metric in (HYPERVOLUME, CARDINALITY, LOWEST_DISTANCE, HIGHEST_DISTANCE)
         )
         progress = f"{nearest.value:.2g} to {farthest.value:.3g}"
-        seeds = str(len(values(HYPERVOLUME)))
-        rows.append([title, seeds, steps, hypervolume.text(), cardinality.text(), progress])
+        volumes = values(HYPERVOLUME)
+        collapsed = f"{(volumes < COLLAPSED * np.median(volumes)).sum()} of {len(volumes)}"
+        rows.append([title, str(len(volumes)), steps, hypervolume.text(), collapsed, cardinality.text(), progress])
     return markdown_table(rows)
 
 
@@ -250,7 +270,9 @@ def _ablation_table(task: str, protocol_key: str, protocol: Protocol, results: R
 # ---------------------------------------------------------------------------------------------------------- document
 
 
-def _document(plan: Plan, results: ReproductionResults, figure_paths: dict[int, list[Path]], how: str) -> str:
+def _document(
+    plan: Plan, results: ReproductionResults, figure_paths: dict[int, list[Path]], how: str, quick: bool
+) -> str:
     """The whole report as Markdown."""
     runs = {(row["task"], row["protocol"], row["variant"], row["seed"]): row["seconds"] for row in results.scores}
     seeds = sorted({row["seed"] for row in results.scores})
@@ -259,12 +281,16 @@ def _document(plan: Plan, results: ReproductionResults, figure_paths: dict[int, 
         f"Written by `{how}`: {len(runs)} runs, {sum(runs.values()) / 3600:.1f} hours on one core, seeds {seeds[0]} to "
         f"{seeds[-1]}. For background and discussion see [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the stochastic policy in "
-        f"{plan.overrides.get('evaluation.final_episodes', 200)} unseen episodes, with 95% bootstrap intervals; "
-        "at the intersection, of the sum of both vehicles' utilities. P(MO-A2C higher) is the probability that a run "
-        "of MO-A2C scores higher than a run of A2C. Protocols: *as printed* uses the paper's hyperparameters, *best "
-        "effort* tuned ones.",
+        f"{plan.overrides.get('evaluation.final_episodes', 200)} episodes, the same for all runs; at the intersection, "
+        "of the sum of both vehicles' utilities. Intervals (95%, bootstrap) are over seeds. They do not include the "
+        "sampling of episodes, which *± of one run* gives: half the width of the interval over the episodes of one "
+        "run, at the intersection at most. Utilities have the digits that the wider of the two supports. "
+        "P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has "
+        f"collapsed if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the "
+        "paper's hyperparameters, *best effort* tuned ones.",
+        *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
-        verdict_table(plan, results),
+        verdict_table(plan, results, quick=quick),
     ]
     for claim in CLAIMS:
         if not verdicts(claim, results):

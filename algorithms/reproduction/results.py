@@ -41,7 +41,7 @@ from algorithms.evaluation.metrics import (
 from algorithms.experiments.run_directory import Run
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -53,6 +53,8 @@ SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.g
 KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "policy")
 # Of the final evaluation and of those during training, besides returns; with several vehicles also those of each.
 METRICS = (UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), end_by(OFF_LANE), end_by(TIME_LIMIT), LENGTH)
+# Ending of the column with the width of a utility's interval over the episodes of the evaluation.
+WIDTH = "_width"
 FRONT_METRICS = (HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS)
 
 ResultRow = dict[str, Any]
@@ -88,6 +90,13 @@ class ReproductionResults:
         if not found:
             raise KeyError(f"no run of {task}/{protocol}/{variant} has {metric!r} of the {policy} policy")
         return np.array([value for _, value in sorted(found)], dtype=np.float64)
+
+    def episodes_width(self, task: str, protocol: str, variant: str, metric: str, policy: str = STOCHASTIC) -> float:
+        """Mean over runs of the width of a utility's interval over evaluation episodes; 0 if it is not known."""
+        try:
+            return float(self.values(task, protocol, variant, metric + WIDTH, policy).mean())
+        except KeyError:
+            return 0.0
 
     def learning_curves(self, task: str, protocol: str, variant: str) -> list[Columns]:
         """Learning curves of all runs of a variant, in the order of seeds."""
@@ -164,11 +173,22 @@ def _final_scores(path: Path) -> dict[str, dict[str, float]]:
     found = {}
     for policy, estimates in json.loads((path / EVALUATION_FILE).read_text())["policies"].items():
         metrics = {name: float(each["value"]) for name, each in estimates.items() if _is_kept(name)}
+        metrics |= {name + WIDTH: _width(each) for name, each in estimates.items() if _is_utility(name)}
         if policy == FRONT:
             distances = _distances(Front.read(path))
             metrics |= {LOWEST_DISTANCE: float(distances.min()), HIGHEST_DISTANCE: float(distances.max())}
         found[policy] = _with_total(metrics)
     return found
+
+
+def _is_utility(name: str) -> bool:
+    return split_name(name).metric == UTILITY_ESR
+
+
+def _width(estimate: Mapping[str, Any]) -> float:
+    """The width of an interval of an evaluation.json; NaN if there is none."""
+    low, high = estimate["low"], estimate["high"]
+    return float(high - low) if low is not None and high is not None else np.nan
 
 
 def _distances(front: Front) -> NDArray[np.float64]:
@@ -204,10 +224,14 @@ def _is_kept(name: str) -> bool:
 
 
 def _with_total(metrics: dict[str, float]) -> dict[str, float]:
-    """The metrics and, with several vehicles, the sum of their utilities."""
+    """The metrics and, with several vehicles, the sum of their utilities; its interval is at most the sum of theirs."""
     parts = {name: split_name(name) for name in metrics}
-    utilities = [metrics[name] for name, part in parts.items() if part.vehicle and part.metric == UTILITY_ESR]
-    return {**metrics, TOTAL_UTILITY_ESR: sum(utilities)} if utilities else metrics
+    total = dict(metrics)
+    for metric in (UTILITY_ESR, UTILITY_ESR + WIDTH):
+        values = [metrics[name] for name, part in parts.items() if part.vehicle and part.metric == metric]
+        if values:
+            total[metric.replace(UTILITY_ESR, TOTAL_UTILITY_ESR)] = sum(values)
+    return total
 
 
 def _csv(rows: Sequence[ResultRow], keys: Sequence[str]) -> bytes:

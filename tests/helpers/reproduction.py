@@ -45,9 +45,16 @@ def get_claim(number: int) -> Claim:
 
 
 def make_results(
-    task: str, scores: dict[str, dict[str, list[float]]], protocol: str = "best", policy: str = "stochastic"
+    task: str,
+    scores: dict[str, dict[str, list[float]]],
+    protocol: str = "best",
+    policy: str = "stochastic",
+    risen: float = 0.5,
 ) -> ReproductionResults:
-    """Results with one score per variant, metric and seed, and learning curves that rise linearly to the scores."""
+    """Results with one score per variant, metric and seed.
+
+    The learning curves rise linearly to the scores until ``risen``, a part of the training, and are flat from there on.
+    """
     rows, curves = [], []
     for variant, metrics in scores.items():
         for i in range(len(next(iter(metrics.values())))):
@@ -61,8 +68,9 @@ def make_results(
             }
             values = {name: float(each[i]) for name, each in metrics.items()}
             rows.append({**keys, "seconds": 2.5, "policy": policy, **values})
-            for step in (0, 500, 1000):
-                curves.append({**keys, "step": step, **{f"{policy}/{k}": v * step / 1000 for k, v in values.items()}})
+            for step in range(0, 1001, 100):
+                part = min(1.0, step / (1000 * risen))
+                curves.append({**keys, "step": step, **{f"{policy}/{k}": v * part for k, v in values.items()}})
     return ReproductionResults(rows, curves)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from algorithms.reproduction.claims import compare
+from algorithms.reproduction.claims import compare, is_settled
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import SOLVED, evenly_spread, get_claim, make_results
 
@@ -45,9 +47,9 @@ def test_claim_2_requires_that_mo_a2c_is_higher_and_more_consistent(utility: lis
 
 
 def test_claim_4_requires_that_a2c_does_not_learn_and_moves_away() -> None:
-    good = {"success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
-    bad = {"success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(-30.0, 1.0)}
-    standing_still = {"success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(1.0)}
+    good = {**SOLVED, "success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
+    bad = {**SOLVED, "success": evenly_spread(0.0, 0.0), "return/distance": evenly_spread(-30.0, 1.0)}
+    standing_still = {**bad, "return/distance": evenly_spread(1.0)}
     for a2c, mo_a2c, conclusion in (
         (bad, good, "reproduced"),
         (good, good, "not reproduced"),
@@ -74,7 +76,9 @@ def test_claim_5_requires_that_both_fail_and_mo_a2c_less_badly(arrivals: float, 
         make_results(task, {"a2c": failing, "mo_a2c": other}, protocol="printed")
         for task in ("intersection_linear", "intersection_nonlinear")
     ]
-    results = ReproductionResults([row for part in parts for row in part.scores], [])
+    results = ReproductionResults(
+        [row for part in parts for row in part.scores], [row for part in parts for row in part.curves]
+    )
     verdict = get_claim(5).judge(results, "printed")
     assert verdict is not None
     assert verdict.conclusion == conclusion
@@ -83,6 +87,7 @@ def test_claim_5_requires_that_both_fail_and_mo_a2c_less_badly(arrivals: float, 
 
 def test_claim_6_requires_many_policies_from_standing_still_to_arriving() -> None:
     broad = {
+        "hypervolume": evenly_spread(25_000.0),
         "cardinality": evenly_spread(80.0, 5.0),
         "lowest_distance": evenly_spread(0.0),
         "highest_distance": evenly_spread(14.5),
@@ -92,6 +97,59 @@ def test_claim_6_requires_many_policies_from_standing_still_to_arriving() -> Non
         verdict = get_claim(6).judge(make_results("one_waypoint_front", {"pcn": scores}, policy="front"), "best")
         assert verdict is not None
         assert verdict.conclusion == conclusion
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "risen", "conclusion", "text"),
+    [
+        (0.5, 0.5, "not reproduced", "not reproduced"),
+        (0.5, 1.0, "inconclusive", "inconclusive: stopped at 1,000 steps"),
+        (0.99, 1.0, "inconclusive", "inconclusive: stopped at 1,000 steps"),  # the utilities may still move apart
+        (0.99, 0.5, "reproduced", "reproduced"),
+    ],
+)
+def test_a_run_that_was_still_improving_decides_nothing(
+    arrivals: float, risen: float, conclusion: str, text: str
+) -> None:
+    other = {**SOLVED, "success": evenly_spread(arrivals, 0.001)}
+    results = make_results("one_waypoint_linear", {"a2c": SOLVED, "mo_a2c": other}, risen=risen)
+    assert is_settled(results, "one_waypoint_linear", "best") is (risen < 1.0)
+    verdict = get_claim(1).judge(results, "best")
+    assert verdict is not None
+    assert (verdict.conclusion, verdict.text) == (conclusion, text)
+
+
+def test_an_answer_that_longer_training_could_only_confirm_stands() -> None:
+    arriving = {**SOLVED, "success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
+    failing = {**arriving, "success": evenly_spread(0.1)}
+    scores = {"a2c": arriving, "mo_a2c": arriving}
+    verdict = get_claim(4).judge(make_results("static_obstacle_nonlinear", scores, risen=1.0), "best")
+    assert verdict is not None
+    assert [check.passed for check in verdict.checks] == [True, False, None]  # both learn: A2C will not unlearn it
+    assert verdict.text == "not reproduced"
+    scores = {"a2c": failing, "mo_a2c": failing}
+    verdict = get_claim(4).judge(make_results("static_obstacle_nonlinear", scores, risen=1.0), "best")
+    assert verdict is not None
+    assert [check.passed for check in verdict.checks] == [None, None, None]
+
+
+def test_results_without_learning_curves_are_not_settled() -> None:
+    scores = {"a2c": SOLVED, "mo_a2c": SOLVED}
+    whole = make_results("one_waypoint_linear", scores)
+    assert is_settled(whole, "one_waypoint_linear", "best")
+    assert not is_settled(ReproductionResults(whole.scores, []), "one_waypoint_linear", "best")
+    short = [row for row in whole.curves if row["step"] < 400]
+    assert not is_settled(ReproductionResults(whole.scores, short), "one_waypoint_linear", "best")
+
+
+def test_the_check_of_consistency_states_its_power() -> None:
+    scores = {each: {"utility_esr": evenly_spread(22.0, 0.1)} for each in ("a2c", "mo_a2c")}
+    verdict = get_claim(2).judge(make_results("one_waypoint_nonlinear", scores), "best")
+    assert verdict is not None
+    found = re.search(r"power of the test: (\d+)% for a true ratio of 0.5, (\d+)% for", verdict.checks[1].measured)
+    assert found is not None
+    half, quarter = map(int, found.groups())
+    assert 5 < half < 30 < quarter < 70
 
 
 def test_one_seed_is_inconclusive() -> None:

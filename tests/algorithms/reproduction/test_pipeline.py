@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from algorithms.reproduction.plan import load_plan, planned_runs
-from algorithms.reproduction.report import verdict_table
+from algorithms.reproduction.report import QUICK, verdict_table
 from algorithms.reproduction.results import ReproductionResults, gather
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import TINY
@@ -59,6 +60,10 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     )
     assert [row["seed"] for row in found.scores] == [row["seed"] for row in gathered.scores]
     assert {row["policy"] for row in found.scores} == {"greedy", "stochastic"}
+    for row in found.scores:
+        path = tmp_path / "runs/reproduce/one_waypoint_linear" / row["protocol"] / row["variant"] / f"seed{row['seed']}"
+        utility = json.loads((path / "evaluation.json").read_text())["policies"][row["policy"]]["utility_esr"]
+        assert row["utility_esr_width"] == pytest.approx(utility["high"] - utility["low"], rel=1e-5)
     (results / "reproduction.md").unlink()
     code, _, _ = call("--claim", "1", "--redraw", "--output", str(results))
     assert code == 0
@@ -86,7 +91,12 @@ def test_invalid_options_are_refused_before_anything_is_trained(
 
 @pytest.mark.slow
 def test_a_run_of_another_plan_in_the_folder_is_refused(call: Callable[..., Any], tmp_path: Path) -> None:
-    assert call("--quick", "--runs", "mine")[0] == 0
+    code, out, _ = call("--quick", "--runs", "mine")
+    assert code == 0
+    assert "not judged" in out
+    assert "**" not in out  # no verdict
+    assert "It trains too little for verdicts." in out
+    assert f"**{QUICK}**" in (tmp_path / "mine" / "results" / "reproduction.md").read_text()
     code, _, err = call("--runs", "mine", "--output", "out")
     assert code == 2
     assert re.search(r"holds another experiment: training.total_timesteps = 400 there, 800 wanted", err)

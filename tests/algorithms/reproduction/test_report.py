@@ -40,6 +40,26 @@ def test_a_report_of_some_tasks_omits_the_others(tmp_path: Path) -> None:
     assert paths == [tmp_path / "reproduction.md", tmp_path / "figure_04.png"]
 
 
+def test_utilities_have_the_digits_that_the_wider_interval_supports() -> None:
+    plan = load_plan(PLAN)
+    scores = {each: {**SOLVED, "utility_esr_width": evenly_spread(2.0)} for each in ("a2c", "mo_a2c")}
+    assert "| 10.0 [10.0, 10.0] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
+    scores = dict.fromkeys(("a2c", "mo_a2c"), SOLVED)
+    assert "| 10.000 [9.993, 10.008] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
+
+
+def test_collapsed_runs_of_pcn_are_counted(tmp_path: Path) -> None:
+    plan = load_plan(PLAN)
+    front = {
+        "hypervolume": [3000.0, 20000.0, 25000.0, 26000.0, 27000.0],
+        "cardinality": evenly_spread(60.0),
+        "lowest_distance": evenly_spread(0.0),
+        "highest_distance": evenly_spread(14.0),
+    }
+    write_report(plan, make_results("one_waypoint_front", {"pcn": front}, policy="front"), tmp_path, [], how="a test")
+    assert "| 1 of 5 |" in (tmp_path / "reproduction.md").read_text()
+
+
 published = pytest.mark.skipif(
     not (PUBLISHED / "reproduction_scores.csv").exists(), reason="there are no published results"
 )
