@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.evaluation.metrics import FRONT, HYPERVOLUME, STOCHASTIC
+from algorithms.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
-from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, utility_metric
+from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, SOLVED, utility_metric
 from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
 from algorithms.reproduction.report import (
@@ -139,8 +139,17 @@ def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int
 
 
 def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: ReproductionResults) -> list[str]:
-    """Export the run with the median score of every compared variant to the zoo; returns the names there."""
-    names = []
+    """Export a run of every compared variant to the zoo; returns the names there.
+
+    It is the run with the median score. If that run does not solve the task and others do, the run with the median
+    score among those is exported too, under a name that ends in "-solved".
+    """
+    names: list[str] = []
+
+    def export_run(run: PlannedRun, name: str, chosen: str) -> None:
+        export(Run.open(run.job.path), name, about={"chosen": chosen, "scores": scores_of(run, results)})
+        names.append(name)
+
     for task, protocol, variant in dict.fromkeys((run.task, run.protocol, run.variant) for run in runs):
         if is_ablation(plan.tasks[task].protocols[protocol]):
             continue
@@ -149,9 +158,29 @@ def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: Reproductio
         chosen = median_run(mine, results, metric, policy)
         if chosen is not None:
             suffix = "" if protocol == "best" else f"-{protocol}"
-            names.append(f"{task}-{chosen.job.experiment.algorithm['name']}{suffix}")
-            export(Run.open(chosen.job.path), names[-1], about={"chosen": f"median {metric} of its seeds"})
+            name = f"{task}-{chosen.job.experiment.algorithm['name']}{suffix}"
+            export_run(chosen, name, f"median {metric} of {len(mine)} seeds")
+            solved = [run for run in mine if scores_of(run, results).get(policy, {}).get(SUCCESS, 0.0) > SOLVED]
+            success = median_run(solved, results, metric, policy)
+            if success is not None and chosen not in solved:
+                export_run(
+                    success,
+                    f"{name}-solved",
+                    f"median {metric} of the {len(solved)} of {len(mine)} seeds that "
+                    f"arrive in over {SOLVED:.0%} of the episodes",
+                )
     return names
+
+
+def scores_of(run: PlannedRun, results: ReproductionResults) -> dict[str, dict[str, float]]:
+    """The main scores of a run, by policy and metric: arrivals and utility, or those of a front."""
+    metrics = (HYPERVOLUME, CARDINALITY) if run.task == FRONT_TASK else (SUCCESS, utility_metric(run.task))
+    return {
+        row["policy"]: {metric: row[metric] for metric in metrics if metric in row}
+        for row in results.scores
+        if (row["task"], row["protocol"], row["variant"], row["seed"])
+        == (run.task, run.protocol, run.variant, run.seed)
+    }
 
 
 def _write(

@@ -2,29 +2,76 @@
 
 from __future__ import annotations
 
+import json
+from typing import TYPE_CHECKING, Any
+
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from algorithms.evaluation.metrics import (
+    CARDINALITY,
+    FRONT,
+    GREEDY,
+    STOCHASTIC,
+    SUCCESS,
+    TOTAL_UTILITY_ESR,
+    UTILITY_ESR,
+)
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.zoo import find, names
+from algorithms.zoo.exporting import ABOUT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from algorithms.experiments.config import Experiment
+
+CAPTION = """\
+Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split.
+Names end in -printed for the paper's hyperparameters, in -together where the first vehicle to end ends the episode
+for both, and in -solved where the median run fails and another one is added. All policies: docs/reproduction.md.
+"""
 
 
 def zoo_table() -> Table:
-    """One row per policy: its name, and the scenario, utility and algorithm of its training.
+    """One row per policy: its name, the task and algorithm of its training, and its scores.
 
     Raises:
-        ValueError: if the config of a policy is not valid.
+        ValueError: if a file of a policy is not valid.
     """
     table = Table(title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    table.caption, table.caption_justify = CAPTION, "left"
     table.add_column("name", no_wrap=True)
-    for column in ("scenario", "utility", "algorithm"):
+    for column in ("task", "algorithm", "arrivals (%)", "utility (ESR)"):
         table.add_column(column)
     for name in names():
         experiment = Run.open(find(name), device="cpu").experiment
-        scenario = find_environment(experiment.environment.id).kwargs.get("scenario", experiment.environment.id)
-        settings = experiment.utility
-        utilities = [] if settings is None else [settings.name, *(each.name for each in settings.vehicles.values())]
-        utility = ", ".join(dict.fromkeys(utilities)) or "all: a front"
-        table.add_row(name, scenario, utility, experiment.algorithm["name"])
+        table.add_row(name, _task(experiment), experiment.algorithm["name"], *_score_columns(find(name) / ABOUT))
     return table
+
+
+def _task(experiment: Experiment) -> str:
+    """The utilities of an experiment, and its scenario unless their names begin with it."""
+    scenario: str = find_environment(experiment.environment.id).kwargs.get("scenario", experiment.environment.id)
+    settings = experiment.utility
+    if settings is None:
+        return f"{scenario}, a front"
+    utilities = dict.fromkeys([settings.name, *(each.name for each in settings.vehicles.values())])
+    return ", ".join([*([] if settings.name.startswith(scenario) else [scenario]), *utilities])
+
+
+def _score_columns(path: Path) -> list[str]:
+    """Arrivals and utility of both policies, or the number of policies of a front; empty where they are not known."""
+    try:
+        scores: dict[str, dict[str, Any]] = json.loads(path.read_bytes()).get("scores", {})
+        if FRONT in scores:
+            return ["", f"{scores[FRONT][CARDINALITY]:.0f} policies"]
+        columns = [
+            [100.0 * scores[policy][SUCCESS], scores[policy].get(TOTAL_UTILITY_ESR, scores[policy].get(UTILITY_ESR))]
+            for policy in (GREEDY, STOCHASTIC)
+            if policy in scores
+        ]
+        return [" / ".join(f"{value:.3g}" for value in values) for values in zip(*columns, strict=True)] or ["", ""]
+    except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} is not valid: {type(error).__name__}: {error}") from None

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from algorithms.reproduction import pipeline
 from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.report import QUICK, verdict_table
 from algorithms.reproduction.results import ReproductionResults, gather
 from tests.helpers.paths import REPOSITORY
-from tests.helpers.reproduction import TINY
+from tests.helpers.reproduction import PLAN, TINY, make_results
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,6 +69,38 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     code, _, _ = call("--claim", "1", "--redraw", "--output", str(results))
     assert code == 0
     assert verdict_table(load_plan("plan.yaml"), found) in (results / "reproduction.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "solved"),
+    [([0.0, 0.0, 0.99, 0.97, 0.0], 23), ([0.0, 0.0, 0.0, 0.0, 0.0], None), ([0.96, 0.97, 0.98, 0.99, 0.0], None)],
+)
+def test_a_success_is_exported_beside_a_median_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arrivals: list[float], solved: int | None
+) -> None:
+    plan = load_plan(PLAN)
+    runs = [
+        run
+        for run in planned_runs(plan, ["one_waypoint_linear"], tmp_path, root=REPOSITORY)
+        if (run.protocol, run.variant) == ("best", "mo_a2c")
+    ]
+    utilities = [10.0 * rate + 0.001 * i for i, rate in enumerate(arrivals)]
+    scores = {"mo_a2c": {"utility_esr": utilities, "success": arrivals}}
+    exported: dict[str, tuple[Path, dict[str, Any]]] = {}
+    monkeypatch.setattr(pipeline.Run, "open", lambda path: path)
+    monkeypatch.setattr(pipeline, "export", lambda run, name, about: exported.update({name: (run, about)}))
+    names = pipeline.export_policies(runs, plan, make_results("one_waypoint_linear", scores))
+    assert names == list(exported) == ["one_waypoint_linear-mo_ppo", "one_waypoint_linear-mo_ppo-solved"][: len(names)]
+    assert len(names) == (1 if solved is None else 2)
+    path, about = exported["one_waypoint_linear-mo_ppo"]
+    median = sorted(utilities)[2]
+    assert path.name == f"seed{20 + utilities.index(median)}"
+    assert about["chosen"] == "median utility_esr of 5 seeds"
+    assert about["scores"]["stochastic"]["utility_esr"] == median
+    if solved is not None:
+        path, about = exported["one_waypoint_linear-mo_ppo-solved"]
+        assert path.name == f"seed{solved}"
+        assert about["chosen"] == "median utility_esr of the 2 of 5 seeds that arrive in over 95% of the episodes"
 
 
 @pytest.mark.parametrize(

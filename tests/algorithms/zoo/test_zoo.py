@@ -144,16 +144,26 @@ def test_training_cannot_be_resumed_from_the_zoo(trained: Trained, home: Path, c
 def test_the_zoo_is_listed(trained: Trained, home: Path, call: Call) -> None:
     assert call("evaluate", "--zoo") == (0, "the zoo is empty\n", "")
     kinds = {"first": "mo_ppo, two vehicles", "second": "pcn", "third": "mo_a2c, another environment"}
+    both = {"success": 0.25, "vehicle_0/utility_esr": 1.0, "total_utility_esr": 33.44}
+    scores = {
+        "first": {"greedy": {**both, "success": 0.0}, "stochastic": both},
+        "second": {"front": {"cardinality": 12.0, "hypervolume": 3.0}},
+        "third": {},
+    }
     for name, kind in kinds.items():
-        export(trained(kind), name)
+        export(trained(kind), name, about={"scores": scores[name]})
     code, out, error = call("evaluate", "--zoo")
     assert (code, error) == (0, "")
     rows = [line.split(maxsplit=1) for line in out.splitlines() if line.strip().startswith(tuple(kinds))]
     assert [(name, " ".join(rest.split())) for name, rest in rows] == [
-        ("first", "intersection intersection_linear mo_ppo"),
-        ("second", "one_waypoint all: a front pcn"),
-        ("third", f"{SEA} linear mo_a2c"),
+        ("first", "intersection_linear mo_ppo 0 / 25 33.4 / 33.4"),
+        ("second", "one_waypoint, a front pcn 12 policies"),
+        ("third", f"{SEA}, linear mo_a2c"),
     ]
+    assert "-printed for the paper's hyperparameters" in out
+    assert "-solved where the median run fails" in out
+    (home / "second" / "about.json").write_text("[]")
+    refused(call("evaluate", "--zoo"), str(home / "second" / "about.json"))
     (home / "first" / "config.yaml").write_text("algorithm: 3\n")
     refused(call("evaluate", "--zoo"), str(home / "first" / "config.yaml"))
     for arguments in ([], ["first", "--zoo"]):
