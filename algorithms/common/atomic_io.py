@@ -1,14 +1,16 @@
-"""Atomic writes: after a crash or on a full disk, the previous file is still whole."""
+"""Atomic writes: after a crash or on a full disk, the previous file is still whole. Also lock files."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import os
+import stat
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -40,6 +42,29 @@ def atomic_write(path: str | Path, data: bytes) -> None:
 def leftovers(folder: Path) -> Iterator[Path]:
     """Temporary files in a folder, left by processes that were killed in :func:`atomic_write`."""
     return folder.glob(".*.tmp")
+
+
+def open_lock(path: str | Path) -> IO[bytes]:
+    """Open a lock file, to be locked and closed by the caller; it is created if it is missing, and never changed.
+
+    Raises:
+        ValueError: if it is a link or anything else that is not a file.
+        OSError: if it cannot be opened.
+    """
+    refusal = ValueError(f"lock {str(path)!r} is not a regular file; delete it")
+    flags = os.O_RDWR | os.O_CREAT
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC"):  # POSIX; without O_NONBLOCK a device may block
+        flags |= getattr(os, name, 0)
+    try:
+        file = os.fdopen(os.open(path, flags, 0o666), "r+b", buffering=0)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ESPIPE):
+            raise refusal from None
+        raise
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise refusal
+    return file
 
 
 def write_json(path: str | Path, value: Any) -> None:

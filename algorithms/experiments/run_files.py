@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 RECORDED = ("config.yaml", "checkpoint.safetensors", "metrics.csv", "evaluation.json", "front.csv", "fronts.csv")
+RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
 NOT_RECORDED = "its files are not recorded: it was made by an earlier version"
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from algorithms.evaluation.metrics import FRONT, HYPERVOLUME, STOCHASTIC
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
-from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, utility_metric
 from algorithms.reproduction.figures import FIGURES
@@ -149,7 +148,7 @@ def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: Reproductio
         if chosen is not None:
             suffix = "" if protocol == "best" else f"-{protocol}"
             names.append(f"{task}-{chosen.job.experiment.algorithm['name']}{suffix}")
-            export(Run.open(chosen.job.path), names[-1], about={"chosen": f"median {metric} of its seeds"})
+            export(chosen.job.open(), names[-1], about={"chosen": f"median {metric} of its seeds"})
     return names
 
 
