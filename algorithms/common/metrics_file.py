@@ -133,7 +133,7 @@ def find_gap(name: str, rows: Sequence[Sequence[str]], after: int, noted: Mappin
     if not isinstance(expected, int) or len(rows) >= expected:
         return f"{name}: the rows up to step {after:,} are not those that were written"
     there = f"it has rows of steps {int(rows[0][0]):,} to {int(rows[-1][0]):,}" if rows else "it has none"
-    return f"{name} lacks {expected - len(rows):,} of {expected:,} rows up to step {after:,}; {there}"
+    return f"{name} lacks {expected - len(rows):,} of {expected:,} rows up to step {after:,} ({there})"
 
 
 def append(path: Path, text: str) -> None:

@@ -53,8 +53,6 @@ STATUS: dict[str, tuple[type, ...]] = {
     "logged": (list,),
     "files": (dict,),
 }
-
-
 METRICS_FILE, FRONTS_FILE = "metrics.csv", "fronts.csv"
 # Modules in front of the ids of their environments that are imported in any case.
 ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
@@ -219,8 +217,10 @@ class Run:
 
     def add_metrics_gap(self, gap: str) -> None:
         """Add to :attr:`metrics_gap`, which the next and all later :meth:`set_status` write."""
-        known = [] if self.metrics_gap is None else self.metrics_gap.split("; ")
-        self.metrics_gap = "; ".join(dict.fromkeys([*known, gap]))
+        if self.metrics_gap is None:
+            self.metrics_gap = gap
+        elif gap not in self.metrics_gap:  # noticed before, by a process that wrote no checkpoint
+            self.metrics_gap += f"; {gap}"
 
     def set_status(self, state: State, step: int, reason: str | None = None) -> None:
         """Write status.json with the state of the run, its step, and the reason if it failed.

@@ -140,6 +140,8 @@ def train(
                     watch(step, metrics)
 
             fronts = None if known_utility else FrontsFile(run.path / FRONTS_FILE, after, noted[FRONTS_FILE])
+            if saved == 0:
+                run.metrics_gap = None  # everything is written again
             gaps = [gap for gap in (logger.gap, fronts and fronts.gap) if gap]
             for gap in gaps:
                 reporter.say(f"warning: {gap}; the run is continued")
@@ -218,7 +220,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             directory=run.path,
             video=run.path / "video.mp4" if figures else None,
         )
-        if figures:
+        if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
             plot(load_groups([run.path]), run.path / "curves.png")
         run.set_status("finished", agent.step)
     except OSError as error:

@@ -173,7 +173,7 @@ def test_bad_input_is_refused_before_anything_starts(driving: Path, call: Call) 
     refused(call("train", *config, "--algorithm.learning_rat=1"), "did you mean 'learning_rate'?")
     refused(call("train", *config, "--algorithm.gamma=2"), "'gamma' = 2", "less than or equal to 1")
     refused(call("train", *config, "--utility.name=one_waypoint_liner"), "one_waypoint_linear")
-    refused(call("train", *config, "--utility.name=own:wrong"), "own:wrong", "gives shape (2, 4)")
+    refused(call("train", *config, "--utility.name=own:wrong"), "own:wrong", "gives shape (4,)")
     refused(call("train", *config, "--environment.id=CartPole-v1"), "CartPole-v1", "cannot be made")
     refused(call("train", *config, "surplus"), "'surplus' is not of the form")
     refused(call("train", *config, "--output", "own.py/run"), "own.py", "cannot be written")
@@ -379,7 +379,7 @@ def test_a_run_with_a_gap_in_its_metrics_says_so_when_it_is_finished(
     code, out, error = call("train", "--resume", run)
     assert code == 0, out + error
     rows = whole["logged"][-1]["metrics.csv"]["rows"]
-    gap = f"metrics.csv lacks {rows} of {rows} rows up to step {whole['step']:,}; it has none"
+    gap = f"metrics.csv lacks {rows} of {rows} rows up to step {whole['step']:,} (it has none)"
     assert f"warning: {gap}" in " ".join((out + error).split())
     assert error.splitlines()[-1] == f"warning: {run}: {gap}"
     assert status(run)["metrics_gap"] == gap

@@ -74,7 +74,7 @@ def test_rows_that_were_noted_are_found_again_though_later_ones_follow(tmp_path:
     assert MetricsFile(path, after=30).gap is None  # nothing was noted
 
 
-DELETED = "metrics.csv lacks 5 of 5 rows up to step 30; it has none"
+DELETED = "metrics.csv lacks 5 of 5 rows up to step 30 (it has none)"
 
 
 @pytest.mark.parametrize(
@@ -83,8 +83,8 @@ DELETED = "metrics.csv lacks 5 of 5 rows up to step 30; it has none"
         (None, DELETED),
         ([], DELETED),
         ([0], DELETED),
-        ([0, 1, 2], "metrics.csv lacks 3 of 5 rows up to step 30; it has rows of steps 0 to 10"),
-        ([0, 1, 4, 5], "metrics.csv lacks 2 of 5 rows up to step 30; it has rows of steps 0 to 30"),
+        ([0, 1, 2], "metrics.csv lacks 3 of 5 rows up to step 30 (it has rows of steps 0 to 10)"),
+        ([0, 1, 4, 5], "metrics.csv lacks 2 of 5 rows up to step 30 (it has rows of steps 0 to 30)"),
         ([0, 1, 2, 3, 3, 5], "metrics.csv: the rows up to step 30 are not those that were written"),
         ([0, 1, 2, 2, 3, 4, 5], "metrics.csv: the rows up to step 30 are not those that were written"),
     ],

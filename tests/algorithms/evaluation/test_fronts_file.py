@@ -96,10 +96,10 @@ def test_missing_rows_of_fronts_are_noticed(tmp_path: Path) -> None:
     file.write(*FRONTS[3])
     assert FrontsFile(path, after=20, noted=noted).gap is None
     path.write_text("".join(whole[:3]))
-    gap = "fronts.csv lacks 4 of 6 rows up to step 20; it has rows of steps 0 to 10"
+    gap = "fronts.csv lacks 4 of 6 rows up to step 20 (it has rows of steps 0 to 10)"
     assert FrontsFile(path, after=20, noted=noted).gap == gap
     path.unlink()
     again = FrontsFile(path, after=20, noted=noted)
-    assert again.gap == "fronts.csv lacks 6 of 6 rows up to step 20; it has none"
+    assert again.gap == "fronts.csv lacks 6 of 6 rows up to step 20 (it has none)"
     again.write(*FRONTS[3])
     assert rows_of(path) == expected_rows(FRONTS[3])

@@ -44,12 +44,12 @@ def cut(run: Path, change: Callable[[list[str]], list[str] | None]) -> None:
 @pytest.mark.parametrize(
     ("change", "gap"),
     [
-        (lambda _: None, "metrics.csv lacks 4 of 4 rows up to step 320; it has none"),
-        (lambda _: [], "metrics.csv lacks 4 of 4 rows up to step 320; it has none"),
-        (lambda lines: lines[:-2], "metrics.csv lacks 2 of 4 rows up to step 320; it has rows of steps 0 to 160"),
+        (lambda _: None, "metrics.csv lacks 4 of 4 rows up to step 320 (it has none)"),
+        (lambda _: [], "metrics.csv lacks 4 of 4 rows up to step 320 (it has none)"),
+        (lambda lines: lines[:-2], "metrics.csv lacks 2 of 4 rows up to step 320 (it has rows of steps 0 to 160)"),
         (
             lambda lines: [*lines[:2], *lines[3:]],
-            "metrics.csv lacks 1 of 4 rows up to step 320; it has rows of steps 0 to 320",
+            "metrics.csv lacks 1 of 4 rows up to step 320 (it has rows of steps 0 to 320)",
         ),
     ],
     ids=["deleted", "emptied", "cut", "without a middle row"],
@@ -153,3 +153,19 @@ def test_a_run_with_broken_metrics_is_not_reopened(tmp_path: Path) -> None:
     (wanted.path / "metrics.csv").write_bytes(b"\xff\n")
     with pytest.raises(ValueError, match=r"metrics\.csv' is not a CSV file"):
         reopen(str(wanted.path))
+
+
+def test_a_gap_that_is_noticed_again_before_a_checkpoint_is_noted_once(tmp_path: Path) -> None:
+    wanted = stopped_job(tmp_path)
+    cut(wanted.path, lambda lines: lines[:2])
+    checkpoint, status = wanted.path / "checkpoint.safetensors", read_status(wanted.path)
+    before = checkpoint.read_bytes()
+    perform(wanted, stop=lambda: True)
+    gap = read_status(wanted.path)["metrics_gap"]
+    checkpoint.write_bytes(before)  # as if the process had been killed before it wrote one
+    (wanted.path / "status.json").write_text(json.dumps({**status, "metrics_gap": gap}))
+    perform(wanted, stop=lambda: True)
+    assert read_status(wanted.path)["metrics_gap"] == gap
+    checkpoint.unlink()
+    assert perform(wanted) == "trained"
+    assert "metrics_gap" not in read_status(wanted.path)  # it was trained from the beginning
