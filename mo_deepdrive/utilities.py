@@ -237,12 +237,43 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
     return Utility(name, objectives, function)
 
 
+def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> None:
+    """Call a utility with returns of every number of axes: of a mean, of episodes, and of steps of episodes.
+
+    A user's function may be written for one of them alone, and would otherwise fail when another is first needed.
+
+    Args:
+        utility: to be called.
+        zeros: ``numpy.zeros`` or ``torch.zeros``, which makes the returns.
+
+    Raises:
+        ValueError: naming the utility and the shape, if the call fails or does not give one number per return.
+    """
+    d = len(utility.objectives)
+    for shape in ((d,), (2, d), (3, 2, d)):
+        returns = zeros(shape)
+        library = type(returns).__module__
+        given = f"returns of shape {shape} as {library}"
+        try:
+            values = utility(returns)
+        except Exception as error:
+            message = " ".join(str(error).split())
+            raise ValueError(f"utility {utility.name!r} fails on {given}: {type(error).__name__}: {message}") from error
+        # NumPy gives a scalar, not an array, for a single return.
+        number = np.asarray(values).dtype.kind in "fiu" if library == "numpy" else isinstance(values, type(returns))
+        if not number:
+            raise ValueError(f"utility {utility.name!r} gives {values!r} for {given}, not numbers of {library}")
+        found = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
+        if found != shape[:-1]:
+            raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
+
+
 def _custom(path: str, arguments: dict[str, Any]) -> Function:
     module_name, _, attribute = path.partition(":")
     try:
         function = getattr(importlib.import_module(module_name), attribute)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise ValueError(f"utility {path!r} cannot be imported: {error}") from None
+    except Exception as error:  # a user's module may raise anything, such as SyntaxError
+        raise ValueError(f"utility {path!r} cannot be imported: {type(error).__name__}: {error}") from None
     if not callable(function):
         raise ValueError(f"utility {path!r} is not callable")
     return (lambda returns: function(returns, **arguments)) if arguments else function

@@ -28,16 +28,18 @@ from algorithms.experiments.agent_report import film_policies_of_front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import (
     add_evaluation_arguments,
+    add_trust_argument,
     evaluation_arguments,
     exit_on_error,
     make_parser,
     named_numbers,
     prepare_process,
+    warn_of_changes,
 )
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.utilities import check_utility, make_utility
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -63,6 +65,7 @@ def parse_arguments(arguments: list[str]) -> Namespace:
     add_evaluation_arguments(
         parser, default_episodes=20, default_split="validation", video="also film the chosen policy"
     )
+    add_trust_argument(parser)
     return parser.parse_args(arguments)
 
 
@@ -78,7 +81,9 @@ def parse_preference(options: Namespace, objectives: tuple[str, ...], scales: ND
         arguments = read_value(options.arguments)
         if not isinstance(arguments, dict):
             raise ValueError(f"--arguments {options.arguments!r} must be a mapping")
-        return expected_utility(make_utility(options.utility, objectives, **arguments))
+        utility = make_utility(options.utility, objectives, **arguments)
+        check_utility(utility, np.zeros)
+        return expected_utility(utility)
     if options.weights is not None:
         return weighted_sum(named_numbers("--weights", options.weights, objectives), objectives)
     return distance_to_target(named_numbers("--target", options.target, objectives), objectives, scales)
@@ -117,11 +122,12 @@ def main(arguments: list[str]) -> int:
     options = parse_arguments(arguments)
     console = make_console()
     with exit_on_error(ValueError, OSError):
-        run = Run.open(options.run, device="cpu")
+        run = Run.open(options.run, device="cpu", trust=options.trust)
         experiment = run.experiment
         if experiment.known_utility:
             raise ValueError(f"{options.run!r} learnt one policy, not a front: scripts/evaluate.py shows it")
         episodes, seed = evaluation_arguments(options, experiment)
+        warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
         front = Front.read(run.path)
         agent = load_policy(run)
         scales = np.asarray(agent.scales, dtype=np.float64)

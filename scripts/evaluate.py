@@ -17,11 +17,13 @@ from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import (
     add_evaluation_arguments,
+    add_trust_argument,
     check_parent,
     evaluation_arguments,
     exit_on_error,
     make_parser,
     prepare_process,
+    warn_of_changes,
 )
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
@@ -41,6 +43,7 @@ def parse_arguments(arguments: list[str]) -> Namespace:
     parser.add_argument("--stochastic", action="store_true", help="film the stochastic policy, not the greedy one")
     parser.add_argument("--output", metavar="DIR", help="also write the files that train.py writes")
     parser.add_argument("--device", default="cpu", metavar="D", help="device of the networks (default: cpu)")
+    add_trust_argument(parser)
     return parser.parse_args(arguments)
 
 
@@ -53,9 +56,10 @@ def main(arguments: list[str]) -> int:
             table = zoo_table()
             console.print(table if table.row_count else "the zoo is empty")
             return 0
-        run = Run.open(options.run, device=options.device)
+        run = Run.open(options.run, device=options.device, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
         check_parent("--output", options.output)
+        warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
         agent = load_policy(run)
         filmed = report_agent(
             agent,
@@ -68,6 +72,8 @@ def main(arguments: list[str]) -> int:
             video=Path(options.video) if options.video else None,
             greedy=not options.stochastic,
         )
+        if options.output and Path(options.output).resolve() == run.path.resolve():
+            run.record_results()
     return 0 if filmed else 1
 
 

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from algorithms.experiments.cli import add_trust_argument
 from algorithms.planning.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
 from algorithms.planning.plans import GAMMAS
 from algorithms.planning.trained_runs import record_run
@@ -40,6 +41,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     add("--from", dest="runs", nargs="+", default=[], metavar="RUN", help="also start from the policies of these runs")
     add("--episodes", type=int, default=8, metavar="N", help="sampled, of each policy of a run (default: %(default)s)")
     add("--output", type=Path, metavar="FILE", help="write to FILE instead of replacing the shipped front")
+    add_trust_argument(parser)
     options = parser.parse_args(arguments)
     for name in ("decisions", "seed", "episodes"):
         if getattr(options, name) < 0:
@@ -52,11 +54,13 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = vars(parse_arguments(arguments))
-    runs, output = options.pop("runs"), options.pop("output")
+    runs, output, trust = options.pop("runs"), options.pop("output"), options.pop("trust")
     settings = FrontSearchSettings(**options)
     shipped = shipped_front_file(settings.scenario, settings.action_type)
     try:
-        recordings = [record_run(run, settings.scenario, settings.action_type, settings.episodes) for run in runs]
+        recordings = [
+            record_run(run, settings.scenario, settings.action_type, settings.episodes, trust=trust) for run in runs
+        ]
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

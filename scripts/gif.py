@@ -20,6 +20,7 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.build import load_policy
+from algorithms.experiments.cli import add_trust_argument
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import Frame, write_gif
@@ -45,16 +46,17 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--fps", type=int, default=10, metavar="N", help="frames per second (default: %(default)s)")
     parser.add_argument("--side", type=int, default=320, metavar="PIXELS", help="of each clip (default: %(default)s)")
+    add_trust_argument(parser)
     return parser.parse_args(arguments)
 
 
-def open_policy(name: str, seed: int) -> tuple[str, Iterator[list[Frame]]]:
+def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[Frame]]]:
     """Load a policy: the title of its scenario, and the frames of one greedy episode after the other.
 
     Raises:
         ValueError: if there is no such run or policy, or it learns a front.
     """
-    run = Run.open(name, device="cpu")
+    run = Run.open(name, device="cpu", trust=trust)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies; choose one with scripts/choose.py --video instead")
     agent = load_policy(run)
@@ -66,9 +68,9 @@ def open_policy(name: str, seed: int) -> tuple[str, Iterator[list[Frame]]]:
     return title, (list(episode_frames(agent, env, i, greedy=True)) for i in range(seed, 2**31))
 
 
-def clips(names: Sequence[str], seed: int) -> list[tuple[str, list[Frame]]]:
+def clips(names: Sequence[str], seed: int, trust: bool = False) -> list[tuple[str, list[Frame]]]:
     """Titles and frames: the first episode of each policy, and further ones of it while they fit beside the longest."""
-    titles, episodes = zip(*(open_policy(name, seed) for name in names), strict=True)
+    titles, episodes = zip(*(open_policy(name, seed, trust) for name in names), strict=True)
     shown = [next(each) for each in episodes]
     length = max(map(len, shown))
     for frames, further in zip(shown, episodes, strict=True):
@@ -88,7 +90,7 @@ def main(arguments: list[str]) -> int:
             raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
         if options.side < 16:
             raise ValueError(f"--side {options.side} must be at least 16 pixels")
-        shown = clips(options.runs, options.seed)
+        shown = clips(options.runs, options.seed, options.trust)
         count, size = write_gif(shown, options.output, fps=options.fps, side=options.side)
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

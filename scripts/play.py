@@ -25,7 +25,7 @@ from rich.table import Table
 
 from algorithms.evaluation.policy_driver import PolicyDriver
 from algorithms.experiments.build import load_policy
-from algorithms.experiments.cli import check_parent, exit_on_error, make_parser
+from algorithms.experiments.cli import add_trust_argument, check_parent, exit_on_error, make_parser, warn_of_changes
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
@@ -67,6 +67,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--vehicle", type=int, choices=(0, 1), help="the vehicle you drive against RUN (default: 0)")
     parser.add_argument("--stochastic", action="store_true", help="sample RUN's actions instead of the greedy ones")
     parser.add_argument("--record", metavar="FILE", help="write an MP4 of the session")
+    add_trust_argument(parser)
     options = parser.parse_args(arguments)
     if options.seed is not None and not 0 <= options.seed <= MAX_SEED:
         raise ValueError(f"--seed {options.seed} must be between 0 and {MAX_SEED}")
@@ -90,10 +91,11 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
             if given:
                 raise ValueError(f"{name} requires --against RUN")
         return make_play_env(options.env), None
-    run = Run.open(options.against, device="cpu")
+    run = Run.open(options.against, device="cpu", trust=options.trust)
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
         raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {spec.id}")
+    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
     agent = load_policy(run)
     if agent.env.vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")

@@ -15,6 +15,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from algorithms.experiments.cli import warn_of_changes
 from algorithms.reporting.learning_curves import describe, load_groups, plot
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.plots import plot_sweep
@@ -43,6 +44,8 @@ def main(arguments: list[str]) -> int:
     try:
         if not any(is_sweep(run) for run in options.runs):
             groups = load_groups(options.runs)
+            for run in options.runs:
+                warn_of_changes(run, ("config.yaml", "metrics.csv"))
             plot(groups, options.output)
             print(*describe(groups), options.output, sep="\n")
         elif len(options.runs) > 1:

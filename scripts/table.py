@@ -24,8 +24,9 @@ import sys
 from pathlib import Path
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.experiments.cli import warn_of_changes
 from algorithms.experiments.progress_bar import make_console
-from algorithms.reporting.seed_tables import Rows, print_runs
+from algorithms.reporting.seed_tables import Rows, find_runs, print_runs
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.tables import print_sweep
 
@@ -63,6 +64,8 @@ def print_tables(options: argparse.Namespace) -> list[Rows]:
     if not any(is_sweep(path) for path in options.runs):
         if options.sort is not None or options.top is not None:
             raise ValueError("--sort and --top are for a sweep, a directory with a manifest.jsonl")
+        for run in find_runs(options.runs):
+            warn_of_changes(run, ("config.yaml", "evaluation.json"))
         return print_runs(options.runs, console, warn)
     if len(options.runs) > 1:
         raise ValueError("a sweep has its own table: give one sweep, or else runs")

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import (
     add_training_arguments,
+    add_trust_argument,
     exit_on_error,
     make_parser,
     new_run,
     parse_training_arguments,
     prepare_process,
+    warn_of_changes,
 )
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.progress_bar import make_console
@@ -39,6 +41,7 @@ def parse_arguments(arguments: list[str]) -> tuple[Namespace, list[str]]:
     source.add_argument("--config", metavar="FILE", help="YAML file of the experiment")
     source.add_argument("--resume", metavar="RUN", help="directory of a run to resume")
     add_training_arguments(parser)
+    add_trust_argument(parser)
     return parse_training_arguments(parser, arguments)
 
 
@@ -47,25 +50,28 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
 
     Raises:
         ValueError: if the options, the experiment, the directory or the checkpoint are not valid.
+        OSError: if the directory of a run to be resumed cannot be written.
     """
     if options.resume is None:
+        if options.trust:
+            raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
         experiment = load_experiment(options.config, overrides)
         agent = build(experiment)  # before the directory is created: it may fail
         return new_run(options, experiment), agent
     if overrides or options.output:
         given = [*overrides, *(["--output"] if options.output else [])]
         raise ValueError(f"--resume continues the run with its own settings; it cannot take {' '.join(given)}")
-    return reopen(options.resume)
+    return reopen(options.resume, trust=options.trust)
 
 
 def main(arguments: list[str]) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments)
-    with exit_on_error(ValueError):
+    with exit_on_error(ValueError, OSError):
         run, agent = open_run(options, overrides)
         if run.status.get("state") == "finished":
             print(f"{run.path} is finished; there is nothing to resume")
-            return 0
+            return int(warn_of_changes(run.path))
     resume_with = f"resume with: python scripts/train.py --resume {run.path}"
     with exit_on_error(hint=resume_with):
         for change in run.changed_versions():
@@ -76,6 +82,7 @@ def main(arguments: list[str]) -> int:
             print(f"interrupted at step {agent.step:,}; {resume_with}")
             return 128 + received
     print(f"finished: {run.path}")
+    warn_of_changes(run.path)
     return 0
 
 

@@ -1,14 +1,16 @@
-"""Atomic writes: after a crash or on a full disk, the previous file is still whole."""
+"""Atomic writes: after a crash or on a full disk, the previous file is still whole. Also lock files."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import os
+import stat
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -42,6 +44,29 @@ def leftovers(folder: Path) -> Iterator[Path]:
     return folder.glob(".*.tmp")
 
 
+def open_lock(path: str | Path) -> IO[bytes]:
+    """Open a lock file, to be locked and closed by the caller; it is created if it is missing, and never changed.
+
+    Raises:
+        ValueError: if it is a link or anything else that is not a file.
+        OSError: if it cannot be opened.
+    """
+    refusal = ValueError(f"lock {str(path)!r} is not a regular file; delete it")
+    flags = os.O_RDWR | os.O_CREAT
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC"):  # POSIX; without O_NONBLOCK a device may block
+        flags |= getattr(os, name, 0)
+    try:
+        file = os.fdopen(os.open(path, flags, 0o666), "r+b", buffering=0)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ESPIPE):
+            raise refusal from None
+        raise
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise refusal
+    return file
+
+
 def write_json(path: str | Path, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically.
 
@@ -49,6 +74,15 @@ def write_json(path: str | Path, value: Any) -> None:
         OSError: as :func:`atomic_write`.
     """
     atomic_write(path, (json.dumps(value, indent=2) + "\n").encode())
+
+
+def read_json_object(path: str | Path) -> dict[str, Any]:
+    """The JSON object in a file that describes work; empty if the file is missing, broken or holds something else."""
+    try:
+        value = json.loads(Path(path).read_bytes())
+    except (OSError, ValueError, RecursionError):  # RecursionError: nested too deeply
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 def csv_bytes(rows: Iterable[Sequence[Any]]) -> bytes:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,14 +44,25 @@ class MetricsFile:
         path: the file.
         after: keep the rows up to this step and drop later ones, which a resumed run writes again; None starts a new
             file.
+        noted: what :meth:`sync` returned when the checkpoint of step ``after`` was written; None if it is not known.
+
+    Attributes:
+        gap: how the rows up to ``after`` differ from those that were noted; None if they do not.
+
+    Raises:
+        ValueError: if there is a file to continue that is not a metrics file.
+        OSError: if it cannot be written.
     """
 
-    def __init__(self, path: Path, after: int | None = None):
+    def __init__(self, path: Path, after: int | None = None, noted: Mapping[str, Any] | None = None):
         self.path = path
-        self._columns, self._rows = ["step"], []
+        self.gap: str | None = None
+        self._columns: list[str] = ["step"]
+        self._rows: list[list[str]] = []
         if after is not None:
-            columns, rows = complete_rows(path)
-            self._columns, self._rows = columns, [row for row in rows if int(row[0]) <= after]
+            self._columns, self._rows = rows_until(path, after)
+            self.gap = find_gap(path.name, self._rows, after, noted)
+        self._tally = RowTally(self._rows)
         self._rewrite()
 
     def _rewrite(self) -> None:
@@ -68,11 +81,80 @@ class MetricsFile:
         cells = {"step": str(step), **{name: format_number(value) for name, value in metrics.items()}}
         row = [cells.get(name, "") for name in self._columns]
         self._rows.append(row)
+        self._tally.add([row])
         if new:
             self._rewrite()
         else:
-            with self.path.open("a") as file:
-                file.write(csv_line(row))
+            append(self.path, csv_line(row))
+
+    def sync(self) -> dict[str, Any]:
+        """Make every row reach the disk; returns the number and the hash of the rows, for ``noted``.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        sync(self.path)
+        return self._tally.note()
+
+
+class RowTally:
+    """The number and the hash of the rows of a CSV file; a column that is added later does not change them."""
+
+    def __init__(self, rows: Iterable[Sequence[str]] = ()):
+        self._count, self._hash = 0, hashlib.sha256()
+        self.add(rows)
+
+    def add(self, rows: Iterable[Sequence[str]]) -> None:
+        """Count further rows."""
+        for row in rows:
+            self._count += 1
+            self._hash.update(csv_line(row).rstrip(",\n").encode() + b"\n")
+
+    def note(self) -> dict[str, Any]:
+        """The number and the hash, as plain values."""
+        return {"rows": self._count, "sha256": self._hash.hexdigest()}
+
+
+def find_gap(name: str, rows: Sequence[Sequence[str]], after: int, noted: Mapping[str, Any] | None) -> str | None:
+    """How the rows up to a checkpoint differ from those that were noted when it was written.
+
+    Args:
+        name: of the file.
+        rows: those up to the checkpoint, which begin with their step.
+        after: step of the checkpoint.
+        noted: from :meth:`RowTally.note`; None if it is not known.
+
+    Returns:
+        A line that names the file and what is missing; None if nothing is, or nothing was noted.
+    """
+    if noted is None or RowTally(rows).note() == noted:
+        return None
+    expected = noted.get("rows")
+    if not isinstance(expected, int) or len(rows) >= expected:
+        return f"{name}: the rows up to step {after:,} are not those that were written"
+    there = f"it has rows of steps {int(rows[0][0]):,} to {int(rows[-1][0]):,}" if rows else "it has none"
+    return f"{name} lacks {expected - len(rows):,} of {expected:,} rows up to step {after:,} ({there})"
+
+
+def append(path: Path, text: str) -> None:
+    """Append to a file that exists.
+
+    Raises:
+        OSError: if it does not, or cannot be written.
+    """
+    with path.open("r+") as file:  # "a" would create it again, without its header
+        file.seek(0, os.SEEK_END)
+        file.write(text)
+
+
+def sync(path: Path) -> None:
+    """Make what was written to a file reach the disk.
+
+    Raises:
+        OSError: if the file does not exist, or cannot be written.
+    """
+    with path.open("r+b") as file:
+        os.fsync(file.fileno())
 
 
 def format_number(value: float) -> str:
@@ -85,10 +167,37 @@ def csv_line(cells: Sequence[str]) -> str:
     return csv_bytes([cells]).decode()
 
 
+def rows_until(path: Path, step: int) -> tuple[list[str], list[list[str]]]:
+    """Header and rows up to a step, for a run that is resumed from there.
+
+    Raises:
+        ValueError: if the file has no column "step", or a step that is not an integer.
+    """
+    header, rows = complete_rows(path)
+    hint = "repair it, or delete it to resume without its rows"
+    if header[0] != "step":
+        raise ValueError(f"metrics file {str(path)!r} has no column 'step' at its beginning; {hint}")
+    kept = []
+    for row in rows:
+        try:
+            if int(row[0]) <= step:
+                kept.append(row)
+        except ValueError:
+            raise ValueError(f"metrics file {str(path)!r} has a row of step {row[0]!r}; {hint}") from None
+    return header, kept
+
+
 def complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows, without the torn row that a crash may leave at the end."""
-    text = path.read_text() if path.exists() else ""
-    lines = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+    """Header and rows, without the torn row that a crash may leave at the end.
+
+    Raises:
+        ValueError: if the file is not a text file of comma-separated values.
+    """
+    try:
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        lines = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"metrics file {str(path)!r} is not a CSV file: {error}") from None
     if not lines:
         return ["step"], []
     header, *rows = lines

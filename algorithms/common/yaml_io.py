@@ -64,6 +64,8 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
         raise ValueError(f"config file {str(path)!r} cannot be read: {error}") from None
     try:
         values = yaml.load(text, _Loader)
+    except RecursionError:
+        raise ValueError(f"config file {str(path)!r} is nested too deeply") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"config file {str(path)!r} is not valid YAML: {_one_line(error)}") from None
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
@@ -80,6 +82,8 @@ def read_value(text: str) -> Any:
     """
     try:
         return yaml.load(text, _ArgumentLoader)
+    except RecursionError:
+        raise ValueError(f"a value of {len(text):,} characters is nested too deeply") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{text!r} is not a valid value: {_one_line(error)}") from None
 

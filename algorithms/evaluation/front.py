@@ -254,7 +254,7 @@ class Front:
             )
         except FileNotFoundError as error:
             raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
-        except (OSError, KeyError, TypeError, ValueError) as error:
+        except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
 
 

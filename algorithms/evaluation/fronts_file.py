@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.common.metrics_file import complete_rows, csv_line, format_number
+from algorithms.common.metrics_file import RowTally, append, csv_line, find_gap, format_number, rows_until, sync
 from algorithms.evaluation.metrics import STEP, discounted_return_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from algorithms.evaluation.front import Front
@@ -20,15 +21,26 @@ class FrontsFile:
     Args:
         path: the file.
         after: as for :class:`algorithms.common.metrics_file.MetricsFile`.
+        noted: as for that class.
+
+    Attributes:
+        gap: as of that class.
+
+    Raises:
+        ValueError: if there is a file to continue that is not one of fronts.
+        OSError: if it cannot be written.
     """
 
-    def __init__(self, path: Path, after: int | None = None):
+    def __init__(self, path: Path, after: int | None = None, noted: Mapping[str, Any] | None = None):
         self.path = path
-        header, rows = complete_rows(path) if after is not None else ([STEP], [])
+        self.gap: str | None = None
+        header, rows = rows_until(path, after) if after is not None else ([STEP], [])
+        self._tally = RowTally(rows)
         self._has_header = len(header) > 1
-        if self._has_header and after is not None:
-            kept = [csv_line(row) for row in rows if int(row[0]) <= after]
-            atomic_write(path, "".join([csv_line(header), *kept]).encode())
+        if after is not None:
+            self.gap = find_gap(path.name, rows, after, noted)
+            if self._has_header:
+                atomic_write(path, "".join(map(csv_line, [header, *rows])).encode())
 
     def write(self, step: int, front: Front) -> None:
         """Append a front.
@@ -36,14 +48,23 @@ class FrontsFile:
         Raises:
             OSError: if it cannot be written.
         """
-        lines = [
-            csv_line([str(step), str(policy), *map(format_number, returns)])
-            for policy, returns in enumerate(front.discounted)
+        rows = [
+            [str(step), str(policy), *map(format_number, returns)] for policy, returns in enumerate(front.discounted)
         ]
+        self._tally.add(rows)
         if self._has_header:
-            with self.path.open("a") as file:
-                file.write("".join(lines))
+            append(self.path, "".join(map(csv_line, rows)))
         else:
-            names = [discounted_return_of(name) for name in front.objectives]
-            atomic_write(self.path, "".join([csv_line([STEP, "policy", *names]), *lines]).encode())
+            header = [STEP, "policy", *(discounted_return_of(name) for name in front.objectives)]
+            atomic_write(self.path, "".join(map(csv_line, [header, *rows])).encode())
             self._has_header = True
+
+    def sync(self) -> dict[str, Any]:
+        """As of :class:`algorithms.common.metrics_file.MetricsFile`.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        if self._has_header:
+            sync(self.path)
+        return self._tally.note()

@@ -22,6 +22,7 @@ import numpy as np
 
 from mo_deepdrive.config import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.simulation.state import ENDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -62,6 +63,7 @@ COMFORT = ("g_force", "jerk")
 # Reasons why an episode ends: arriving, and the failures that are reported even where none occurred.
 ARRIVED, COLLISION, OFF_LANE, TIME_LIMIT = "arrived", "collision", "off_lane", "time_limit"
 USUAL_FAILURES = (COLLISION, OFF_LANE, TIME_LIMIT)
+OUR_ENDS = frozenset(ENDS) - {""}  # all reasons of this package's environments
 
 # Old names of metrics, and the names that replaced them (those of Stable-Baselines3).
 RENAMED = {
@@ -203,9 +205,20 @@ def label(objective: str, how: str = "sum") -> str:
 
 
 def end_rates(ends: NDArray[Any]) -> dict[str, float]:
-    """The share of episodes per reason of their end, by reason; ``ends`` (E,) has None where no reason is known."""
+    """The share of episodes per reason of their end, by reason.
+
+    Args:
+        ends: (E,) why each episode ended; None where no reason is known.
+
+    Returns:
+        The reasons that occurred; of this package's environments all that there are, so that a curve falls to 0 when a
+        reason occurs no more.
+    """
     counts = Counter(str(end) for end in ends if end is not None)
-    return {end: count / len(ends) for end, count in sorted(counts.items())}
+    reasons = set(counts)
+    if reasons and reasons <= OUR_ENDS:
+        reasons = set(OUR_ENDS)
+    return {reason: counts[reason] / len(ends) for reason in sorted(reasons)}
 
 
 def summarise(

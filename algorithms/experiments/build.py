@@ -14,7 +14,7 @@ from algorithms.evaluation.metrics import vehicle_name
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from mo_deepdrive.config import nearest
-from mo_deepdrive.utilities import Utility, make_utility
+from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -90,7 +90,7 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
 
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
-    """One utility per vehicle, each called once for a check."""
+    """One utility per vehicle, each called as the algorithms will, so that it fails here and not after an hour."""
     vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
     for name in settings.vehicles:
         if name not in vehicles:
@@ -99,21 +99,7 @@ def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Util
     for v in range(adapter.vehicles):
         choice = settings.of_vehicle(v)
         utility = make_utility(choice.name, adapter.objectives, cost_sign=adapter.cost_sign, **choice.arguments)
-        _check_utility(utility)
+        for zeros in (np.zeros, torch.zeros):
+            check_utility(utility, zeros)
         utilities.append(utility)
     return utilities
-
-
-def _check_utility(utility: Utility) -> None:
-    """Call a utility as the algorithms will, so that a user's function fails here and not after an hour."""
-    d = len(utility.objectives)
-    for returns in (np.zeros((2, d)), torch.zeros(2, d)):
-        try:
-            shape = tuple(utility(returns).shape)
-        except Exception as error:
-            raise ValueError(
-                f"utility {utility.name!r} fails on returns of shape (2, {d}) as {type(returns).__module__}: "
-                f"{type(error).__name__}: {error}"
-            ) from error
-        if shape != (2,):
-            raise ValueError(f"utility {utility.name!r} gives shape {shape} for returns of shape (2, {d}), not (2,)")

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from algorithms.experiments.interrupts import Stopped
-from algorithms.experiments.run_directory import Run, default_directory
+from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
+from algorithms.experiments.run_files import NOT_RECORDED, broken_files
 from mo_deepdrive.config import nearest
 
 if TYPE_CHECKING:
@@ -103,6 +104,31 @@ def add_evaluation_arguments(
     scenarios.add_argument("--split", choices=SPLITS, default=default_split, help=help_text)
     scenarios.add_argument("--seed", type=int, metavar="S", help="seed of the first episode, instead of a split")
     parser.add_argument("--video", metavar="FILE", help=video)
+
+
+def add_trust_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --trust, which is passed to :meth:`Run.open`."""
+    help_text = "allow the run's config.yaml to import and run code: a utility or an environment by its module"
+    parser.add_argument("--trust", action="store_true", help=help_text)
+
+
+def warn_of_changes(run: Path, names: Sequence[str] | None = None) -> bool:
+    """Print to standard error how the files of a finished run differ from what it wrote.
+
+    Args:
+        run: the run's directory; runs of earlier versions, which have no record, are not warned of.
+        names: check these files alone; None for all.
+
+    Returns:
+        Whether there is a difference.
+    """
+    found = [line for line in broken_files(run, names) if line != NOT_RECORDED]
+    gap = read_status(run).get("metrics_gap")
+    if gap is not None and (names is None or METRICS_FILE in names):
+        found.append(gap)
+    for line in found:
+        print(f"warning: {run}: {line}", file=sys.stderr)
+    return bool(found)
 
 
 def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) -> tuple[int, int]:

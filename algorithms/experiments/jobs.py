@@ -11,10 +11,11 @@ from typing import Any, Literal
 from rich.console import Console
 
 from algorithms.common.atomic_io import atomic_write
+from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Stopped, stopped_by
-from algorithms.experiments.run_directory import InUse, Run, read_status
+from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
 from algorithms.experiments.training import Watch, resume, train_and_finish
 
 JobOutcome = Literal["trained", "already there", "stopped"]
@@ -56,7 +57,20 @@ class Job:
         """
         if not (self.path / "config.yaml").is_file():
             return
-        changed = differences(Run.open(self.path).experiment.to_dict(), self.experiment.to_dict())
+        self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
+
+    def open(self) -> Run:
+        """The run in the directory, which may import what the job's own experiment names.
+
+        Raises:
+            ValueError: as :meth:`Run.open`, or if its config.yaml names other code to import.
+        """
+        config, mine = self.path / "config.yaml", imported_paths(self.experiment.to_dict())
+        theirs = imported_paths(read_mapping(config)) if config.is_file() else {}
+        self._refuse([f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine.values()])
+        return Run.open(self.path, trust=True)
+
+    def _refuse(self, changed: list[str]) -> None:
         if changed:
             raise ValueError(
                 f"run directory {str(self.path)!r} holds another experiment: {'; '.join(changed)}; "
@@ -152,7 +166,7 @@ def _lock(job: Job) -> tuple[Run, bool]:
             if not config.is_file():  # otherwise another process has created it in the meantime
                 raise
     job.check()
-    run = Run.open(job.path)
+    run = job.open()
     run.lock()
     return run, True
 

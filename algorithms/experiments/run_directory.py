@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
@@ -10,12 +9,16 @@ from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.common.atomic_io import atomic_write, leftovers, write_json
+from algorithms.common.atomic_io import atomic_write, leftovers, open_lock, read_json_object, write_json
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.registry import find_trained_policy
+from algorithms.experiments.run_files import RESULTS, record_files
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 if os.name == "posix":
     import fcntl
@@ -37,6 +40,22 @@ PACKAGES = (
     "torch",
     "wandb",
 )
+# Entries of status.json: state, step and length of the training, seconds of work over all processes, time of the last
+# change; why it failed, what is missing in metrics.csv, the rows at the last checkpoints, the record of the files.
+STATUS: dict[str, tuple[type, ...]] = {
+    "state": (str,),
+    "step": (int,),
+    "total_timesteps": (int,),
+    "seconds": (int, float),
+    "updated": (str,),
+    "reason": (str,),
+    "metrics_gap": (str,),
+    "logged": (list,),
+    "files": (dict,),
+}
+METRICS_FILE, FRONTS_FILE = "metrics.csv", "fronts.csv"
+# Modules in front of the ids of their environments that are imported in any case.
+ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
 
 
 class InUse(ValueError):
@@ -51,6 +70,7 @@ class Run:
     Attributes:
         path: the directory.
         experiment: the experiment of the run.
+        metrics_gap: what was missing in metrics.csv or fronts.csv when the run was resumed; None if nothing was.
     """
 
     def __init__(self, path: Path, experiment: Experiment):
@@ -58,7 +78,14 @@ class Run:
         self.experiment = experiment
         self._lock: Any = None
         self._opened = perf_counter()
-        self._seconds_before = float(self.status.get("seconds", 0.0))
+        self._read_status()
+
+    def _read_status(self) -> None:
+        """Take over from status.json what later states keep."""
+        status = self.status
+        self._seconds_before: float = status.get("seconds", 0.0)
+        self._logged = [entry for entry in status.get("logged", []) if isinstance(entry, dict)]
+        self.metrics_gap: str | None = status.get("metrics_gap")
 
     @property
     def checkpoint(self) -> Path:
@@ -101,15 +128,16 @@ class Run:
         return run
 
     @classmethod
-    def open(cls, path: str | Path, *, device: str | None = None) -> Run:
+    def open(cls, path: str | Path, *, device: str | None = None, trust: bool = False) -> Run:
         """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
 
         Args:
             path: the directory, or the name of the policy.
             device: replaces the device of the experiment if it is not None.
+            trust: allow a config.yaml that names code to import (:func:`imported_paths`).
 
         Raises:
-            ValueError: if neither exists, or its config.yaml is not valid.
+            ValueError: if neither exists, its config.yaml is not valid, or it names code and is not trusted.
         """
         path = Path(path)
         if not path.is_dir():
@@ -121,6 +149,11 @@ class Run:
         if not config.is_file():
             raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
         values = read_mapping(config)
+        for key, name in imported_paths(values).items() if not trust else ():
+            raise ValueError(
+                f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; "
+                "add --trust if you trust whoever made the run"
+            )
         if device is not None and isinstance(values.get("training"), dict):
             values["training"]["device"] = device
         return cls(path, make_experiment(values, f"experiment {str(config)!r}"))
@@ -132,17 +165,27 @@ class Run:
 
         Raises:
             InUse: if another process holds it.
+            ValueError: if the lock or another file is a link, which may lead out of the directory.
+            OSError: if the directory cannot be written.
         """
         if os.name != "posix":
             return
-        self._lock = (self.path / ".lock").open("w")
+        self._lock = open_lock(self.path / ".lock")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self.unlock()
             raise InUse(f"run directory {str(self.path)!r} is in use by another process") from None
+        links = sorted(entry.name for entry in self.path.iterdir() if entry.is_symlink() and not entry.is_dir())
+        if links:
+            self.unlock()
+            raise ValueError(
+                f"run directory {str(self.path)!r} has a link, {links[0]!r}, to whose target training would write; "
+                "replace it by a file"
+            )
         for leftover in leftovers(self.path):
             leftover.unlink()
+        self._read_status()  # another process may have trained in it until now
 
     def unlock(self) -> None:
         """Let other processes train in the directory."""
@@ -155,8 +198,38 @@ class Run:
         """The contents of status.json; see :func:`read_status`."""
         return read_status(self.path)
 
+    def logged_rows(self, step: int, file: str) -> dict[str, Any] | None:
+        """What :meth:`note_rows` noted of a file for the checkpoint of a step; None if nothing is known."""
+        found = [entry.get(file) for entry in self._logged if entry.get("step") == step]
+        return found[-1] if found and isinstance(found[-1], dict) else None
+
+    def note_rows(self, step: int, files: Mapping[str, Mapping[str, Any]]) -> None:
+        """Note the rows of metrics.csv and fronts.csv for a checkpoint that is about to be written.
+
+        The next :meth:`set_status` writes the notes, with those of the checkpoint before: whichever of the two a crash
+        leaves, its notes are there.
+
+        Args:
+            step: of the checkpoint.
+            files: number and hash of the rows, by the name of the file.
+        """
+        self._logged = [*self._logged[-1:], {"step": step, **files}]
+
+    def add_metrics_gap(self, gap: str) -> None:
+        """Add to :attr:`metrics_gap`, which the next and all later :meth:`set_status` write."""
+        if self.metrics_gap is None:
+            self.metrics_gap = gap
+        elif gap not in self.metrics_gap:  # noticed before, by a process that wrote no checkpoint
+            self.metrics_gap += f"; {gap}"
+
     def set_status(self, state: State, step: int, reason: str | None = None) -> None:
-        """Write status.json with the state of the run, its step, and the reason if it failed."""
+        """Write status.json with the state of the run, its step, and the reason if it failed.
+
+        A finished run also gets the record of its files (:mod:`algorithms.experiments.run_files`).
+
+        Raises:
+            OSError: if it cannot be written, or a file cannot be recorded.
+        """
         write_json(
             self.path / "status.json",
             {
@@ -166,21 +239,35 @@ class Run:
                 "seconds": round(self._seconds_before + perf_counter() - self._opened, 1),
                 "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
                 **({} if reason is None else {"reason": reason}),
+                **({} if self.metrics_gap is None else {"metrics_gap": self.metrics_gap}),
+                **({"logged": self._logged} if self._logged else {}),
+                **({"files": record_files(self.path)} if state == "finished" else {}),
             },
         )
+
+    def record_results(self) -> None:
+        """Record the final evaluation of a finished run again, after it was written anew.
+
+        Raises:
+            OSError: if a file cannot be read or written.
+        """
+        status = self.status
+        if status.get("state") == "finished" and "files" in status:
+            found = record_files(self.path)
+            status["files"] |= {name: found[name] for name in RESULTS if name in found}
+            write_json(self.path / "status.json", status)
 
     @property
     def versions(self) -> dict[str, Any]:
         """The versions that the run was started with; empty if they are not known."""
-        try:
-            found: dict[str, Any] = json.loads((self.path / "versions.json").read_text())
-        except (OSError, json.JSONDecodeError):
-            return {}
-        return found
+        return read_json_object(self.path / "versions.json")
 
     def changed_versions(self) -> list[str]:
         """The differences between the versions that the run was started with and the current ones, one line each."""
-        flat_then, flat_now = ({**each, **each.get("packages", {})} for each in (self.versions, versions()))
+        then, now = self.versions, versions()
+        packages = then.get("packages")
+        flat_then = {**then, **(packages if isinstance(packages, dict) else {})}
+        flat_now = {**now, **now["packages"]}
         names = [name for name in flat_now if name not in ("packages", "dirty")]
         return [
             f"{name}: {flat_then.get(name)} then, {flat_now[name]} now"
@@ -192,14 +279,40 @@ class Run:
 def read_status(path: Path) -> dict[str, Any]:
     """The contents of a run's status.json; empty if it is missing or broken.
 
-    Its keys are state, step, total_timesteps, seconds (of work, over all processes), updated, and reason if the run
-    failed.
+    Its keys are those of :data:`STATUS`; an entry of another type is left out.
     """
-    try:
-        status = json.loads((path / "status.json").read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return status if isinstance(status, dict) else {}
+    status = read_json_object(path / "status.json")
+    return {
+        key: value
+        for key, value in status.items()
+        if isinstance(value, STATUS.get(key, object)) and not isinstance(value, bool)
+    }
+
+
+def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
+    """What an experiment names to be imported: utilities by dotted path, and an environment with its module.
+
+    Args:
+        values: the sections of the experiment, which need not be valid.
+
+    Returns:
+        "package.module:name" by the key where it is.
+    """
+    found: dict[str, Any] = {"environment.id": _section(values, "environment").get("id")}
+    utility = _section(values, "utility")
+    found["utility.name"] = utility.get("name")
+    vehicles = _section(utility, "vehicles")
+    found |= {f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles}
+    return {
+        key: name
+        for key, name in found.items()
+        if isinstance(name, str) and ":" in name and name.partition(":")[0] not in ALREADY_IMPORTED
+    }
+
+
+def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = values.get(name)
+    return section if isinstance(section, dict) else {}
 
 
 def _contents(path: Path) -> list[str]:

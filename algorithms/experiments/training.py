@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from algorithms.common.checkpoints import read_checkpoint
+from algorithms.common.metrics_file import rows_until
 from algorithms.evaluation.front import best_known_front
 from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.evaluation.splits import SPLITS
@@ -17,7 +18,7 @@ from algorithms.experiments.interrupts import Interrupts, stopped_by
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
-from algorithms.experiments.run_directory import Run
+from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from algorithms.reporting.learning_curves import load_groups, plot
 
 if TYPE_CHECKING:
@@ -40,17 +41,26 @@ def resume(run: Run) -> Any:
     return agent
 
 
-def reopen(path: str) -> tuple[Run, Any]:
+def reopen(path: str, *, trust: bool = False) -> tuple[Run, Any]:
     """Open and lock an existing run, to resume it; the run and its agent.
 
+    Args:
+        path: the run's directory.
+        trust: allow a config.yaml that names code to import.
+
     Raises:
-        ValueError: if there is no run, another process trains in it, or its checkpoint cannot be resumed from.
+        ValueError: if there is no run, another process trains in it, its config.yaml is not trusted, or its checkpoint
+            or its metrics cannot be resumed from.
+        OSError: if the directory cannot be written.
     """
-    run = Run.open(path)
+    run = Run.open(path, trust=trust)
     if run.checkpoint.exists():
         read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
     run.lock()
-    return run, resume(run)
+    agent = resume(run)
+    for name in (METRICS_FILE, FRONTS_FILE):
+        rows_until(run.path / name, agent.step)
+    return run, agent
 
 
 def train_and_finish(
@@ -106,6 +116,7 @@ def train(
     ours = is_ours(find_environment(experiment.environment.id))
     after = (saved if saved > 0 else -1) if resumed else None
     config = {**experiment.to_dict(), "versions": run.versions}
+    noted = {name: run.logged_rows(saved, name) if saved > 0 else None for name in (METRICS_FILE, FRONTS_FILE)}
     try:
         with (
             Interrupts() as interrupts,
@@ -113,7 +124,13 @@ def train(
                 training.total_timesteps, saved, console, arrivals=ours, front=not known_utility
             ) as reporter,
             Logger(
-                run.path, after=after, wandb=logging.wandb, config=config, name=run.path.name, say=reporter.say
+                run.path,
+                after=after,
+                noted=noted[METRICS_FILE],
+                wandb=logging.wandb,
+                config=config,
+                name=run.path.name,
+                say=reporter.say,
             ) as logger,
         ):
 
@@ -123,10 +140,20 @@ def train(
                 if watch is not None:
                     watch(step, metrics)
 
-            fronts = None if known_utility else FrontsFile(run.path / "fronts.csv", after)
+            fronts = None if known_utility else FrontsFile(run.path / FRONTS_FILE, after, noted[FRONTS_FILE])
+            if saved == 0:
+                run.metrics_gap = None  # everything is written again
+            gaps = [gap for gap in (logger.gap, fronts and fronts.gap) if gap]
+            for gap in gaps:
+                reporter.say(f"warning: {gap}; the run is continued")
+                run.add_metrics_gap(gap)
 
             def save(state: Any) -> None:
                 nonlocal saved
+                # In this order, so that a crash cannot leave a checkpoint without its rows or their note.
+                rows = {METRICS_FILE: logger.sync(), **({} if fronts is None else {FRONTS_FILE: fronts.sync()})}
+                run.note_rows(agent.step, rows)
+                run.set_status("running", saved)
                 agent.save(run.checkpoint)
                 saved = agent.step
                 run.set_status(state, saved)
@@ -194,7 +221,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             directory=run.path,
             video=run.path / "video.mp4" if figures else None,
         )
-        if figures:
+        if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
             plot(load_groups([run.path]), run.path / "curves.png")
         run.set_status("finished", agent.step)
     except OSError as error:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, JobFailed, JobOutcome, describe, perform
-from algorithms.experiments.run_directory import InUse, Run
+from algorithms.experiments.run_directory import InUse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -188,6 +188,6 @@ def _worker_died(job: Job, attempts: int) -> str:
     """Write to a run's directory that its worker died; returns the reason."""
     reason = DIED + (f", {attempts} times" if attempts > 1 else "")
     with contextlib.suppress(ValueError, OSError):  # it may have died before the directory existed
-        run = Run.open(job.path)
+        run = job.open()
         run.set_status("failed", run.status.get("step", 0), reason)
     return reason

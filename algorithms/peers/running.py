@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
 import numpy as np
+import torch
 
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.evaluation.evaluate import evaluate_each
@@ -27,7 +28,7 @@ from algorithms.reporting.front_report import film_front, report_front
 from algorithms.reporting.learning_curves import load_groups, plot
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
-from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.utilities import check_utility, make_utility
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,6 +62,8 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     else:
         chosen = experiment.utility
         utility = make_utility(chosen.name, env.objectives, cost_sign=env.cost_sign, **chosen.arguments)
+        for zeros in (np.zeros, torch.zeros):
+            check_utility(utility, zeros)
     point = experiment.evaluation.reference_point
 
     def make_single_env(render_mode: str | None = None) -> Any:

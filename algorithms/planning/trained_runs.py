@@ -42,7 +42,7 @@ class RunRecording:
         return f"run {self.name}: {self.description}"
 
 
-def record_run(path: str, scenario: str, action_type: str, episodes: int) -> RunRecording:
+def record_run(path: str, scenario: str, action_type: str, episodes: int, *, trust: bool = False) -> RunRecording:
     """Record a run's policies: every policy of a PCN run, the one policy of any other.
 
     Args:
@@ -50,11 +50,12 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int) -> Run
         scenario: "one_waypoint" or "static_obstacle".
         action_type: "discrete", "discrete-16" or "continuous".
         episodes: of sampled actions of each policy, after one of greedy actions.
+        trust: as for :meth:`Run.open`.
 
     Raises:
-        ValueError: if there is no such run, or it is of another scenario or action set.
+        ValueError: if there is no such run, its config is not trusted, or it is of another scenario or action set.
     """
-    run = Run.open(path)
+    run = Run.open(path, trust=trust)
     settings = run.experiment.environment
     for name, expected, found in (
         ("scenario", scenario, find_environment(settings.id).kwargs.get("scenario")),

@@ -95,16 +95,22 @@ class ScoreGroup:
 
 
 def final_metrics(run: Path) -> dict[str, float]:
-    """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet."""
+    """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet.
+
+    Raises:
+        ValueError: if its file is broken.
+    """
     file = run / EVALUATION_FILE
     if not file.is_file():
         return {}
-    policies = json.loads(file.read_text())["policies"]
-    return {
-        f"{policy}/{name}": estimate["value"]
-        for policy, estimates in policies.items()
-        for name, estimate in estimates.items()
-    }
+    try:
+        return {
+            f"{policy}/{name}": estimate["value"]
+            for policy, estimates in json.loads(file.read_bytes())["policies"].items()
+            for name, estimate in estimates.items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{str(file)!r} is not a final evaluation: {type(error).__name__}: {error}") from None
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from algorithms.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
-from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, SOLVED, utility_metric
 from algorithms.reproduction.figures import FIGURES
@@ -147,7 +146,7 @@ def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: Reproductio
     names: list[str] = []
 
     def export_run(run: PlannedRun, name: str, chosen: str) -> None:
-        export(Run.open(run.job.path), name, about={"chosen": chosen, "scores": scores_of(run, results)})
+        export(run.job.open(), name, about={"chosen": chosen, "scores": scores_of(run, results)})
         names.append(name)
 
     for task, protocol, variant in dict.fromkeys((run.task, run.protocol, run.variant) for run in runs):

@@ -38,7 +38,6 @@ from algorithms.evaluation.metrics import (
     evaluation_prefix,
     split_name,
 )
-from algorithms.experiments.run_directory import Run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -161,7 +160,7 @@ def gather(runs: Iterable[PlannedRun]) -> ReproductionResults:
             "seed": run.seed,
             "steps": run.job.experiment.training.total_timesteps,
         }
-        seconds = float(Run.open(run.job.path).status.get("seconds", 0.0))
+        seconds = float(run.job.open().status.get("seconds", 0.0))
         for policy, metrics in _final_scores(run.job.path).items():
             scores.append({**keys, "seconds": seconds, "policy": policy, **metrics})
         curves += [{**keys, **row} for row in _learning_curve(run.job.path)]

@@ -19,7 +19,7 @@ from algorithms.common.metrics_file import read_metrics
 from algorithms.evaluation.metrics import EVALUATION, STEP
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, describe, perform
-from algorithms.experiments.run_directory import InUse, Run, read_status
+from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.reporting.seed_tables import final_metrics
 from algorithms.sweeps.manifest import read_manifest
@@ -258,7 +258,7 @@ def run_on_ray(
     pruned = set() if asha is None else asha.pruned
     for job in wanted:
         if job.id in pruned and not job.done:
-            run = Run.open(job.path)
+            run = job.open()
             run.set_status("pruned", run.status.get("step", 0))
     return {job: reason for job, reason in progress.failed.items() if not job.done}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -12,10 +12,11 @@ import torch
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from mo_deepdrive.utilities import UTILITIES, Utility, make_utility
+from mo_deepdrive.utilities import LINEAR, NONLINEAR, UTILITIES, Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 COSTS = {"g_force", "collision", "jerk", "lane_violation"}
 ONE_WAYPOINT = ("distance", "destination", "g_force", "jerk")
@@ -543,3 +544,20 @@ def test_returns_of_another_length_are_refused(utility: Utility, off: int) -> No
 def test_a_scalar_is_refused_as_a_return(number: np.ndarray | torch.Tensor) -> None:
     with pytest.raises(ValueError, match="objectives"):
         make_utility("one_waypoint_linear", ONE_WAYPOINT)(number)
+
+
+@pytest.mark.parametrize("zeros", [np.zeros, torch.zeros])
+def test_every_utility_passes_the_check_of_users_utilities(zeros: Any) -> None:
+    for name in (*LINEAR, *NONLINEAR):
+        needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
+        check_utility(make_utility(name, needed), zeros)
+    check_utility(make_utility("linear", ("a", "b"), weights=[1, 2]), zeros)
+    check_utility(make_utility("generalised_gini", ("a", "b"), weights=[2, 1]), zeros)
+    check_utility(make_utility("augmented_chebyshev", ("a", "b"), weights=[1, 2], ideal=[0, 0]), zeros)
+
+
+def test_a_module_that_cannot_be_imported_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "torn_module.py").write_text("def utility(")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match="utility 'torn_module:utility' cannot be imported: SyntaxError"):
+        make_utility("torn_module:utility", ("a", "b"))

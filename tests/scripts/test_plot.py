@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from typing import TYPE_CHECKING
 
 import pytest
@@ -32,3 +33,28 @@ def test_plot_draws_runs_of_fronts(finished_front: Path, tmp_path: Path, call: C
     assert code == 0, out + error
     assert "pcn: 1 seed" in out
     assert (tmp_path / "curves.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_plot_and_table_warn_of_the_files_that_they_read(finished: Path, tmp_path: Path, call: Call) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(finished, run)
+    for name in ("metrics.csv", "evaluation.json"):
+        (run / name).write_text((run / name).read_text().replace("1", "2"))
+    changed = f"warning: {run}: {{}}: changed since the run finished\n"
+    for script, name in (("plot", "metrics.csv"), ("table", "evaluation.json")):
+        code, out, error = call(script, run)
+        assert (code, error) == (0, changed.format(name)), out
+
+
+def test_a_broken_file_is_named_in_one_line(finished: Path, tmp_path: Path, call: Call) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("config.yaml", "metrics.csv", "evaluation.json"):
+        (run / name).write_bytes((finished / name).read_bytes())
+    (run / "metrics.csv").write_bytes(b"\xff\x00\n")
+    refused(call("plot", run), "metrics.csv' is not a CSV file")
+    for content in ("[" * 100_000, "[]", "{"):
+        (run / "evaluation.json").write_text(content)
+        refused(call("table", run), "evaluation.json' is not a final evaluation")
+    (run / "config.yaml").write_text("a: " + "{a: " * 5000)
+    refused(call("plot", run), "config.yaml' is nested too deeply")

@@ -6,6 +6,7 @@ import csv
 import errno
 import json
 import os
+import shutil
 import signal
 from typing import TYPE_CHECKING
 
@@ -172,7 +173,7 @@ def test_bad_input_is_refused_before_anything_starts(driving: Path, call: Call) 
     refused(call("train", *config, "--algorithm.learning_rat=1"), "did you mean 'learning_rate'?")
     refused(call("train", *config, "--algorithm.gamma=2"), "'gamma' = 2", "less than or equal to 1")
     refused(call("train", *config, "--utility.name=one_waypoint_liner"), "one_waypoint_linear")
-    refused(call("train", *config, "--utility.name=own:wrong"), "own:wrong", "gives shape (2, 4)")
+    refused(call("train", *config, "--utility.name=own:wrong"), "own:wrong", "gives shape (4,)")
     refused(call("train", *config, "--environment.id=CartPole-v1"), "CartPole-v1", "cannot be made")
     refused(call("train", *config, "surplus"), "'surplus' is not of the form")
     refused(call("train", *config, "--output", "own.py/run"), "own.py", "cannot be written")
@@ -349,3 +350,75 @@ def test_fronts_that_cannot_be_learnt_are_refused_before_anything_starts(tmp_pat
     peer = REPOSITORY / "configs" / "peers" / "pcn.yaml"
     refused(call("train", "--config", peer), "'morl_baselines.pcn' is another library's; scripts/peers.py runs it")
     assert [path.name for path in tmp_path.iterdir()] == ["front.yaml"]
+
+
+def test_a_finished_run_whose_files_changed_is_not_called_whole(finished: Path, tmp_path: Path, call: Call) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(finished, run)
+    assert call("train", "--resume", run) == (0, f"{run} is finished; there is nothing to resume\n", "")
+    (run / "front.csv").write_text("not recorded")
+    os.truncate(run / "metrics.csv", 30)
+    (run / "evaluation.json").unlink()
+    code, _, error = call("train", "--resume", run)
+    size = (finished / "metrics.csv").stat().st_size
+    assert code == 1
+    assert error.splitlines() == [
+        f"warning: {run}: metrics.csv: 30 bytes, recorded {size}",
+        f"warning: {run}: evaluation.json: missing",
+    ]
+
+
+def test_a_run_with_a_gap_in_its_metrics_says_so_when_it_is_finished(
+    finished: Path, tmp_path: Path, call: Call
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(finished, run)
+    whole = json.loads((run / "status.json").read_text())
+    (run / "status.json").write_text(json.dumps({**whole, "state": "interrupted"}))
+    (run / "metrics.csv").unlink()
+    code, out, error = call("train", "--resume", run)
+    assert code == 0, out + error
+    rows = whole["logged"][-1]["metrics.csv"]["rows"]
+    gap = f"metrics.csv lacks {rows} of {rows} rows up to step {whole['step']:,} (it has none)"
+    assert f"warning: {gap}" in " ".join((out + error).split())
+    assert error.splitlines()[-1] == f"warning: {run}: {gap}"
+    assert status(run)["metrics_gap"] == gap
+
+
+@pytest.mark.parametrize("error", [PermissionError(errno.EACCES, "Permission denied", ".lock"), None])
+def test_what_makes_a_run_impossible_to_resume_is_one_line(
+    finished: Path, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, error: OSError | None
+) -> None:
+    run = copied(finished, tmp_path, "interrupted")
+    if error is None:
+        (run / "metrics.csv").write_text("step,a\nabc,1\n")
+        refused(call("train", "--resume", run), "metrics.csv' has a row of step 'abc'")
+    else:
+
+        def deny(path: Path) -> None:
+            raise error
+
+        monkeypatch.setattr("algorithms.experiments.run_directory.open_lock", deny)
+        refused(call("train", "--resume", run), "Permission denied: '.lock'")
+
+
+def test_a_users_utility_needs_no_flag_in_a_config_and_trust_in_a_run(driving: Path, call: Call) -> None:
+    folder = driving.parent
+    (folder / "trusted_code.py").write_text("def utility(returns):\n    return returns[..., 0]\n")
+    driving.write_text(driving.read_text().replace("one_waypoint_linear", "'trusted_code:utility'"))
+    run = folder / "run"
+    refused(call("train", "--config", driving, "--trust"), "--trust is for --resume")
+    assert call("train", "--config", driving, "--output", run, NO_FIGURES)[0] == 0
+    untrusted = ("config.yaml' has utility.name = 'trusted_code:utility'", "add --trust if you trust")
+    for arguments in (
+        ["train", "--resume", run],
+        ["evaluate", run],
+        ["play", "--env", "mo-deepdrive-one-waypoint-v0", "--against", run],
+        ["gif", run, "--output", "x.gif"],
+    ):
+        refused(call(*arguments), *untrusted)
+    assert call("train", "--resume", run, "--trust")[0] == 0
+    assert call("evaluate", run, "--episodes", 2, "--trust")[0] == 0
+    for script in ("plot", "table"):  # they import nothing
+        code, out, error = call(script, run)
+        assert (code, error) == (0, ""), out + error

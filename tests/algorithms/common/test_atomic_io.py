@@ -5,15 +5,15 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.common.atomic_io import atomic_write
+from algorithms.common.atomic_io import atomic_write, open_lock, read_json_object
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 def test_an_atomic_write_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -57,3 +57,42 @@ def test_a_file_size_limit_leaves_the_old_file(tmp_path: Path, run_python: Calla
     assert said == "File too large\n"
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_write_replaces_a_link_and_not_its_target(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("mine")
+    link.symlink_to(target)
+    atomic_write(link, b"new")
+    assert target.read_text() == "mine"
+    assert not link.is_symlink()
+    assert link.read_bytes() == b"new"
+
+
+def test_a_lock_is_created_and_its_content_is_kept(tmp_path: Path) -> None:
+    lock = tmp_path / ".lock"
+    open_lock(lock).close()
+    lock.write_text("mine")
+    open_lock(lock).close()
+    assert lock.read_text() == "mine"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("target")])
+def test_a_lock_that_is_no_file_is_refused(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    (tmp_path / "target").write_text("mine")
+    lock = tmp_path / ".lock"
+    make(lock)
+    with pytest.raises(ValueError, match=r"lock '.*\.lock' is not a regular file; delete it"):
+        open_lock(lock)
+    assert (tmp_path / "target").read_text() == "mine"
+
+
+@pytest.mark.parametrize("content", [None, b"", b"[]", b"3", b'{"a"', b"\xff", b"[" * 100_000])
+def test_files_without_a_json_object_are_empty(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "file.json"
+    if content is not None:
+        path.write_bytes(content)
+    assert read_json_object(path) == {}
+    path.write_bytes(b'{"a": [1]}')
+    assert read_json_object(path) == {"a": [1]}

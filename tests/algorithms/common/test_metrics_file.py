@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -50,3 +50,94 @@ def test_files_that_hold_no_metrics_are_refused(tmp_path: Path, text: str, messa
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
         read_metrics(path)
+
+
+def written(path: Path, steps: tuple[int, ...] = (0, 10, 10, 20)) -> dict[str, Any]:
+    """Write rows of these steps, the last one with a new column; returns what was noted of them."""
+    file = MetricsFile(path)
+    for step in steps:
+        file.write(step, {"a": step + 0.5})
+    file.write(30, {"b": 1})
+    return file.sync()
+
+
+def test_rows_that_were_noted_are_found_again_though_later_ones_follow(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    noted = written(path)
+    file = MetricsFile(path, after=30, noted=noted)
+    assert file.gap is None
+    assert file.sync() == noted
+    file.write(40, {"a": 1, "c": 2})
+    with path.open("a") as torn:
+        torn.write("50,1.0,")
+    assert MetricsFile(path, after=30, noted=noted).gap is None
+    assert MetricsFile(path, after=30).gap is None  # nothing was noted
+
+
+DELETED = "metrics.csv lacks 5 of 5 rows up to step 30 (it has none)"
+
+
+@pytest.mark.parametrize(
+    ("keep", "gap"),
+    [
+        (None, DELETED),
+        ([], DELETED),
+        ([0], DELETED),
+        ([0, 1, 2], "metrics.csv lacks 3 of 5 rows up to step 30 (it has rows of steps 0 to 10)"),
+        ([0, 1, 4, 5], "metrics.csv lacks 2 of 5 rows up to step 30 (it has rows of steps 0 to 30)"),
+        ([0, 1, 2, 3, 3, 5], "metrics.csv: the rows up to step 30 are not those that were written"),
+        ([0, 1, 2, 2, 3, 4, 5], "metrics.csv: the rows up to step 30 are not those that were written"),
+    ],
+)
+def test_rows_that_are_missing_or_others_are_noticed(tmp_path: Path, keep: list[int] | None, gap: str) -> None:
+    path = tmp_path / "metrics.csv"
+    noted = written(path)
+    lines = path.read_text().splitlines(keepends=True)
+    path.unlink()
+    if keep is not None:
+        path.write_text("".join(lines[i] for i in keep))
+    file = MetricsFile(path, after=30, noted=noted)
+    assert file.gap == gap
+    file.write(40, {"a": 1})
+    assert read_metrics(path)["step"][-1] == 40
+
+
+def test_a_changed_value_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    noted = written(path)
+    path.write_text(path.read_text().replace("10.5", "99.5", 1))
+    assert MetricsFile(path, after=30, noted=noted).gap is not None
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"step,a\n\xff\xfe,1\n", r"metrics\.csv' is not a CSV file: 'utf-8' codec"),
+        (b"step,a\nabc,1\n", r"metrics\.csv' has a row of step 'abc'; repair it, or delete it"),
+        (b"0,1.0\n10,2.0\n", r"metrics\.csv' has no column 'step' at its beginning; repair it, or delete it"),
+    ],
+)
+def test_a_broken_file_is_not_continued(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        MetricsFile(path, after=10)
+    assert path.read_bytes() == content
+
+
+def test_a_binary_file_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(b"step\n\x80\n")
+    with pytest.raises(ValueError, match=r"metrics\.csv' is not a CSV file"):
+        read_metrics(path)
+
+
+def test_a_file_that_is_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    file = MetricsFile(path)
+    file.write(0, {"a": 1})
+    path.unlink()
+    for action in (lambda: file.write(10, {"a": 2}), file.sync):
+        with pytest.raises(FileNotFoundError):
+            action()
+    assert not path.exists()

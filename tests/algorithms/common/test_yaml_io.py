@@ -41,3 +41,12 @@ def test_a_written_mapping_reads_back_equal(tmp_path: Path) -> None:
     path = tmp_path / "values.yaml"
     path.write_text(dump(values))
     assert read_mapping(path) == values
+
+
+def test_what_is_nested_too_deeply_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "deep.yaml"
+    path.write_text("a: " + "[" * 5000)
+    with pytest.raises(ValueError, match=r"config file '.*deep\.yaml' is nested too deeply"):
+        read_mapping(path)
+    with pytest.raises(ValueError, match="a value of 5,000 characters is nested too deeply"):
+        read_value("[" * 5000)

@@ -348,6 +348,7 @@ def test_returns_lengths_and_successes_are_reported_as_means() -> None:
     assert metrics["length"] == 7.0
     assert metrics["success"] == 0.5
     assert metrics["end/arrived"] == metrics["end/time_limit"] == 0.5
+    assert metrics["end/collision"] == metrics["end/circling"] == 0.0
 
 
 def test_comfort_is_reported_per_decision_as_mean_and_largest_magnitude() -> None:

@@ -19,6 +19,7 @@ from algorithms.evaluation.metrics import (
     summarise,
     title_of,
 )
+from mo_deepdrive.simulation.state import ENDS
 
 OBJECTIVES = ("distance", "g_force")
 
@@ -178,3 +179,12 @@ def test_comfort_and_ends_are_reported_if_they_are_given() -> None:
     assert summary["max_g_force"] == 3.0
     assert "mean_distance" not in summary
     assert end_rates(np.array([None, None], dtype=object)) == {}
+
+
+def test_reasons_that_did_not_occur_are_0_where_all_are_known() -> None:
+    ends = np.array(["arrived", "collision", "arrived", "arrived"], dtype=object)
+    rates = end_rates(ends)
+    assert set(rates) == set(ENDS) - {""}
+    assert {reason: rate for reason, rate in rates.items() if rate} == {"arrived": 0.75, "collision": 0.25}
+    others = np.array(["arrived", "sank"], dtype=object)  # of another environment
+    assert end_rates(others) == {"arrived": 0.5, "sank": 0.5}

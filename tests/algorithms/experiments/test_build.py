@@ -47,12 +47,17 @@ def test_vehicles_have_their_own_utilities() -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("return returns", r"gives shape \(2, 4\) for returns of shape \(2, 4\), not \(2,\)"),
-        ("raise RuntimeError('broken')", r"fails on returns of shape \(2, 4\) as numpy: RuntimeError: broken"),
+        ("return returns", r"gives shape \(4,\) for returns of shape \(4,\) as numpy, not \(\)"),
+        ("raise RuntimeError('broken\\nagain')", r"fails on .* \(4,\) as numpy: RuntimeError: broken again$"),
+        ("return returns[:, 0]", r"fails on returns of shape \(4,\) as numpy: IndexError: too many indices"),
+        ("return returns.sum(1 if returns.ndim > 1 else 0)", r"gives shape \(3, 4\) for .* \(3, 2, 4\) as numpy, not"),
+        ("return returns[..., 0].astype(object)", r"gives array\(0\.0, dtype=object\) for .*, not numbers of numpy"),
+        ("return None if returns.ndim == 1 else returns[..., 0]", r"gives None for returns of shape \(4,\) as numpy"),
+        ("import numpy; return numpy.asarray(returns)[..., 0]", r"for returns of shape \(4,\) as torch, not numbers"),
         ("return returns.numpy()[..., 0]", "fails on returns .* as numpy: AttributeError"),
     ],
 )
-def test_a_users_utility_is_called_once_before_training(
+def test_a_users_utility_is_called_in_every_shape_before_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, message: str
 ) -> None:
     name = f"own_utility_{abs(hash(body))}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,7 +12,7 @@ from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, differences, perform
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
-from tests.helpers.short_runs import job, quiet
+from tests.helpers.short_runs import VALUES, job, quiet
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,3 +77,26 @@ def test_what_a_killed_process_leaves_incomplete_is_made_again(tmp_path: Path) -
     (wanted.path / ".metrics.csv.abcdefgh.tmp").write_text("torn")
     Run.open(wanted.path).lock()
     assert not list(wanted.path.glob(".*.tmp"))
+
+
+OWN_CODE = "def utility(returns):\n    return returns[..., 0]\n"
+
+
+def test_a_job_may_import_what_its_own_experiment_names_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "jobs_code.py").write_text(OWN_CODE)
+    (tmp_path / "other_code.py").write_text(OWN_CODE)
+    monkeypatch.syspath_prepend(tmp_path)
+    experiment = make_experiment({**VALUES, "utility": {"name": "jobs_code:utility"}})
+    wanted = Job.unpack(Job("own", experiment, tmp_path / "own").packed())
+    assert perform(wanted, stop=lambda: True) == "stopped"
+    assert wanted.open().status["state"] == "interrupted"
+    config = wanted.path / "config.yaml"
+    text = config.read_text()
+    config.write_text(text.replace("jobs_code:utility", "other_code:utility"))
+    with pytest.raises(ValueError, match=r"holds another experiment: utility\.name = 'other_code:utility' there"):
+        perform(wanted)
+    assert "other_code" not in sys.modules
+    config.write_text(text)
+    assert perform(wanted) == "trained"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import pytest
 
 from algorithms.common.atomic_io import write_json
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.experiments.run_directory import Run, default_directory, versions
+from algorithms.experiments.run_directory import Run, default_directory, imported_paths, read_status, versions
+from algorithms.experiments.run_files import broken_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -104,3 +107,121 @@ def test_a_run_can_be_opened_on_another_device(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cuda:99"):
         Run.open(tmp_path)
     assert Run.open(tmp_path, device="cpu").experiment.training.device == "cpu"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
+@pytest.mark.parametrize("name", [".lock", "curves.png"])
+def test_a_run_with_a_link_is_not_locked_and_the_target_is_kept(
+    tmp_path: Path, experiment: Experiment, name: str
+) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    target = tmp_path / "target"
+    target.write_text("mine")
+    (run.path / name).unlink(missing_ok=True)
+    (run.path / name).symlink_to(target)
+    (run.path / "tensorboard").symlink_to(tmp_path)  # folders may be elsewhere
+    with pytest.raises(ValueError, match=name.replace(".", r"\.")):
+        run.lock()
+    assert target.read_text() == "mine"
+    (run.path / name).unlink()
+    run.lock()
+    run.unlock()
+
+
+OWN: dict[str, Any] = {"name": "own_code:utility"}
+
+
+@pytest.mark.parametrize(
+    ("sections", "key", "path"),
+    [
+        ({"utility": OWN}, "utility.name", "own_code:utility"),
+        (
+            {"utility": {"name": "one_waypoint_linear", "vehicles": {"vehicle_0": OWN}}},
+            "utility.vehicles.vehicle_0.name",
+            "own_code:utility",
+        ),
+        ({"environment": {"id": "own_code:own-v0"}}, "environment.id", "own_code:own-v0"),
+    ],
+)
+def test_a_run_that_names_code_is_opened_only_if_it_is_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sections: dict[str, Any], key: str, path: str
+) -> None:
+    (tmp_path / "own_code.py").write_text(
+        f"open({str(tmp_path / 'imported')!r}, 'w').close()\ndef utility(returns):\n    return returns[..., 0]\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_code", raising=False)
+    monkeypatch.setitem(gymnasium.registry, "own-v0", gymnasium.registry["deep-sea-treasure-v0"])  # removed afterwards
+    write_json(tmp_path / "config.yaml", {**VALUES, **sections})
+    with pytest.raises(ValueError, match=rf"config\.yaml' has {key} = '{path}', code that .*; add --trust if"):
+        Run.open(tmp_path)
+    assert not (tmp_path / "imported").exists()
+    assert Run.open(tmp_path, trust=True).path == tmp_path
+
+
+def test_what_an_experiment_would_import_is_found_whatever_its_form() -> None:
+    assert imported_paths(VALUES) == {}
+    assert imported_paths({"environment": {"id": "mo_deepdrive:mo-deepdrive-one-waypoint-v0"}}) == {}
+    assert imported_paths({"environment": {"id": "mo_deepdrive.own:x-v0"}}) == {
+        "environment.id": "mo_deepdrive.own:x-v0"
+    }
+    assert imported_paths({"environment": 3, "utility": ["a:b"]}) == {}
+    assert imported_paths({"environment": {"id": 3}, "utility": {"name": None, "vehicles": "a:b"}}) == {}
+
+
+@pytest.mark.parametrize(
+    "status",
+    [
+        [],
+        "text",
+        {"state": ["finished"], "step": "abc", "seconds": "long", "logged": 3, "metrics_gap": 1, "files": "x"},
+        {"state": True, "step": True, "seconds": None, "logged": [3, {"step": 0}]},
+    ],
+)
+def test_odd_contents_of_a_status_are_left_out(tmp_path: Path, experiment: Experiment, status: Any) -> None:
+    Run.create(experiment, tmp_path / "run").unlock()
+    write_json(tmp_path / "run" / "status.json", status)
+    assert not read_status(tmp_path / "run").keys() - {"logged"}
+    run = Run.open(tmp_path / "run")
+    assert run.logged_rows(0, "metrics.csv") is None
+    run.set_status("interrupted", 5)
+    assert run.status["state"] == "interrupted"
+
+
+@pytest.mark.parametrize("content", ["[]", "3", "{", '{"packages": []}', '{"packages": 3}'])
+def test_odd_versions_are_those_of_another_machine(tmp_path: Path, experiment: Experiment, content: str) -> None:
+    Run.create(experiment, tmp_path / "run").unlock()
+    (tmp_path / "run" / "versions.json").write_text(content)
+    changes = Run.open(tmp_path / "run").changed_versions()
+    assert any(change.startswith("torch: None then, ") for change in changes)
+
+
+def test_a_run_that_another_process_has_trained_since_is_known_when_it_is_locked(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    first = Run.create(experiment, tmp_path / "run")
+    second = Run.open(tmp_path / "run")
+    rows = {"rows": 3, "sha256": "0"}
+    first.note_rows(500, {"metrics.csv": rows})
+    first.add_metrics_gap("a gap")
+    first.set_status("interrupted", 500)
+    first.unlock()
+    second.lock()
+    assert (second.logged_rows(500, "metrics.csv"), second.metrics_gap) == (rows, "a gap")
+    assert second.logged_rows(400, "metrics.csv") is None
+    second.unlock()
+
+
+def test_a_final_evaluation_that_is_written_again_is_recorded_again(tmp_path: Path, experiment: Experiment) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    for name in ("evaluation.json", "metrics.csv"):
+        (run.path / name).write_text("old")
+    run.record_results()
+    assert "files" not in run.status  # of a run that is not finished
+    run.set_status("finished", 1000)
+    for name in ("evaluation.json", "metrics.csv"):
+        (run.path / name).write_text("new")
+    run.record_results()
+    assert broken_files(run.path) == ["metrics.csv: changed since the run finished"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from algorithms.experiments.jobs import Job
 from algorithms.reproduction import pipeline
 from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.report import QUICK, verdict_table
@@ -87,7 +88,7 @@ def test_a_success_is_exported_beside_a_median_that_fails(
     utilities = [10.0 * rate + 0.001 * i for i, rate in enumerate(arrivals)]
     scores = {"mo_a2c": {"utility_esr": utilities, "success": arrivals}}
     exported: dict[str, tuple[Path, dict[str, Any]]] = {}
-    monkeypatch.setattr(pipeline.Run, "open", lambda path: path)
+    monkeypatch.setattr(Job, "open", lambda job: job.path)
     monkeypatch.setattr(pipeline, "export", lambda run, name, about: exported.update({name: (run, about)}))
     names = pipeline.export_policies(runs, plan, make_results("one_waypoint_linear", scores))
     assert names == list(exported) == ["one_waypoint_linear-mo_ppo", "one_waypoint_linear-mo_ppo-solved"][: len(names)]
