@@ -96,7 +96,7 @@ class Streams:
             ("cursors", cursors, (cursors >= 0) & (cursors <= BLOCK), f"between 0 and {BLOCK}"),
         ):
             if not fine.all():
-                raise ValueError(f"state {name!r} has {array[~fine][0]:g}; it must be {allowed}")
+                raise ValueError(f"state {name!r} has {array[~fine][0]}; it must be {allowed}")
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state`."""

@@ -30,6 +30,8 @@ def _positive(name: str, value: Any) -> int:
 
 
 def _form(array: Any) -> str:
+    if array is None:
+        return "missing"
     return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else repr(type(array).__name__)
 
 
