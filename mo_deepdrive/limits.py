@@ -1,7 +1,7 @@
 """Largest magnitudes that the dynamics allow: they bound the spaces, and a state that is restored.
 
-The kernel trusts its state: an index out of range would read foreign memory, and a speed of 10^9 m/s would be tested for
-collisions in 10^9 poses. So a state from outside, of a file for example, passes :func:`check_state` first.
+The kernel trusts its state: an index out of range would read foreign memory, and a speed of 10^9 m/s would be tested
+for collisions in 10^9 poses. So a state from outside, of a file for example, passes :func:`check_state` first.
 """
 
 from __future__ import annotations

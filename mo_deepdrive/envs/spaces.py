@@ -16,6 +16,7 @@ from mo_deepdrive.simulation.params import chosen_objectives
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
 
+
 def observation_space(config: EnvConfig) -> spaces.Box:
     """The observation of one vehicle: float32, shape (size,), SI units; entries in ``observation.layout``."""
     low, high = observation.bounds(SCENARIOS[config.scenario], limits(config))
