@@ -505,7 +505,9 @@ class PCN(Agent):
         for name, form in forms.items():
             found = (state[name].dtype, tuple(state[name].shape[1:])) if name in state else form
             if found != form:
-                raise ValueError(f"the buffer has {name} of {found[0]} and shape {found[1]}; it needs {form}")
+                raise ValueError(
+                    f"the buffer has {name} of {found[0]} and shape {found[1]}; it needs {form[0]} and shape {form[1]}"
+                )
         actions = state.get("actions", torch.zeros(0))
         if not bool((actions.isfinite() if continuous else (actions >= 0) & (actions < k)).all()):
             raise ValueError(f"the buffer has actions that are not {'finite' if continuous else f'in [0, {k})'}")
