@@ -15,6 +15,7 @@ import torch
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.networks import GaussianActor
 from algorithms.common.optimisers import geometric_schedule, linear_schedule, optimiser_state, set_optimiser_state
 from algorithms.common.rollout import Collector, VehicleRollout
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_prefix
@@ -111,8 +112,15 @@ class Learner(ABC):
         return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`."""
-        self.actor.load_state_dict(strip_prefix(state, "actor."))
+        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`.
+
+        Raises:
+            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
+        """
+        weights = strip_prefix(state, "actor.")
+        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
+            raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
+        self.actor.load_state_dict(weights)
 
 
 class ActorCritic(Agent):
@@ -253,12 +261,19 @@ class ActorCritic(Agent):
         return state
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for values from which training cannot continue.
+        """
         for v, learner in enumerate(self.learners):
             learner.set_state(strip_prefix(state, f"vehicle_{v}."))
         self.generator.set_state(state["generator"])
         self.collector.set_state({name: t.numpy() for name, t in strip_prefix(state, "collector.").items()})
         self.updates = self.step // (self.config.steps * self.env.num_envs)
+        worlds = self.env.get_state()
+        if self.step and worlds and (worlds["over"].any() or not worlds["begun"].all()):
+            raise ValueError(f"step = {self.step}, but environments have not been reset")
         if not self.env.native:
             # Other libraries' environments cannot be saved, so new episodes start with different seeds.
             self.collector.reset(self.env_seed + self.step)

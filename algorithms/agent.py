@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import torch
 
-from algorithms.common.checkpoints import POLICY_ONLY, read_checkpoint, strip_prefix, write_checkpoint
+from algorithms.common.checkpoints import (
+    POLICY_ONLY,
+    STEP,
+    check_tensors,
+    read_checkpoint,
+    strip_prefix,
+    write_checkpoint,
+)
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation.evaluate import evaluate
@@ -79,7 +86,8 @@ class Agent(ABC):
 
     Attributes:
         known_utility: whether the agent learns for a known utility, or a front for every utility.
-        varying_shapes: prefixes of tensors whose shapes are not known before a checkpoint is read.
+        varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
+            ``set_state`` and ``set_policy`` check them.
         env: the training environment in the trainers' shapes.
         utilities: one per vehicle; empty where none is known.
         step: environment steps taken, over all parallel environments.
@@ -153,7 +161,11 @@ class Agent(ABC):
 
     @abstractmethod
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`; ``step`` is set already."""
+        """Resume from :meth:`get_state`; ``step`` is set already.
+
+        Raises:
+            ValueError: for values from which training cannot continue; a part of the state may be set already.
+        """
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """What acting needs: a part of :meth:`get_state`, or a summary of it."""
@@ -277,7 +289,7 @@ class Agent(ABC):
         """Write the complete training state to one safetensors file, atomically."""
         episodes = Episodes.join(self.episodes, len(self.env.objectives))
         unlogged = {f"{EPISODES}{name}": torch.from_numpy(array) for name, array in vars(episodes).items()}
-        write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), "step": self.step})
+        write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), STEP: self.step})
 
     def save_policy(self, path: str | Path) -> None:
         """Write only what acting needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
@@ -285,7 +297,7 @@ class Agent(ABC):
         Raises:
             ValueError: if there is no policy yet.
         """
-        write_checkpoint(path, self.get_policy(), {**self.identity(), "step": self.step, POLICY_ONLY: True})
+        write_checkpoint(path, self.get_policy(), {**self.identity(), STEP: self.step, POLICY_ONLY: True})
 
     def load(self, path: str | Path, *, policy_only: bool = False) -> None:
         """Resume from :meth:`save`; no code is run from the file.
@@ -295,22 +307,23 @@ class Agent(ABC):
             policy_only: load the policy alone, to act in any number of environments; :meth:`save_policy` is enough.
 
         Raises:
-            ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, or
-                holds the policy alone where more is needed.
+            ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, has
+                values from which training cannot continue, or holds the policy alone where more is needed.
         """
         may_differ = ("num_envs",) if policy_only else ()
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
-        for name, tensor in expected.items():
-            stored = tuple(tensors[name].shape) if name in tensors else None
-            if stored != tuple(tensor.shape) and not name.startswith(self.varying_shapes):
-                raise ValueError(
-                    f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
-                )
-        if policy_only:
-            self.set_policy(tensors)
-            return
-        self.step = found["step"]
-        self.set_state(tensors)
-        unlogged = strip_prefix(tensors, EPISODES)
-        self.episodes = [Episodes(**{name: tensor.numpy() for name, tensor in unlogged.items()})] if unlogged else []
+        tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
+        step, before = self.step, {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
+        try:
+            if policy_only:
+                self.set_policy(tensors)
+                return
+            self.step = found[STEP]
+            self.set_state(tensors)
+            unlogged = {name: tensor.numpy() for name, tensor in strip_prefix(tensors, EPISODES).items()}
+            self.episodes = [Episodes.of_arrays(unlogged, len(self.env.objectives))] if unlogged else []
+        except (ValueError, RuntimeError) as error:
+            self.step = step
+            self.set_state(before)
+            raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
+from mo_deepdrive.limits import check_state
 from mo_deepdrive.scenarios import SCENARIOS, pin_nothing
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
@@ -104,7 +106,8 @@ class WorldBatch:
     def _divide(self, threads: int) -> None:
         """Divide the worlds into consecutive parts, one per thread."""
         self._parts = [self._part(rows) for rows in np.array_split(np.arange(len(self.state)), threads)]
-        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the parts, which are views of the buffers, and the thread pool: a copy makes new ones."""
@@ -170,13 +173,23 @@ class WorldBatch:
             ValueError: for actions that are out of range, not finite or of the wrong type; no state has changed.
         """
         actions = self._checked(actions)
-        if self._pool is None:
-            self._run(self._parts[0], actions)
+        first, *rest = self._parts
+        if not rest:
+            self._run(first, actions)
             return
-        others = [self._pool.submit(self._run, part, actions) for part in self._parts[1:]]
-        self._run(self._parts[0], actions)
+        if self._pool is None or self._pool_process != os.getpid():
+            # A forked child inherits the pool without its threads, and would wait for them for ever.
+            self._pool, self._pool_process = ThreadPoolExecutor(len(rest)), os.getpid()
+        others = [self._pool.submit(self._run, part, actions) for part in rest]
+        self._run(first, actions)
         for other in others:
             other.result()
+
+    def close(self) -> None:
+        """End the threads; another step would start new ones."""
+        if self._pool is not None and self._pool_process == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
         kinds, dtype, allowed = (
@@ -228,7 +241,12 @@ class WorldBatch:
         return over
 
     def restore(self, state: NDArray[Any]) -> None:
-        """Overwrite the state (worlds, vehicles), and compute the observations and flags from it."""
+        """Overwrite the state (worlds, vehicles), and compute the observations and flags from it.
+
+        Raises:
+            ValueError: for values that the dynamics cannot reach; nothing changes.
+        """
+        check_state(state, self.config, self.params["n_waypoints"][0, : state.shape[1]])
         self.state[:] = state
         observe_batch(self.state, self.params, self.observations, self.terminated, self.truncated)
 

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_safetensors
 
@@ -14,10 +15,10 @@ from algorithms.common.atomic_io import atomic_write
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import torch
-
 FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
+STEP = "step"  # entry of the identity: environment steps taken
+MOST_STEPS = 2**63 - 1
 
 
 def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -44,14 +45,17 @@ def read_checkpoint(
         whole: refuse a file that holds the policy alone.
 
     Raises:
-        ValueError: if the file is missing or broken, its identity differs, or it holds the policy alone.
+        ValueError: if the file is missing or broken, its identity differs or has no valid number of steps, or it holds
+            the policy alone.
     """
     try:
         with safe_open(path, framework="pt") as file:
             found = json.loads((file.metadata() or {}).get("checkpoint", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (OSError, SafetensorError, json.JSONDecodeError) as error:
+    except (OSError, SafetensorError, ValueError, RecursionError) as error:
         raise ValueError(f"checkpoint {path} cannot be read: {error}") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"checkpoint {path} cannot be read: its identity is a {type(found).__name__}, not a mapping")
     if whole and found.get(POLICY_ONLY):
         raise ValueError(
             f"checkpoint {path} holds the policy alone, like those of the zoo: it can be evaluated, "
@@ -60,4 +64,57 @@ def read_checkpoint(
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
+    step = found.get(STEP)
+    if type(step) is not int or not 0 <= step <= MOST_STEPS:
+        raise ValueError(f"checkpoint {path} has {STEP} = {step!r}; it must be an integer from 0 to {MOST_STEPS}")
+    for name, tensor in tensors.items():
+        # Counting the True of such a mask gives the sum of its bytes.
+        if tensor.dtype == torch.bool and (tensor.view(torch.uint8) > 1).any():
+            raise ValueError(f"checkpoint {path} has {name!r} with {int(tensor.view(torch.uint8).max())} for a bool")
     return tensors, found
+
+
+def _varies(name: str, varying: tuple[str, ...]) -> bool:
+    return any(part in name for part in varying)
+
+
+def check_tensors(
+    path: str | Path,
+    tensors: Mapping[str, torch.Tensor],
+    expected: Mapping[str, torch.Tensor],
+    varying: tuple[str, ...] = (),
+    *,
+    whole: bool,
+) -> dict[str, torch.Tensor]:
+    """Check the names, shapes and types of the tensors of a checkpoint.
+
+    Args:
+        path: the file, for messages.
+        tensors: of the checkpoint.
+        expected: those of the agent that reads.
+        varying: parts of the names of tensors that are not checked.
+        whole: refuse tensors that are not expected.
+
+    Returns:
+        The tensors that are expected or not checked.
+
+    Raises:
+        ValueError: naming the tensor, what it is and what it must be.
+    """
+    for name, tensor in expected.items():
+        if _varies(name, varying):
+            continue
+        stored = tuple(tensors[name].shape) if name in tensors else None
+        if stored != tuple(tensor.shape):
+            raise ValueError(
+                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
+            )
+        if tensors[name].dtype != tensor.dtype:
+            raise ValueError(
+                f"checkpoint {path} has {name!r} of {tensors[name].dtype}; this agent needs {tensor.dtype}"
+            )
+    known = {name: tensor for name, tensor in tensors.items() if name in expected or _varies(name, varying)}
+    if whole and len(known) < len(tensors):
+        unknown = min(tensors.keys() - known.keys())
+        raise ValueError(f"checkpoint {path} has {unknown!r}, which this agent does not know")
+    return known

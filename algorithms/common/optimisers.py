@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -39,13 +40,28 @@ def set_optimiser_state(optimiser: torch.optim.Optimizer, state: Mapping[str, to
     """Resume from :func:`optimiser_state`.
 
     Raises:
-        ValueError: if the state covers only some of the optimiser's parameters.
+        ValueError: if the state covers only some of the optimiser's parameters, or is not that of Adam for them.
     """
     entries: dict[int, dict[str, torch.Tensor]] = {}
     for name, tensor in state.items():
         index, _, entry = name.partition(".")
+        if not index.isdecimal():
+            raise ValueError(f"the optimiser's state has {name!r}; expected PARAMETER.ENTRY")
         entries.setdefault(int(index), {})[entry] = tensor
-    count = sum(len(group["params"]) for group in optimiser.param_groups)
-    if entries and sorted(entries) != list(range(count)):
-        raise ValueError(f"the optimiser's state covers the parameters {sorted(entries)}; it has {count}")
+    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
+    if entries and sorted(entries) != list(range(len(parameters))):
+        raise ValueError(f"the optimiser's state covers the parameters {sorted(entries)}; it has {len(parameters)}")
+    for number, found in sorted(entries.items()):
+        parameter = parameters[number]
+        # Fused steps do not check what they are given.
+        expected = {"step": (), "exp_avg": tuple(parameter.shape), "exp_avg_sq": tuple(parameter.shape)}
+        shapes = {entry: tuple(tensor.shape) for entry, tensor in found.items()}
+        types = {tensor.dtype for tensor in found.values()}
+        if shapes != expected or types != {parameter.dtype}:
+            raise ValueError(
+                f"the optimiser's state of parameter {number} has {shapes} of {sorted(map(str, types))}; "
+                f"it must have {expected} of {parameter.dtype}"
+            )
+        if not 0 <= float(found["step"]) < math.inf:
+            raise ValueError(f"the optimiser's state of parameter {number} has step = {float(found['step'])}")
     optimiser.load_state_dict({**optimiser.state_dict(), "state": entries})

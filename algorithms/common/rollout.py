@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -126,6 +126,21 @@ class Episodes:
         """No episodes, of rewards with ``objectives`` components."""
         no_returns, no_counts = np.zeros((0, objectives)), np.zeros(0, dtype=np.int64)
         return cls(no_counts, no_returns, no_returns, no_counts, np.zeros(0, dtype=np.bool_))
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]], objectives: int) -> Episodes:
+        """Episodes from their fields by name.
+
+        Raises:
+            ValueError: if a field is missing or of the wrong type or shape, or there are others.
+        """
+        forms = {name: (array.dtype, array.shape[1:]) for name, array in vars(cls.none(objectives)).items()}
+        found = {name: (array.dtype, array.shape[1:]) for name, array in arrays.items()}
+        counts = {array.shape[:1] for array in arrays.values()}
+        if found != forms or len(counts) != 1 or () in counts:
+            shapes = {name: f"{array.dtype} {array.shape}" for name, array in arrays.items()}
+            raise ValueError(f"the fields of the episodes do not fit together: {shapes}")
+        return cls(**arrays)
 
     @classmethod
     def join(cls, parts: Sequence[Episodes], objectives: int) -> Episodes:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 FARTHEST = 250.0  # m; largest coordinate, so that observations stay in their space
+MOST_TURNED = 250.0  # rad; largest heading
 
 
 def option_names(scenario: Scenario) -> tuple[str, ...]:
@@ -30,8 +31,11 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
         numbers = np.array([])
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ValueError(f"reset option {name!r} = {value!r} must be {form}: finite numbers in m and rad")
-    if (np.abs(numbers) > FARTHEST).any():
-        raise ValueError(f"reset option {name!r} = {value!r} must lie within {FARTHEST:g} m of the origin")
+    if (np.abs(numbers[..., :2]) > FARTHEST).any():
+        raise ValueError(f"reset option {name!r} = {value!r} must have coordinates in [-{FARTHEST:g}, {FARTHEST:g}] m")
+    if (np.abs(numbers[..., 2:]) > MOST_TURNED).any():
+        turned = f"[-{MOST_TURNED:g}, {MOST_TURNED:g}] rad"
+        raise ValueError(f"reset option {name!r} = {value!r} must have headings in {turned}")
     return numbers
 
 

@@ -8,35 +8,13 @@ import numpy as np
 from gymnasium import spaces
 
 from mo_deepdrive import actions, observation
+from mo_deepdrive.limits import limits
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
-from mo_deepdrive.simulation.state import GRAVITY, LENGTH, STEER_RANGE, TOP_SPEED
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
-
-# The held throttle is below this (m/s^2): "maintain speed" raises it only while friction is larger, and friction at
-# top speed is 6 m/s^2.
-TOP_THROTTLE = 10.0
-
-
-def limits(config: EnvConfig) -> dict[str, float]:
-    """Largest magnitudes that the dynamics allow, by unit (m/s, m/s^2, m/s^3, g, ...) and entry name."""
-    rate = float(config.simulation_frequency)
-    speed = TOP_SPEED + TOP_THROTTLE / rate + 1.0
-    acceleration = 2 * speed * rate
-    return {
-        "m/s": speed,
-        "m/s^2": acceleration,
-        "m/s^3": 2 * acceleration * rate,
-        "g": acceleration / GRAVITY,
-        "steer": STEER_RANGE,
-        "throttle": TOP_THROTTLE,
-        # The distance of one decision, the swing of the front, and the change to the next waypoint.
-        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
-        "lane_violation": 2 * observation.FAR + 2 * config.lane_margin,
-    }
 
 
 def observation_space(config: EnvConfig) -> spaces.Box:

@@ -16,6 +16,19 @@ BLOCK = 16
 _WORD = (1 << 64) - 1
 
 
+def checked_seed(seed: Any, name: str = "seed") -> int | None:
+    """The ``seed`` of a random stream; ``name`` is its name in the message.
+
+    Raises:
+        ValueError: unless it is None or a non-negative integer.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ValueError(f"{name} = {seed!r} must be None or a non-negative integer")
+    return int(seed)
+
+
 class Streams:
     """Generators, one per world, which draw the same numbers as a single environment with the same seed.
 
@@ -69,6 +82,21 @@ class Streams:
             state = generator.bit_generator.state["state"]
             row[:] = [state["state"] >> 64, state["state"] & _WORD, state["inc"] >> 64, state["inc"] & _WORD]
         return {"generators": words, "blocks": self._blocks.copy(), "cursors": self._cursors.copy()}
+
+    @staticmethod
+    def check(state: dict[str, NDArray[Any]]) -> None:
+        """Refuse blocks and cursors that :meth:`draw` cannot take.
+
+        Raises:
+            ValueError: naming the array, its value and its range.
+        """
+        blocks, cursors = state["blocks"], state["cursors"]
+        for name, array, fine, allowed in (
+            ("blocks", blocks, (blocks >= 0.0) & (blocks < 1.0), "in [0, 1)"),
+            ("cursors", cursors, (cursors >= 0) & (cursors <= BLOCK), f"between 0 and {BLOCK}"),
+        ):
+            if not fine.all():
+                raise ValueError(f"state {name!r} has {array[~fine][0]}; it must be {allowed}")
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state`."""

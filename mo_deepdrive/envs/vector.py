@@ -14,13 +14,25 @@ from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
-from mo_deepdrive.envs.streams import Streams
+from mo_deepdrive.envs.streams import Streams, checked_seed
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 END_NAMES = np.array(ENDS, dtype=object)
+
+
+def _positive(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name} = {value!r} must be a positive integer")
+    return int(value)
+
+
+def _form(array: Any) -> str:
+    if array is None:
+        return "missing"
+    return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else repr(type(array).__name__)
 
 
 class DrivingVectorEnv(VectorEnv):
@@ -85,17 +97,13 @@ class DrivingVectorEnv(VectorEnv):
         max_episode_steps: int | None = None,
         **options: Any,
     ):
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs!r} must be a positive integer")
-        if not isinstance(threads, int) or threads < 1:
-            raise ValueError(f"threads = {threads!r} must be a positive integer")
+        num_envs, threads = _positive("num_envs", num_envs), _positive("threads", threads)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         if max_episode_steps is not None:
-            if not isinstance(max_episode_steps, int) or max_episode_steps < 1:
-                raise ValueError(f"max_episode_steps = {max_episode_steps!r} must be a positive integer")
-            options["time_limit"] = min(config.time_limit, max_episode_steps / config.decision_frequency)
+            most = _positive("max_episode_steps", max_episode_steps)
+            options["time_limit"] = min(config.time_limit, most / config.decision_frequency)
             config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         self.num_envs = num_envs
         self.config = config
@@ -153,6 +161,9 @@ class DrivingVectorEnv(VectorEnv):
         Args:
             seed: an int seeds world i with ``seed + i``; a list has a seed per world; None continues the streams.
             options: ``"reset_mask"`` (N,) bool resets only those worlds; other options as in the single environment.
+
+        Raises:
+            ValueError: for invalid seeds or options; no world changes.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -177,13 +188,12 @@ class DrivingVectorEnv(VectorEnv):
         return mask
 
     def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + i for i in range(self.num_envs)]
+        if not isinstance(seed, (list, tuple, np.ndarray)):
+            first = checked_seed(seed)
+            return [None if first is None else first + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ValueError(f"seed has {len(seed)} entries; a list needs one for each of the {self.num_envs} worlds")
-        return list(seed)
+        return [checked_seed(each, f"seed[{i}]") for i, each in enumerate(seed)]
 
     def step(
         self, actions: NDArray[Any]
@@ -296,15 +306,18 @@ class DrivingVectorEnv(VectorEnv):
         """Resume from the result of :meth:`get_state` of an environment with the same arguments.
 
         Raises:
-            ValueError: if the state is of an environment of another size or version.
+            ValueError: if the state is of an environment of another size or version, or has values that no environment
+                can reach; nothing changes.
         """
-        mine = self.get_state()
-        for name, array in mine.items():
-            found = np.shape(state[name]) if name in state else None
-            if found != array.shape:
-                raise ValueError(f"state {name!r} has shape {found}; this environment needs {array.shape}")
-        self.batch.restore(np.asarray(state["state"]).view(self.batch.state.dtype))
-        self._over = np.array(state["over"], dtype=np.bool_)
+        for name, array in self.get_state().items():
+            if _form(found := state.get(name)) != _form(array):
+                raise ValueError(f"state {name!r} is {_form(found)}; this environment needs {_form(array)}")
+        for name in ("over", "begun"):
+            if (flags := state[name].view(np.uint8)).max() > 1:
+                raise ValueError(f"state {name!r} has {flags.max()}; it must be 0 or 1")
+        Streams.check(state)
+        self.batch.restore(np.ascontiguousarray(state["state"]).view(self.batch.state.dtype))
+        self._over = state["over"].copy()
         self._begun = bool(state["begun"][0])
         self._seeded().set_state(state)
 
@@ -319,7 +332,8 @@ class DrivingVectorEnv(VectorEnv):
         return tuple(viewer.draw(self.batch.state[row]) for row, viewer in enumerate(self._viewers))
 
     def close_extras(self, **_kwargs: Any) -> None:
-        """Close the renderers."""
+        """End the threads and close the renderers."""
+        self.batch.close()
         for viewer in self._viewers:
             viewer.close()
         self._viewers = []

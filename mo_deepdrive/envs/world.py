@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
+from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.scenarios import DRAWS
 
 if TYPE_CHECKING:
@@ -154,7 +155,8 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
         self.reward_dim = len(self.objectives)
 
     def _place(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
-        """Start a new episode. If ``options`` are refused, the random stream is unchanged, too."""
+        """Start a new episode. If ``seed`` or ``options`` are refused, the random stream is unchanged, too."""
+        seed = checked_seed(seed)
         generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
         self.world.place(generator, options)
         self._np_random, self._np_random_seed = generator, used

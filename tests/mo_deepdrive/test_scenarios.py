@@ -403,6 +403,17 @@ def test_driving_past_a_waypoint_skips_it(world: Any) -> None:
     assert set(nearest[:-1]) == {0}
 
 
+def test_driving_past_the_second_waypoint_to_the_last_skips_it(world: Any) -> None:
+    env = world("intersection")
+    env.reset(options={"starts": ((8.0, LEFT_TURN[2][1], math.radians(90)), (C - 1.524, 47.0, math.pi))})
+    set_vehicle(env, 0, next_waypoint=2, furthest=0.0)
+    env.step(np.stack([control(), control()])[None])
+    assert env.batch.end_names(0) == ("", ""), "the last waypoint is the next one"
+    set_vehicle(env, 0, next_waypoint=1, furthest=0.0)
+    env.step(np.stack([control(), control()])[None])
+    assert env.batch.end_names(0) == ("skipped_waypoint", "")
+
+
 def test_falling_two_metres_behind_is_backwards(world: Any) -> None:
     env = world()
     env.reset(options={"start": (0.0, 0.0, 0.0), "destination": (0.0, 50.0)})
@@ -498,7 +509,7 @@ def test_turning_round_and_round_gains_nothing(world: Any) -> None:
     gained = []
     for _ in range(300):
         # Neither circling nor falling behind ends the episode.
-        set_vehicle(env, furthest=-1e6, start_heading=env.telemetry()[0][0]["heading"])
+        set_vehicle(env, furthest=-1e3, start_heading=env.telemetry()[0][0]["heading"])
         seen = env.batch.observations[0, 0]
         _, rewards, terminated, _, _ = env.step(control(1.0, 1.0 - named(env, seen)["speed"])[None])
         assert not terminated[0]
@@ -613,13 +624,13 @@ def test_lane_violation_is_the_distance_within_the_margin_of_both_lines(make_vec
     assert zero > 100 or margin > 0.3736  # a car in the middle of its lane is 0.3737 m from both lines
 
 
-def enter_the_crossing(env: Any, starts: Any) -> None:
-    """The left turn drives to its second waypoint at 2 m/s."""
+def enter_the_crossing(env: Any, starts: Any, speed: float = 2.0) -> None:
+    """The left turn drives to its second waypoint at ``speed`` (m/s)."""
     env.reset(options={"starts": starts})
     set_vehicle(env, 0, next_waypoint=1)
     env.step(np.stack([control(), control()])[None])
     heading = env.telemetry()[0][0]["heading"]
-    set_vehicle(env, 0, speed=2.0, vx=-2.0 * math.sin(heading), vy=2.0 * math.cos(heading))
+    set_vehicle(env, 0, speed=speed, vx=-speed * math.sin(heading), vy=speed * math.cos(heading))
 
 
 def test_progress_of_the_left_turn_is_negative_while_the_other_approaches(world: Any) -> None:
@@ -646,6 +657,21 @@ def test_progress_of_the_left_turn_is_negative_while_the_other_approaches(world:
     enter_the_crossing(env, (starts[0], (C - 1.524, 12.0, math.pi)))
     _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
     assert rewards[0, 0, 0] == gains[False][0]
+
+
+@pytest.mark.parametrize("speed", [2.0, -2.0])
+def test_backing_out_of_the_crossing_is_no_gain_while_the_other_approaches(world: Any, speed: float) -> None:
+    """The rule turns progress negative; it does not turn a loss into a gain."""
+    gains = {}
+    for rule in (True, False):
+        env = world("intersection", yield_to_oncoming=rule)
+        enter_the_crossing(env, ((25.5, 24.0, math.radians(45)), (C - 1.524, 45.0, math.pi)), speed)
+        _, rewards, _, _, _ = env.step(np.stack([control(), control()])[None])
+        assert env.batch.state[0, 0].crossing
+        assert env.batch.state[0, 1].approaching
+        gains[rule] = float(rewards[0, 0, env.objectives.index("distance")])
+    assert math.copysign(1.0, gains[False]) == math.copysign(1.0, speed)
+    assert gains[True] == -abs(gains[False]) < -0.05
 
 
 # ----------------------------------------------------------------------------------------------------------- actions

@@ -317,6 +317,17 @@ def assert_refuses(env: Any, actions: Any, message: str) -> None:
     assert_same_steps(env, before)
 
 
+@pytest.mark.parametrize("seed", [1.5, "a", -1, True])
+@pytest.mark.parametrize("make", [mo_deepdrive.parallel_env, mo_deepdrive.env])
+def test_a_bad_seed_is_refused(make: Callable[[], Any], seed: Any) -> None:
+    env = make()
+    env.reset(seed=0)
+    before = env.unwrapped.state().tobytes()
+    with pytest.raises(ValueError, match=f"^{re.escape(f'seed = {seed!r} must be None or a non-negative integer')}$"):
+        env.reset(seed=seed)
+    assert env.unwrapped.state().tobytes() == before
+
+
 BAD_DISCRETE = {
     "an agent is missing": (
         {"vehicle_0": 3},

@@ -8,6 +8,7 @@ import copy
 import itertools
 import math
 import pickle
+import re
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -593,7 +594,14 @@ BAD_OPTIONS = {
     "a bicycle with one end": ({"obstacle": (1.0, 2.0)}, "'obstacle'"),
     "a start of strings": ({"start": ("a", "b", "c")}, "'start'"),
     "a destination of None": ({"destination": None}, "'destination'"),
-    "a start far away": ({"start": (1e6, 0.0, 0.0)}, "'start'.*250 m"),
+    "a start far away": (
+        {"start": (1e6, 0.0, 0.0)},
+        r"'start' = \(1000000.0, 0.0, 0.0\) must have coordinates in \[-250, 250\] m",
+    ),
+    "a heading of many turns": (
+        {"start": (0.0, 0.0, 1e9)},
+        r"'start' = \(0.0, 0.0, 1000000000.0\) must have headings in \[-250, 250\] rad",
+    ),
     "an unknown option": ({"destinatoin": (1.0, 2.0)}, "'destinatoin'.*did you mean 'destination'"),
     "the option of another scenario": ({"starts": ((0, 0, 0), (0, 0, 0))}, "unknown reset option 'starts'"),
 }
@@ -623,6 +631,15 @@ def test_after_a_refused_first_reset_a_reset_is_still_required(make_single: Make
         env.step(0)
     env.reset()
     env.step(0)
+
+
+@pytest.mark.parametrize("seed", [1.5, "a", -1, True, np.float64(3.0), [1]])
+@pytest.mark.parametrize("scenario", IDS)
+def test_a_bad_seed_is_refused_and_does_not_change_the_state(make_single: Make, scenario: str, seed: Any) -> None:
+    env = make_single(scenario)
+    env.reset(seed=np.int64(0))
+    message = f"^{re.escape(f'seed = {seed!r} must be None or a non-negative integer')}$"
+    assert_refuses(env, lambda: env.reset(seed=seed), ValueError, message)
 
 
 BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
@@ -680,9 +697,3 @@ def test_the_single_environment_refuses_two_vehicles_and_names_the_alternatives(
         DrivingEnv(scenario="intersection")
     with pytest.raises(ValueError, match="scenario"):
         DrivingEnv(scenario="roundabout")
-
-
-def test_a_negative_seed_is_refused_and_does_not_change_the_state(make_single: Make) -> None:
-    env = make_single()
-    env.reset(seed=0)
-    assert_refuses(env, lambda: env.reset(seed=-1), gymnasium.error.Error, "greater or equal to zero")

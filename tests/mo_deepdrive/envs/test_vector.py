@@ -6,6 +6,8 @@ import copy
 import io
 import math
 import pickle
+import re
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -217,6 +219,49 @@ def test_two_threads_give_the_results_of_one(make_vector: Make, scenario: str, a
     assert episodes(expected) > 7
 
 
+def workers() -> set[threading.Thread]:
+    return {thread for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")}
+
+
+def test_threads_end_when_the_environment_is_closed(make_vector: Make) -> None:
+    before = workers()
+    env = make_vector("one_waypoint", 6, threads=3)
+    env.reset(seed=0)
+    assert workers() == before, "threads start with the first step"
+    action = env.action_space.sample()
+    env.step(action)
+    env.step(action)
+    assert len(workers() - before) in (1, 2)
+    env.close()
+    assert workers() == before
+    env.close()
+    make_vector("one_waypoint", 6, threads=3).close()
+    assert workers() == before
+
+
+def test_a_forked_child_steps_with_threads_of_its_own(run_python: Callable[[str], str]) -> None:
+    # A child that waits for the threads of its parent is killed by its alarm.
+    snippet = """
+import os, signal
+import gymnasium, mo_deepdrive
+env = gymnasium.make_vec("mo-deepdrive-one-waypoint-v0", num_envs=4, threads=2)
+env.reset(seed=0)
+actions = env.action_space.sample()
+env.step(actions)
+read, write = os.pipe()
+child = os.fork()
+if child == 0:
+    signal.alarm(10)
+    os.write(write, env.step(actions)[1].tobytes())
+    env.close()
+    os._exit(0)
+status = os.waitpid(child, 0)[1]
+rewards = env.step(actions)[1].tobytes()
+print(status, os.read(read, len(rewards)) == rewards if status == 0 else "killed")
+"""
+    assert run_python(snippet).split() == ["0", "True"]
+
+
 # ------------------------------------------------------------------------------------------------------ saved states
 
 
@@ -284,6 +329,58 @@ def test_the_state_of_another_environment_is_refused(make_vector: Make) -> None:
     assert_equal(env.get_state(), before)
 
 
+def test_a_state_from_outside_does_not_crash_the_process(run_python: Callable[[str], str]) -> None:
+    snippet = """
+import gymnasium, mo_deepdrive
+env = gymnasium.make_vec("mo-deepdrive-one-waypoint-v0", num_envs=2)
+env.reset(seed=0)
+state = env.get_state()
+state["state"].view(env.batch.state.dtype)["next_waypoint"] = 10**9
+try:
+    env.set_state(state)
+    env.step(env.action_space.sample())
+except ValueError as error:
+    print(error)
+"""
+    message = "state has next_waypoint = 1000000000 for vehicle 0 of world 0; it must be between 0 and 0"
+    assert run_python(snippet).strip() == message
+
+
+def raw_flags(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.uint8).view(np.bool_)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("state", np.zeros((2, 418)), "float64 of shape (2, 418); this environment needs uint8 of shape (2, 418)"),
+        ("state", np.zeros(0, dtype=np.uint8), "uint8 of shape (0,); this environment needs uint8 of shape (2, 418)"),
+        ("state", [[0] * 418] * 2, "'list'; this environment needs uint8 of shape (2, 418)"),
+        ("over", np.zeros(2, dtype=np.int64), "int64 of shape (2,); this environment needs bool of shape (2,)"),
+        ("over", raw_flags(0, 7), "has 7; it must be 0 or 1"),
+        ("begun", raw_flags(255), "has 255; it must be 0 or 1"),
+        ("begun", None, "is missing; this environment needs bool of shape (1,)"),
+        ("generators", np.zeros((2, 4)), "float64 of shape (2, 4); this environment needs uint64 of shape (2, 4)"),
+        ("blocks", np.full((2, 16, 5), np.nan), "has nan; it must be in [0, 1)"),
+        ("blocks", np.full((2, 16, 5), 1.0), "has 1.0; it must be in [0, 1)"),
+        ("blocks", np.full((2, 16, 5), -0.5), "has -0.5; it must be in [0, 1)"),
+        ("cursors", np.array([0, 10**9]), "has 1000000000; it must be between 0 and 16"),
+        ("cursors", np.array([-1, 0]), "has -1; it must be between 0 and 16"),
+        ("cursors", np.array([0, 17]), "has 17; it must be between 0 and 16"),
+    ],
+)
+def test_an_invalid_array_of_a_state_is_refused(make_vector: Make, name: str, array: Any, message: str) -> None:
+    env = make_vector("one_waypoint", 2)
+    env.reset(seed=0)
+    before = env.get_state()
+    state = {**before, name: array}
+    if array is None:
+        del state[name]
+    with pytest.raises(ValueError, match=f"^state '{name}' (is )?{re.escape(message.removeprefix('is '))}$"):
+        env.set_state(state)
+    assert_equal(env.get_state(), before)
+
+
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_copy_of_a_vector_environment_continues_exactly(make_vector: Make, scenario: str, how: Any) -> None:
@@ -310,6 +407,29 @@ def test_an_integer_seed_counts_up_and_a_list_seeds_every_world(make_vector: Mak
     assert_equal(env.reset(seed=np.int64(10))[0], counted)
     with pytest.raises(ValueError, match="3 entries"):
         env.reset(seed=[1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("seed", "message"),
+    [
+        (1.5, "seed = 1.5 must be None or a non-negative integer"),
+        (-1, "seed = -1 must be None or a non-negative integer"),
+        ("a", "seed = 'a' must be None or a non-negative integer"),
+        (True, "seed = True must be None or a non-negative integer"),
+        ([0, 1.5], "seed[1] = 1.5 must be None or a non-negative integer"),
+        ([0, -1], "seed[1] = -1 must be None or a non-negative integer"),
+        ([0, "a"], "seed[1] = 'a' must be None or a non-negative integer"),
+        (np.array([True, False]), f"seed[0] = {np.True_!r} must be None or a non-negative integer"),
+    ],
+)
+def test_an_invalid_seed_is_refused_and_no_world_changes(make_vector: Make, seed: Any, message: str) -> None:
+    env = make_vector("one_waypoint", 2)
+    env.reset(seed=0)
+    before = env.get_state()
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        env.reset(seed=seed)
+    assert_equal(env.get_state(), before)
+    assert env.np_random_seed == (0, 1)
 
 
 @pytest.mark.parametrize("scenario", OPEN)
@@ -594,8 +714,14 @@ def test_an_invalid_reset_is_refused_and_no_world_changes(make_vector: Make, wha
 
 BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "no worlds": ("one_waypoint", {"num_envs": 0}, "num_envs = 0"),
-    "half a world": ("one_waypoint", {"num_envs": 1.5}, "num_envs = 1.5"),
-    "no threads": ("one_waypoint", {"num_envs": 2, "threads": 0}, "threads = 0"),
+    "half a world": ("one_waypoint", {"num_envs": 1.5}, "num_envs = 1.5 must be a positive integer"),
+    "true worlds": ("one_waypoint", {"num_envs": True}, "num_envs = True must be a positive integer"),
+    "no threads": ("one_waypoint", {"num_envs": 2, "threads": 0}, "threads = 0 must be a positive integer"),
+    "minus one thread": ("one_waypoint", {"threads": -1}, "threads = -1 must be a positive integer"),
+    "one and a half threads": ("one_waypoint", {"threads": 1.5}, "threads = 1.5 must be a positive integer"),
+    "a letter of threads": ("one_waypoint", {"threads": "a"}, "threads = 'a' must be a positive integer"),
+    "true threads": ("one_waypoint", {"threads": True}, "threads = True must be a positive integer"),
+    "true episode steps": ("one_waypoint", {"max_episode_steps": True}, "max_episode_steps = True must be a positive"),
     "an unknown autoreset mode": ("one_waypoint", {"autoreset_mode": "Never"}, "Never"),
     "a fixed destination at the intersection": (
         "intersection",

@@ -275,6 +275,11 @@ def test_the_throttle_has_no_effect_above_the_top_speed() -> None:
     assert above.speed == coasting.speed == pytest.approx(101.0 * 0.999**6, rel=1e-12)
     assert below.speed > 99.0 * 0.999**6 + 0.25
     assert above.throttle == 3.0
+    at_top_speed = compiled_decisions(Car(speed=100.0, throttle=3.0), [(0.0, 3.0, 0.0)], Rules())[-1]
+    pushed = 100.0
+    for _ in range(6):
+        pushed = (pushed + 3.0 / 60) * 0.999
+    assert at_top_speed.speed == pytest.approx(pushed, rel=1e-12)
 
 
 @needs_extended_precision

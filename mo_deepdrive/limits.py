@@ -1,0 +1,128 @@
+"""Largest magnitudes that the dynamics allow: they bound the spaces, and a state that is restored.
+
+The kernel trusts its state: an index out of range would read foreign memory, and a speed of 10^9 m/s would be tested
+for collisions in 10^9 poses. So a state from outside, of a file for example, passes :func:`check_state` first.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mo_deepdrive.observation import FAR
+from mo_deepdrive.simulation.state import (
+    ENDS,
+    GRAVITY,
+    LENGTH,
+    MAX_ACCELERATION,
+    RUNNING,
+    STEER_RANGE,
+    TOP_SPEED,
+    VEHICLE,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.config import EnvConfig
+
+# The held throttle is below this (m/s^2): "maintain speed" raises it only while friction is larger, and friction at
+# top speed is 6 m/s^2.
+TOP_THROTTLE = 10.0
+# Far more than any heading (rad) and any turn in a physics step.
+TOP_HEADING = 1e5
+ROUNDING = 1e-6  # relative
+
+# The fields of VEHICLE by the limit of their magnitude.
+_SIGNED = {
+    "m": (
+        *("x", "y", "front_x", "front_y", "route_distance", "furthest", "lane_centre"),
+        *("left_lane_distance", "right_lane_distance", "waypoints", "obstacle"),
+    ),
+    "rad": ("heading", "start_heading", "yaw_step"),
+    "m/s": ("speed", "previous_speed", "vx", "vy"),
+    "m/s^2": ("ax", "ay"),
+    "1": ("cos_heading", "sin_heading", "cos_before", "sin_before"),
+    "steer": ("steer",),
+    "throttle": ("throttle",),
+    "objective": ("objectives",),
+}
+_POSITIVE = {
+    "m": ("next_distance", "along"),
+    "travelled": ("travelled",),
+    "m/s^3": ("jerk",),
+    "g": ("g_force",),
+    "brake": ("brake",),
+}
+
+
+def limits(config: EnvConfig) -> dict[str, float]:
+    """Largest magnitudes that the dynamics allow, by unit (m/s, m/s^2, m/s^3, g, ...) and entry name."""
+    rate = float(config.simulation_frequency)
+    speed = TOP_SPEED + TOP_THROTTLE / rate + 1.0
+    acceleration = 2 * speed * rate
+    return {
+        "m/s": speed,
+        "m/s^2": acceleration,
+        "m/s^3": 2 * acceleration * rate,
+        "g": acceleration / GRAVITY,
+        "steer": STEER_RANGE,
+        "throttle": TOP_THROTTLE,
+        # The distance of one decision, the swing of the front, and the change to the next waypoint.
+        "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
+        "lane_violation": 2 * FAR + 2 * config.lane_margin,
+    }
+
+
+def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str, tuple[Any, Any]]:
+    """The lowest and the highest value of every field of VEHICLE, for vehicles with ``n_waypoints`` (vehicles,)."""
+    most = limits(config)
+    most |= {
+        "m": FAR,
+        "rad": TOP_HEADING,
+        "1": 1.0,
+        "brake": MAX_ACCELERATION,
+        "travelled": most["m/s"] * config.max_decisions / config.decision_frequency,
+        "objective": max(most.values()),
+    }
+    most = {name: value * (1 + ROUNDING) for name, value in most.items()}
+    return {
+        **{name: (-most[limit], most[limit]) for limit, names in _SIGNED.items() for name in names},
+        **{name: (0.0, most[limit]) for limit, names in _POSITIVE.items() for name in names},
+        "next_waypoint": (0, n_waypoints - 1),
+        "n_waypoints": (n_waypoints, n_waypoints),
+        "crossing": (0, 1),
+        "approaching": (0, 1),
+        "decisions": (0, config.max_decisions),
+        "end": (0, len(ENDS) - 1),
+    }
+
+
+def check_state(state: NDArray[Any], config: EnvConfig, n_waypoints: NDArray[np.int64]) -> None:
+    """Refuse a state that the kernel cannot take.
+
+    Args:
+        state: (worlds, vehicles) of VEHICLE.
+        config: of the environment.
+        n_waypoints: (vehicles,) how many waypoints each vehicle has.
+
+    Raises:
+        ValueError: naming the first field out of range or not finite, its value and its range.
+    """
+    # Worlds that were never reset have no waypoints, and nothing in them moves.
+    unplaced = (state["n_waypoints"] == 0) & (state["end"] != RUNNING)
+    for name, (low, high) in _state_ranges(config, n_waypoints).items():
+        values = state[name]
+        if VEHICLE[name] == np.bool_:
+            values = values.view(np.uint8)
+        wrong = ~((values >= low) & (values <= high))
+        if name == "n_waypoints":
+            wrong &= ~unplaced
+        if wrong.any():
+            world, vehicle, *_ = where = tuple(int(i) for i in np.argwhere(wrong)[0])
+            least, greatest = (np.broadcast_to(bound, values.shape[:2])[world, vehicle] for bound in (low, high))
+            raise ValueError(
+                f"state has {name} = {values[where]} for vehicle {vehicle} of world {world}; "
+                f"it must be between {least:g} and {greatest:g}"
+            )

@@ -1,0 +1,88 @@
+"""The cache of compiled functions: stamped with the sources, and broken files are compiled again."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numba
+import pytest
+
+from mo_deepdrive.simulation.jit import jit, source_hash
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+
+
+def triple(x: float) -> float:
+    return 3.0 * x
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty directory of compiled functions."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def compiled() -> str:
+    """Call the function in a new dispatcher, as a new process does: "loaded" from the cache, or "compiled"."""
+    function: Any = jit(triple)
+    assert function(2.0) == 6.0
+    return "loaded" if function.stats.cache_hits else "compiled"
+
+
+def cached(cache: Path, suffix: str) -> Path:
+    (path,) = cache.rglob(f"*.{suffix}")
+    return path
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.01, 0.5, 0.99])
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_truncated_cache_file_is_compiled_again(cache: Path, suffix: str, kept: float) -> None:
+    assert [compiled(), compiled()] == ["compiled", "loaded"]
+    path = cached(cache, suffix)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(kept * len(whole))])
+    assert [compiled(), compiled()] == ["compiled", "loaded"]
+    assert abs(len(cached(cache, suffix).read_bytes()) - len(whole)) < 100
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_cache_file_of_noise_is_compiled_again(cache: Path, suffix: str) -> None:
+    compiled()
+    cached(cache, suffix).write_bytes(bytes(range(256)) * 10)
+    assert [compiled(), compiled()] == ["compiled", "loaded"]
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_broken_cache_that_cannot_be_written_is_no_cache(
+    cache: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled()
+    cached(cache, suffix).write_bytes(b"")
+
+    def fail(*_: Any) -> None:
+        raise OSError("read-only file system")
+
+    monkeypatch.setattr(os, "replace", fail)
+    assert [compiled(), compiled()] == ["compiled", "compiled"]
+
+
+def test_a_full_disk_is_no_error(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(os, "replace", fail)
+    assert compiled() == "compiled"
+
+
+def test_the_stamp_depends_on_the_names_and_the_contents_of_all_sources(tmp_path: Path) -> None:
+    stamps = set()
+    for name, text in (("a.py", "1"), ("a.py", "2"), ("b.py", ""), ("below/c.py", ""), ("note.txt", "")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+        stamps.add(source_hash(tmp_path))
+    assert len(stamps) == 4
