@@ -51,6 +51,15 @@ def write_json(path: str | Path, value: Any) -> None:
     atomic_write(path, (json.dumps(value, indent=2) + "\n").encode())
 
 
+def read_json_object(path: str | Path) -> dict[str, Any]:
+    """The JSON object in a file that describes work; empty if the file is missing, broken or holds something else."""
+    try:
+        value = json.loads(Path(path).read_bytes())
+    except (OSError, ValueError, RecursionError):  # RecursionError: nested too deeply
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
 def csv_bytes(rows: Iterable[Sequence[Any]]) -> bytes:
     """``rows`` as the text of a CSV file, with plain newlines."""
     buffer = io.StringIO()

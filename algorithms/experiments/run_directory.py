@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
@@ -12,10 +11,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
-from algorithms.common.atomic_io import atomic_write, leftovers, write_json
+from algorithms.common.atomic_io import atomic_write, leftovers, read_json_object, write_json
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.registry import find_trained_policy
+from algorithms.experiments.run_files import record_files
 
 if os.name == "posix":
     import fcntl
@@ -156,7 +156,13 @@ class Run:
         return read_status(self.path)
 
     def set_status(self, state: State, step: int, reason: str | None = None) -> None:
-        """Write status.json with the state of the run, its step, and the reason if it failed."""
+        """Write status.json with the state of the run, its step, and the reason if it failed.
+
+        A finished run also gets the record of its files (:mod:`algorithms.experiments.run_files`).
+
+        Raises:
+            OSError: if it cannot be written, or a file cannot be recorded.
+        """
         write_json(
             self.path / "status.json",
             {
@@ -166,17 +172,14 @@ class Run:
                 "seconds": round(self._seconds_before + perf_counter() - self._opened, 1),
                 "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
                 **({} if reason is None else {"reason": reason}),
+                **({"files": record_files(self.path)} if state == "finished" else {}),
             },
         )
 
     @property
     def versions(self) -> dict[str, Any]:
         """The versions that the run was started with; empty if they are not known."""
-        try:
-            found: dict[str, Any] = json.loads((self.path / "versions.json").read_text())
-        except (OSError, json.JSONDecodeError):
-            return {}
-        return found
+        return read_json_object(self.path / "versions.json")
 
     def changed_versions(self) -> list[str]:
         """The differences between the versions that the run was started with and the current ones, one line each."""
@@ -192,14 +195,10 @@ class Run:
 def read_status(path: Path) -> dict[str, Any]:
     """The contents of a run's status.json; empty if it is missing or broken.
 
-    Its keys are state, step, total_timesteps, seconds (of work, over all processes), updated, and reason if the run
-    failed.
+    Its keys are state, step, total_timesteps, seconds (of work, over all processes), updated, reason if the run
+    failed, and files if it is finished.
     """
-    try:
-        status = json.loads((path / "status.json").read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return status if isinstance(status, dict) else {}
+    return read_json_object(path / "status.json")
 
 
 def _contents(path: Path) -> list[str]:
