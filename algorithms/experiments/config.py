@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
-import torch
 from pydantic import BeforeValidator, Field
 
 import mo_deepdrive
@@ -367,6 +366,8 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
 
 
 def _check_device(name: str, here: bool) -> dict[str, Any]:
+    import torch  # as late as this, because it takes seconds and much memory
+
     try:
         device = torch.device(name)
     except RuntimeError:
