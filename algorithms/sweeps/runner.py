@@ -13,6 +13,7 @@ from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import read_status
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
+from algorithms.sweeps.verification import verify
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -93,6 +94,15 @@ class SweepRunner:
         directories = (self._directory / row.directory for row in iterate_manifest(self._directory))
         self._say(summary_of(count_states(read_status(directory).get("state") for directory in directories)))
         return 0
+
+    def verify(self) -> int:
+        """Check the files of finished runs, then :meth:`run`, which makes again what is broken; returns its exit code.
+
+        Raises:
+            ValueError: if the directory has no manifest; this and other errors also as in :meth:`run`.
+        """
+        verify(self._directory, self._say)
+        return self.run()
 
     def print_batch_script(self) -> int:
         """Print the batch script that would be submitted to Slurm; returns the exit code 0.

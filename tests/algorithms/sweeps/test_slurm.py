@@ -133,7 +133,7 @@ def test_two_commands_in_the_same_sweep_keep_each_others_jobs(tmp_path: Path, fa
     assert slurm.SlurmQueue(tmp_path).jobs == {"1_0": [first.jobs[0].id], "2_0": [second.jobs[0].id]}
 
 
-# ---------------------------------------------------------------------------------------------------------- the manifest
+# --------------------------------------------------------------------------------------------------------- the manifest
 
 
 def test_a_queued_task_trains_its_runs_after_the_manifest_has_changed(
@@ -158,7 +158,7 @@ def test_a_queued_task_trains_its_runs_after_the_manifest_has_changed(
     assert {row.seed for row in read_manifest(tmp_path)} == {7}
 
 
-# ------------------------------------------------------------------------------------------------------- cancelled, lost
+# ------------------------------------------------------------------------------------------------------ cancelled, lost
 
 
 def test_an_array_task_that_is_cancelled_before_it_starts_is_not_submitted_again(
@@ -246,7 +246,7 @@ def test_a_task_that_was_stopped_requeues_itself_unless_it_was_cancelled(
     assert fake.calls("scontrol") == ([["scontrol", "requeue", "4_1"]] if requeued else [])
 
 
-# -------------------------------------------------------------------------------------------------------------- messages
+# ------------------------------------------------------------------------------------------------------------- messages
 
 
 @pytest.mark.parametrize(
