@@ -179,6 +179,20 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
     assert_same_sweep(sweep, long.directory)
 
 
+def test_a_head_that_is_killed_ends_the_command_with_one_line(head: Head, tmp_path: Path) -> None:
+    sweep = tmp_path / "ray"
+    file = write_sweep(tmp_path, overrides={"training.total_timesteps": 100_000_000, "training.num_envs": 64})
+    with start_sweep(file, "--on", "ray", "--address", "auto", "--output", sweep, environment=head.environment) as process:
+        eventually(lambda: runs_in_progress(sweep))
+        head.kill()
+        out, _ = process.communicate(timeout=240)
+    print(out)
+    assert process.returncode == 1
+    assert "Traceback" not in out
+    assert "error: Ray's cluster was lost" in out
+    assert "run the same command again to resume" in out
+
+
 def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     done = run_sweep(
