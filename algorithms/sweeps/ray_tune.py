@@ -22,7 +22,7 @@ from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.reporting.seed_tables import final_metrics
-from algorithms.sweeps.manifest import read_manifest
+from algorithms.sweeps.manifest import iterate_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -85,7 +85,10 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
 
         try:
             sweep = Path(config["sweep"])
-            (job,) = (row.job(sweep) for row in read_manifest(sweep) if row.id == config["run"]["id"])
+            row = next((row for row in iterate_manifest(sweep) if row.id == config["run"]["id"]), None)
+            if row is None:
+                raise ValueError(f"the manifest of sweep {str(sweep)!r} has changed: it no longer has this run")
+            job = row.job(sweep)
             for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():

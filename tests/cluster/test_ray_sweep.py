@@ -181,8 +181,9 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
 
 def test_a_head_that_is_killed_ends_the_command_with_one_line(head: Head, tmp_path: Path) -> None:
     sweep = tmp_path / "ray"
-    file = write_sweep(tmp_path, overrides={"training.total_timesteps": 100_000_000, "training.num_envs": 64})
-    with start_sweep(file, "--on", "ray", "--address", "auto", "--output", sweep, environment=head.environment) as process:
+    endless = {"training.total_timesteps": 10**9, "training.num_envs": 64, "logging.checkpoint_interval": 10_000}
+    options = ("--on", "ray", "--address", "auto", "--output", sweep)
+    with start_sweep(write_sweep(tmp_path, overrides=endless), *options, environment=head.environment) as process:
         eventually(lambda: runs_in_progress(sweep))
         head.kill()
         out, _ = process.communicate(timeout=240)
