@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import ray
 from ray import tune
+from ray.exceptions import RayError
+from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
@@ -220,7 +222,8 @@ def run_on_ray(
         The jobs that failed, each with its reason.
 
     Raises:
-        Stopped: if the cluster cannot be reached.
+        Stopped: if the cluster cannot be reached, or is lost. Ray ends this process itself, with one message and the
+            exit code 1, if it notices the loss first.
         DiskFull: if there is no space left.
     """
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, max(map(_steps, jobs)))
@@ -254,6 +257,11 @@ def run_on_ray(
             ),
         )
         tuner.fit()
+    except (RayError, TuneError, ConnectionError) as error:  # those of runs are in their reports
+        last = " ".join(str(error).strip().splitlines()[-1:])
+        raise Stopped(
+            f"Ray cannot continue, perhaps because its head has died: {type(error).__name__}: {last}"
+        ) from None
     finally:
         ray.shutdown()
     if progress.disk_full is not None:
