@@ -15,13 +15,6 @@ if TYPE_CHECKING:
 LOG_TWO_PI = math.log(2 * math.pi)
 
 
-class _UninitialisedLinear(nn.Linear):
-    """A linear layer that samples nothing from the global generator."""
-
-    def reset_parameters(self) -> None:
-        pass
-
-
 def mlp(
     inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator, output_gain: float
 ) -> nn.Sequential:
@@ -29,7 +22,8 @@ def mlp(
     sizes = [inputs, *hidden, outputs]
     layers: list[nn.Module] = []
     for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
-        layer = _UninitialisedLinear(fan_in, fan_out)
+        with torch.random.fork_rng(devices=[]):  # several times as fast as nn.utils.skip_init
+            layer = nn.Linear(fan_in, fan_out)
         last = i == len(sizes) - 2
         nn.init.orthogonal_(layer.weight, gain=output_gain if last else math.sqrt(2), generator=generator)
         nn.init.zeros_(layer.bias)
