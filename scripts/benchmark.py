@@ -7,9 +7,9 @@ Everything is measured in one run, each speed as the best of several repetitions
 machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
 mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
 
---sweep measures only the time and memory that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000
-runs (with --quick 100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary
-directory.
+--sweep measures only the time and memory that scripts/sweep.py needs to list 10,000 runs (with --quick 1,000) and to
+show their status, and that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000 runs (with --quick
+100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary directory.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from algorithms import ALGORITHMS
 from algorithms.common.atomic_io import write_json
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import hypervolume
+from algorithms.common.yaml_io import dump
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import (
     COMFORT,
@@ -363,14 +364,32 @@ def summary_rows(runs: int, rows: int) -> list[Measurement]:
             shutil.rmtree(sweep / COLLECTED, ignore_errors=True)
             for when in ("first time", "again"):
                 command = [str(scripts / script), str(sweep), "--output", str(Path(folder) / output)]
-                code = WITH_PEAK.replace("{command}", repr(command))
-                started = time.perf_counter()
-                done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-                seconds = time.perf_counter() - started
-                what = f"{script}, {runs:,} x {rows:,} rows, {when}"
-                measured.append(Measurement(what, seconds, "s", "< 30"))
-                measured.append(Measurement(f"{what}, peak memory", float(done.stderr.split()[-1]), "MB", "< 1000"))
+                measured += script_rows(f"{script}, {runs:,} x {rows:,} rows, {when}", command, "< 30", "< 1000")
     return measured
+
+
+def listing_rows(runs: int) -> list[Measurement]:
+    """Time and memory of writing the manifest of a sweep and of --status; ``runs`` is a multiple of 1,000."""
+    script = str(Path(__file__).resolve().parent / "sweep.py")
+    measured = []
+    with tempfile.TemporaryDirectory() as folder:
+        grid = {**GRID, "gamma": [0.9 + 0.001 * number for number in range(runs // 1000)]}
+        file, output = Path(folder) / "sweep.yaml", str(Path(folder) / "sweep")
+        settings = {"grid": {f"algorithm.{key}": values for key, values in grid.items()}, "seeds": 5}
+        file.write_text(dump({"config": str(CONFIGS / "one_waypoint" / "mo_a2c_linear.yaml"), **settings}))
+        for option, limit in (("--on=manifest", "< 15"), ("--status", "< 5")):
+            command = [script, "--config", str(file), "--output", output, option]
+            measured += script_rows(f"sweep.py {option}, {runs:,} runs", command, limit)
+    return measured
+
+
+def script_rows(what: str, command: list[str], seconds: str, megabytes: str = "") -> list[Measurement]:
+    """Time and peak memory of a script; the last arguments are its goals."""
+    code = WITH_PEAK.replace("{command}", repr(command))
+    started = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    taken, peak = time.perf_counter() - started, float(done.stderr.split()[-1])
+    return [Measurement(what, taken, "s", seconds), Measurement(f"{what}, peak memory", peak, "MB", megabytes)]
 
 
 def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads: bool) -> list[Measurement]:
@@ -411,7 +430,7 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
         growth, total = memory_megabytes(scenario)
         rows.append(Measurement(f"{scenario}, 4096 environments, growth of resident memory", growth, "MB"))
         rows.append(Measurement(f"{scenario}, 4096 environments, resident memory of the process", total, "MB", "< 300"))
-    return rows + summary_rows(sweep_runs, 1000)
+    return rows + listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
 
 
 def main() -> None:
@@ -425,7 +444,7 @@ def main() -> None:
     repetitions = 3 if arguments.quick else 15
     training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)
     if arguments.sweep:
-        rows = summary_rows(sweep_runs, 1000)
+        rows = listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
     else:
         rows = measure(repetitions, training_steps, sweep_runs, with_threads=(os.cpu_count() or 1) > 1)
     table = Table("measurement", "value", "unit", "goal")

@@ -5,6 +5,7 @@
     python scripts/sweep.py --config FILE --on slurm                         # as a Slurm job array
     python scripts/sweep.py --config FILE --on slurm --dry-run               # print the Slurm batch script
     python scripts/sweep.py --config FILE --on manifest                      # only write the list of runs
+    python scripts/sweep.py --config FILE --verify                           # make again what is broken
 
 Run the same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints. The
 sweep's directory has manifest.jsonl, with one line per run, and the run directories; scripts/table.py and
@@ -33,7 +34,13 @@ from algorithms.sweeps.runner import BACKENDS, Backend, SweepRunner
 from algorithms.sweeps.sweep_settings import load_sweep
 
 REQUIRED_MODULES = {"ray": "ray", "slurm": "submitit"}
-BACKENDS_OF_OPTIONS = {"workers": ("local", "ray"), "address": ("ray",), "dry_run": ("slurm",), "no_wait": ("slurm",)}
+BACKENDS_OF_OPTIONS = {
+    "workers": ("local", "ray"),
+    "address": ("ray",),
+    "dry_run": ("slurm",),
+    "no_wait": ("slurm",),
+    "verify": ("local", "ray", "slurm"),
+}
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
@@ -50,9 +57,15 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--address", metavar="A", help="address of a running Ray cluster, or auto (default: start Ray here)"
     )
-    parser.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
     parser.add_argument("--no-wait", action="store_true", help="Slurm: submit the jobs and exit")
-    parser.add_argument("--status", action="store_true", help="show the progress of the sweep and exit")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
+    instead.add_argument("--status", action="store_true", help="show the progress of the sweep and exit")
+    instead.add_argument(
+        "--verify",
+        action="store_true",
+        help="check the files of finished runs against their sizes and hashes, and make again what is broken",
+    )
     return parser.parse_args(arguments)
 
 
@@ -82,6 +95,8 @@ def main(arguments: list[str]) -> int:
         runner = SweepRunner(load_sweep(options.config), directory, backend, make_console())
         if options.status:
             return runner.show_status()
+        if options.verify:
+            return runner.verify()
         return runner.print_batch_script() if options.dry_run else runner.run()
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

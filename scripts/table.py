@@ -24,11 +24,12 @@ import sys
 from pathlib import Path
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.experiments.cli import warn_of_changes
+from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.experiments.progress_bar import make_console
 from algorithms.reporting.seed_tables import Rows, find_runs, print_runs
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.tables import print_sweep
+from algorithms.sweeps.verification import differences
 
 TOP = 20
 
@@ -54,6 +55,22 @@ def warn(message: str) -> None:
     print(message, file=sys.stderr)
 
 
+def intact_runs(paths: list[Path]) -> list[Path]:
+    """The runs among and below ``paths``, with a warning instead of those whose config or final evaluation has changed.
+
+    Raises:
+        ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
+    """
+    runs = []
+    for run in find_runs(paths):
+        problems = differences(run, ["config.yaml", EVALUATION_FILE])
+        if problems:
+            warn(f"left out: {run}: {'; '.join(problems)}")
+        else:
+            runs.append(run)
+    return runs
+
+
 def print_tables(options: argparse.Namespace) -> list[Rows]:
     """Print the tables that the options ask for; returns whole tables, for a sweep only if they are to be written.
 
@@ -64,9 +81,7 @@ def print_tables(options: argparse.Namespace) -> list[Rows]:
     if not any(is_sweep(path) for path in options.runs):
         if options.sort is not None or options.top is not None:
             raise ValueError("--sort and --top are for a sweep, a directory with a manifest.jsonl")
-        for run in find_runs(options.runs):
-            warn_of_changes(run, ("config.yaml", "evaluation.json"))
-        return print_runs(options.runs, console, warn)
+        return print_runs(intact_runs(options.runs), console, warn)
     if len(options.runs) > 1:
         raise ValueError("a sweep has its own table: give one sweep, or else runs")
     if options.top is not None and options.top < 1:

@@ -13,7 +13,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy import stats
+import scipy
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -63,7 +63,7 @@ def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tu
     if len(samples) < 2:
         nothing = np.full(samples.shape[1:], np.nan)
         return nothing, nothing.copy()
-    interval = stats.bootstrap(
+    interval = scipy.stats.bootstrap(
         (samples,),
         statistic,
         axis=0,
@@ -108,7 +108,7 @@ def estimate(samples: NDArray[Any], statistic: Callable[..., Any]) -> Estimate:
 def rate(events: NDArray[np.bool_]) -> Estimate:
     """The share of True in ``events`` (n,) with Wilson's interval."""
     happened, n = int(np.sum(events)), len(events)
-    interval = stats.binomtest(happened, n).proportion_ci(LEVEL, method="wilson")
+    interval = scipy.stats.binomtest(happened, n).proportion_ci(LEVEL, method="wilson")
     return Estimate(happened / n, float(interval.low), float(interval.high))
 
 
@@ -134,7 +134,7 @@ def iqm(samples: NDArray[Any]) -> Estimate:
 
 def interquartile_mean(samples: NDArray[Any], axis: int = 0) -> Any:
     """The mean of the middle half of ``samples`` (n, ...), as scipy.stats.trim_mean cuts it."""
-    return stats.trim_mean(samples, 0.25, axis=axis)
+    return scipy.stats.trim_mean(samples, 0.25, axis=axis)
 
 
 def probability_of_improvement(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
@@ -149,7 +149,7 @@ def mean_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
 
 def mann_whitney_p(first: NDArray[Any], second: NDArray[Any]) -> float:
     """The p-value of the two-sided Mann-Whitney test of ``first`` (n,) against ``second`` (m,)."""
-    return float(stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    return float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
 
 
 def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
-import torch
 from pydantic import BeforeValidator, Field
 
 import mo_deepdrive
@@ -382,6 +381,8 @@ def _check_episodes(settings: EvaluationSettings) -> dict[str, Any]:
 
 
 def _check_device(name: str, here: bool) -> dict[str, Any]:
+    import torch  # as late as this, because it takes seconds and much memory
+
     try:
         device = torch.device(name)
     except RuntimeError:

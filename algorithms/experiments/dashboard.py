@@ -17,7 +17,7 @@ from algorithms.experiments.progress_bar import LINE_INTERVAL
 from algorithms.experiments.run_directory import read_status
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
     from types import TracebackType
 
@@ -36,6 +36,19 @@ SHOWN = {
 ENDED = ("finished", "pruned")
 READING_SHARE = 0.05  # largest share of the time that is spent reading directories
 MOST_ROWS = 12  # running jobs that are listed
+
+
+def count_states(states: Iterable[Any]) -> Counter[str]:
+    """The number of runs in each state, by the names in the table; the states are those of status.json or None."""
+    return Counter(SHOWN[state] for state in states)
+
+
+def summary_of(counts: Counter[str]) -> str:
+    """The result of :func:`count_states` in one line."""
+    always = ("done", "running", "failed", "waiting")
+    parts = [f"{counts[name]} {name}" for name in always]
+    parts += [f"{counts[name]} {name}" for name in ("interrupted", "pruned") if counts[name]]
+    return f"{', '.join(parts)} of {counts.total()}"
 
 
 class Dashboard:
@@ -64,7 +77,7 @@ class Dashboard:
     @property
     def counts(self) -> Counter[str]:
         """The number of runs in each state, by the names in the table."""
-        return Counter(SHOWN[self._state(job)] for job in self._jobs)
+        return count_states(map(self._state, self._jobs))
 
     @property
     def seconds_left(self) -> float | None:
@@ -115,13 +128,9 @@ class Dashboard:
 
     def summary(self) -> str:
         """One line: the number of runs in each state, and the time left."""
-        counts = self.counts
-        always = ("done", "running", "failed", "waiting")
-        parts = [f"{counts[name]} {name}" for name in always]
-        parts += [f"{counts[name]} {name}" for name in ("interrupted", "pruned") if counts[name]]
         left = self.seconds_left
         time_left = "" if not left else f", {timedelta(seconds=round(left))} left"
-        return f"{', '.join(parts)} of {len(self._jobs)}{time_left}"
+        return summary_of(self.counts) + time_left
 
     def _line(self) -> None:
         self._print_time = monotonic()

@@ -59,8 +59,11 @@ class Job:
             return
         self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
 
-    def open(self) -> Run:
+    def open(self, *, device: str | None = None) -> Run:
         """The run in the directory, which may import what the job's own experiment names.
+
+        Args:
+            device: as for :meth:`Run.open`.
 
         Raises:
             ValueError: as :meth:`Run.open`, or if its config.yaml names other code to import.
@@ -68,7 +71,7 @@ class Job:
         config, mine = self.path / "config.yaml", imported_paths(self.experiment.to_dict())
         theirs = imported_paths(read_mapping(config)) if config.is_file() else {}
         self._refuse([f"{key} = {name!r} there" for key, name in theirs.items() if name not in mine.values()])
-        return Run.open(self.path, trust=True)
+        return Run.open(self.path, device=device, trust=True)
 
     def _refuse(self, changed: list[str]) -> None:
         if changed:

@@ -160,7 +160,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
             "utility": utility_label(config.get("utility")),
         }
         about = {**task, "algorithm": algorithm, "steps": str(config["training"]["total_timesteps"])}
-        measured = f"{evaluation.get('gamma')} {evaluation.get('reference_point')}"
+        measured = " ".join(str(evaluation.get(name)) for name in ("gamma", "reference_point", "split"))
         group = ScoreGroup(about, task, algorithm, measured)
         for i in members:
             group.seeds.append(configs[i]["training"]["seed"])

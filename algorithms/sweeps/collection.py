@@ -29,13 +29,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from algorithms.common.atomic_io import leftovers
+from algorithms.common.atomic_io import leftovers, open_lock
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 from algorithms.experiments.run_directory import read_status
 from algorithms.reporting.learning_curves import MAX_POINTS, Columns
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
+from algorithms.sweeps.verification import differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -45,6 +46,7 @@ if os.name == "posix":
     import fcntl
 
 FOLDER = "collected"
+METRICS_FILE = "metrics.csv"
 MAX_NAMED = 3  # runs that a message lists by name
 SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
 NUMBERS = ("value", "low", "high")
@@ -81,6 +83,7 @@ class Collection:
         logs: of the runs with a metrics.csv, by id.
         scored: ids of the runs with scores.
         problems: final evaluations that cannot be read.
+        altered: what differs from the record of a finished run's files, by id.
     """
 
     sweep: Path
@@ -89,6 +92,7 @@ class Collection:
     logs: dict[str, LogState]
     scored: frozenset[str]
     problems: tuple[str, ...]
+    altered: dict[str, list[str]]
 
     @property
     def runs(self) -> pl.LazyFrame:
@@ -126,7 +130,8 @@ class Collection:
     def remarks(self) -> list[str]:
         """Messages about missing and unreadable results, one line each."""
         found = []
-        without = [row for row in self.rows if row.id not in self.scored]
+        left_out = {run: problems for run, problems in self.altered.items() if _unreliable(problems)}
+        without = [row for row in self.rows if row.id not in self.scored and row.id not in left_out]
         if without:
             counts = Counter(self.states[row.id] for row in without).most_common()
             states = ", ".join(f"{number} {state}" for state, number in counts)
@@ -135,7 +140,17 @@ class Collection:
         broken = [*self.problems, *(log.problem for log in self.logs.values() if log.problem)]
         if broken:
             found.append(f"{len(broken)} files cannot be read: {_shortened(broken)}")
-        return found
+        return [*found, *self._altered_runs(left_out)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Messages about runs whose scores count although other files differ from their record, one line each."""
+        return self._altered_runs({run: each for run, each in self.altered.items() if not _unreliable(each)})
+
+    def _altered_runs(self, altered: Mapping[str, Sequence[str]]) -> list[str]:
+        named = [f"{row.directory}: {'; '.join(altered[row.id])}" for row in self.rows if row.id in altered]
+        many = f"{len(named)} runs differ from the record of their files, scripts/sweep.py --verify makes them again: "
+        return [many + _shortened(named)] if named else []
 
     def curves(self, runs: Sequence[str], names: Sequence[str], points: int = MAX_POINTS) -> dict[str, Columns]:
         """Learning curves of some runs, averaged within equal intervals of environment steps.
@@ -184,7 +199,7 @@ class Collection:
         final = self.scores.select("run", *SCORE_KEYS, "value").collect()
         if self.scored:
             return "final", final
-        metrics = self.metrics
+        metrics = self.metrics.filter(~pl.col("run").is_in([run for run in self.altered if run not in self.scored]))
         names = [name for name in metrics.collect_schema().names() if name.startswith(EVALUATION)]
         if not names:
             return "last", final
@@ -220,21 +235,45 @@ def collect(sweep: Path) -> Collection:
     with _locked(folder):
         status = {row.id: read_status(sweep / row.directory) for row in rows}
         states = {run: str(each.get("state", "waiting")) for run, each in status.items()}
-        logs = update_metrics(folder / "metrics", {row.id: sweep / row.directory / "metrics.csv" for row in rows})
+        logs = update_metrics(folder / "metrics", {row.id: sweep / row.directory / METRICS_FILE for row in rows})
         steps = [int(status[row.id].get("step", 0)) for row in rows]
         runs = _runs_frame(rows, states, steps, logs)
-        scores, problems = _scores_frame([row for row in rows if states[row.id] == "finished"], sweep)
+        finished = [row for row in rows if states[row.id] == "finished"]
+        altered = {row.id: _differences(sweep / row.directory, status[row.id], logs.get(row.id)) for row in finished}
+        scores, problems = _scores_frame([row for row in finished if not _unreliable(altered[row.id])], sweep)
         of_runs = runs.drop("directory", "step", "rows")
         write_parquet(folder / "runs.parquet", runs)
         write_parquet(folder / "scores.parquet", scores.join(of_runs, on="run", how="left"))
-    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), tuple(problems))
+    altered = {run: found for run, found in altered.items() if found}
+    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), tuple(problems), altered)
+
+
+def _differences(run: Path, status: Mapping[str, Any], log: LogState | None) -> list[str]:
+    """What differs from a finished run's record: the final evaluation and the metrics by hash, the rest by size."""
+    record = status.get("files")
+    if not isinstance(record, dict):
+        return []
+    suspects = [EVALUATION_FILE]
+    for name, entry in record.items():
+        if name == METRICS_FILE:
+            same = log is not None and {"size": log.size, "sha256": log.sha256} == entry
+        else:
+            path = run / name
+            same = path.is_file() and isinstance(entry, dict) and path.stat().st_size == entry.get("size")
+        suspects += [] if same else [name]
+    return differences(run, suspects)
+
+
+def _unreliable(problems: Sequence[str]) -> bool:
+    """Whether what differs is what tables and figures show."""
+    return any(problem.partition(":")[0] in (EVALUATION_FILE, METRICS_FILE) for problem in problems)
 
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Create the folders, and hold a lock so that processes that collect the same sweep wait for each other."""
     (folder / "metrics").mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("w") as lock:
+    with open_lock(folder / ".lock") as lock:
         if os.name == "posix":
             fcntl.flock(lock, fcntl.LOCK_EX)
         for leftover in (*leftovers(folder), *leftovers(folder / "metrics")):

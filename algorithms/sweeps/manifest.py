@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
-from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment, override
-from algorithms.experiments.jobs import Job
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 
 if TYPE_CHECKING:
+    from algorithms.experiments.jobs import Job
     from algorithms.sweeps.sweep_settings import SweepSettings
 
 FILE = "manifest.jsonl"
@@ -55,6 +54,8 @@ class ManifestRow:
 
     def job(self, sweep: Path) -> Job:
         """The job that trains this run of the sweep in the directory ``sweep``."""
+        from algorithms.experiments.jobs import Job  # with everything that trains; listing runs does not need it
+
         return Job(self.name, make_experiment(self.config, here=False), sweep / self.directory, self.id)
 
 
@@ -71,12 +72,12 @@ def run_id(config: Mapping[str, Any]) -> str:
     Device, threads and logging (:data:`algorithms.evaluation.seed_groups.INCIDENTAL`) are left out: they do not affect
     the result.
     """
-    hashed = copy.deepcopy(dict(config))
+    hashed = dict(config)
     for key in INCIDENTAL:
         *sections, last = key.split(".")
         place = hashed
         for section in sections:
-            place = place[section]
+            place[section] = place = dict(place[section])
         place.pop(last, None)
     text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
@@ -137,12 +138,12 @@ def _cell_rows(
 ) -> list[ManifestRow]:
     """The rows of one cell, one per seed."""
     where = _cell_name(cell)
+    experiment = make_experiment(_overridden(values, {"training.seed": settings.seeds[0]}, cell), where, here=False)
+    _check_buildable(experiment, where)
+    resolved = _sorted(experiment.to_dict())
     rows: list[ManifestRow] = []
     for seed in settings.seeds:
-        experiment = make_experiment(_overridden(values, {"training.seed": seed}, cell), where, here=False)
-        if not rows:
-            _check_buildable(experiment, where)
-        config = _sorted(experiment.to_dict())
+        config = {**resolved, "training": {**resolved["training"], "seed": seed}}
         name = run_id(config)
         directory = f"{RUNS}/{experiment.algorithm['name']}-seed{seed}-{name}"
         rows.append(ManifestRow(name, directory, cell, seed, trial, config))
@@ -151,6 +152,8 @@ def _cell_rows(
 
 def _check_buildable(experiment: Experiment, where: str) -> None:
     """Raise now the error that the run would raise when it starts."""
+    from algorithms.experiments.build import build
+
     settings = experiment.training.model_copy(update={"device": "cpu"})  # this machine may not have the run's device
     try:
         build(experiment.model_copy(update={"training": settings}), num_envs=1)
@@ -198,10 +201,9 @@ def _refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
             )
 
 
-def manifest_bytes(rows: Sequence[ManifestRow]) -> bytes:
+def manifest_bytes(rows: Iterable[ManifestRow]) -> bytes:
     """The content of a manifest file."""
-    lines = [json.dumps(asdict(row), separators=(",", ":"), allow_nan=False) for row in rows]
-    return "".join(line + "\n" for line in lines).encode()
+    return b"".join(json.dumps(vars(row), separators=(",", ":"), allow_nan=False).encode() + b"\n" for row in rows)
 
 
 def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
@@ -227,13 +229,17 @@ def read_manifest(sweep: Path) -> list[ManifestRow]:
     Raises:
         ValueError: if it is missing or broken.
     """
+    return list(iterate_manifest(sweep))
+
+
+def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
+    """As :func:`read_manifest`, one row at a time, because all of a large sweep take much memory."""
     path = sweep / FILE
     if not path.is_file():
         raise ValueError(f"{str(sweep)!r} is not a sweep: it has no {FILE}")
-    rows = []
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
-        try:
-            rows.append(ManifestRow(**json.loads(line)))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {error}") from None
-    return rows
+    with path.open("rb") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                yield ManifestRow(**json.loads(line))
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {error}") from None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import io
 import json
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 # A part is full when it holds this many runs, or this many bytes of metrics.csv.
 PART_RUNS, PART_BYTES = 100, 64 * 2**20
 ROW_GROUP_SIZE = 10_000  # rows; a reader skips row groups without the runs that it needs
-METADATA = "mo_deepdrive.metrics"  # key in the file's metadata: the states of the runs that a part holds
+METADATA = "mo_deepdrive.logs"  # key in the file's metadata: the states of the runs that a part holds
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,14 @@ class LogState:
         changed: time of the last modification (ns).
         rows: number of rows.
         problem: why it could not be read; "" if it could.
+        sha256: hash of the file, as in the record of a finished run.
     """
 
     size: int
     changed: int
     rows: int = 0
     problem: str = ""
+    sha256: str = ""
 
     def same(self, other: LogState | None) -> bool:
         """Whether both describe the same state of the file."""
@@ -94,6 +97,7 @@ class MetricsPart:
             if run in known:
                 continue
             try:
+                log = replace(log, sha256=hashlib.sha256(files[run].read_bytes()).hexdigest())
                 frame = _read_rows(files[run]).insert_column(0, pl.lit(run).alias("run"))
             except (ValueError, OSError) as error:
                 known[run] = replace(log, problem=str(error))

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import ray
 from ray import tune
+from ray.exceptions import RayError
+from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
@@ -22,7 +24,7 @@ from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.reporting.seed_tables import final_metrics
-from algorithms.sweeps.manifest import read_manifest
+from algorithms.sweeps.manifest import iterate_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -85,7 +87,10 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
 
         try:
             sweep = Path(config["sweep"])
-            (job,) = (row.job(sweep) for row in read_manifest(sweep) if row.id == config["run"]["id"])
+            row = next((row for row in iterate_manifest(sweep) if row.id == config["run"]["id"]), None)
+            if row is None:
+                raise ValueError(f"the manifest of sweep {str(sweep)!r} has changed: it no longer has this run")
+            job = row.job(sweep)
             for step, metrics in _logged_evaluations(job):
                 watch(step, metrics)
             while not stop.is_set():
@@ -217,7 +222,8 @@ def run_on_ray(
         The jobs that failed, each with its reason.
 
     Raises:
-        Stopped: if the cluster cannot be reached.
+        Stopped: if the cluster cannot be reached, or is lost. Ray ends this process itself, with one message and the
+            exit code 1, if it notices the loss first.
         DiskFull: if there is no space left.
     """
     asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, max(map(_steps, jobs)))
@@ -251,6 +257,11 @@ def run_on_ray(
             ),
         )
         tuner.fit()
+    except (RayError, TuneError, ConnectionError) as error:  # those of runs are in their reports
+        last = " ".join(str(error).strip().splitlines()[-1:])
+        raise Stopped(
+            f"Ray cannot continue, perhaps because its head has died: {type(error).__name__}: {last}"
+        ) from None
     finally:
         ray.shutdown()
     if progress.disk_full is not None:

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from algorithms.common.metrics_file import read_metrics
+from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import EVALUATION, known_metric
 from algorithms.experiments.run_directory import read_status
 from algorithms.reporting.seed_tables import final_metrics
+from algorithms.sweeps.verification import differences
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,13 +25,16 @@ def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float | None]:
     For a pruned run this is the value of its last evaluation.
 
     Raises:
-        ValueError: if a run does not have the metric.
+        ValueError: if a run does not have the metric, or its final evaluation has changed since.
     """
     scores: dict[str, float | None] = {}
     for job in jobs:
         assert job.id is not None
         state = read_status(job.path).get("state")
         if state == "finished":
+            broken = differences(job.path, [EVALUATION_FILE])
+            if broken:
+                raise ValueError(f"the search cannot use {job.path}: {broken[0]}; --verify makes it again")
             final = final_metrics(job.path)
             value = final[known_metric(metric, final)]
             scores[job.id] = value if np.isfinite(value) else None

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.dashboard import Dashboard, count_states, summary_of
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import read_status
-from algorithms.experiments.worker_pool import perform_all
-from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, read_manifest, write_manifest
+from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
+from algorithms.sweeps.verification import verify
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -90,8 +91,18 @@ class SweepRunner:
         Raises:
             ValueError: if the directory has no manifest.
         """
-        self._report([row.job(self._directory) for row in read_manifest(self._directory)])
+        directories = (self._directory / row.directory for row in iterate_manifest(self._directory))
+        self._say(summary_of(count_states(read_status(directory).get("state") for directory in directories)))
         return 0
+
+    def verify(self) -> int:
+        """Check the files of finished runs, then :meth:`run`, which makes again what is broken; returns its exit code.
+
+        Raises:
+            ValueError: if the directory has no manifest; this and other errors also as in :meth:`run`.
+        """
+        verify(self._directory, self._say)
+        return self.run()
 
     def print_batch_script(self) -> int:
         """Print the batch script that would be submitted to Slurm; returns the exit code 0.
@@ -100,12 +111,19 @@ class SweepRunner:
             ValueError: for an invalid sweep.
         """
         from algorithms.sweeps.slurm import array_tasks
-        from algorithms.sweeps.slurm_script import batch_script
+        from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, batch_script
 
         jobs = [row.job(self._directory) for row in self._expand()]
         missing = [job for job in jobs if not job.done]
-        tasks = array_tasks(missing, self._settings, self._directory)
-        print(batch_script(len(tasks), self._settings, self._directory) if tasks else "all runs are done")
+        tasks = len(array_tasks(missing, self._settings))
+        print(batch_script(tasks, self._settings, self._directory) if tasks else "all runs are done")
+        arrays = math.ceil(tasks / MAX_ARRAY_TASKS)
+        if arrays > 1:
+            print(
+                f"{tasks} tasks are submitted as {arrays} job arrays of at most {MAX_ARRAY_TASKS} tasks; "
+                "this is the script of the first",
+                file=sys.stderr,
+            )
         return 0
 
     def _expand(self) -> list[ManifestRow]:
@@ -146,10 +164,12 @@ class SweepRunner:
     def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
         """Train the runs on the backend; returns those that failed, each with its reason."""
         backend, settings = self._backend, self._settings
+        # What trains is imported now, because it takes seconds; Ray and submitit are optional dependencies, too.
         if backend.name == "local":
+            from algorithms.experiments.worker_pool import perform_all
+
             default = max(1, int(_available_cores() / settings.resources.cpus))
             return perform_all(jobs, backend.workers or default, monitor, retries=settings.retries, stop=stop)
-        # Ray and submitit are optional dependencies.
         if backend.name == "ray":
             from algorithms.sweeps.ray_tune import run_on_ray
 
@@ -168,7 +188,7 @@ class SweepRunner:
 
     def _report_removed_runs(self, rows: Sequence[ManifestRow]) -> None:
         """Tell the user about runs of the previous manifest that the sweep no longer has."""
-        before = {row.id for row in read_manifest(self._directory)} if is_sweep(self._directory) else set()
+        before = {row.id for row in iterate_manifest(self._directory)} if is_sweep(self._directory) else set()
         removed = len(before - {row.id for row in rows})
         if removed:
             self._say(f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept")
@@ -187,10 +207,10 @@ class SweepRunner:
 
         queue = SlurmQueue(self._directory)
         queue.refresh()
-        return (
-            "the jobs stay in Slurm's queue: the same command watches them again, "
-            f"`{queue.cancel_command()}` cancels them"
-        )
+        cancel = queue.cancel_command()
+        if cancel is None:
+            return "no job is in Slurm's queue: the same command submits the runs that are not done"
+        return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
 
     def _say(self, text: str) -> None:
         """Print a line without interpreting markup."""

@@ -13,7 +13,7 @@ import subprocess
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import submitit
@@ -24,7 +24,6 @@ from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
-from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, sbatch_options, slurm_folder
 
 if TYPE_CHECKING:
@@ -45,20 +44,18 @@ FINAL_STATES = (
 
 @dataclass
 class ArrayTask:
-    """What one task of the job array does: train some of the runs in the manifest.
+    """What one task of the job array does: train some runs, which it carries: the manifest may change meanwhile.
 
     On SIGUSR2, which submitit handles and Slurm sends before the time limit, and on SIGTERM, which Slurm sends on
     pre-emption, it saves its runs and requeues itself. When it starts again, the runs resume from their directories.
 
     Attributes:
-        sweep: the sweep's directory.
-        ids: of the runs.
+        jobs: the runs.
         side_by_side: number of concurrent runs.
         retries: as in :func:`algorithms.experiments.worker_pool.perform_all`.
     """
 
-    sweep: Path
-    ids: tuple[str, ...]
+    jobs: tuple[Job, ...]
     side_by_side: int
     retries: int
     _stop: threading.Event | None = field(default=None, init=False, repr=False)
@@ -66,8 +63,7 @@ class ArrayTask:
 
     def __call__(self) -> list[str]:
         """Train the runs; returns the errors of those that failed."""
-        wanted = set(self.ids)
-        jobs = [row.job(self.sweep) for row in read_manifest(self.sweep) if row.id in wanted]
+        jobs = self.jobs
         stop, ended = threading.Event(), threading.Event()
         self._stop, self._ended = stop, ended
         result: list[dict[Job, str] | BaseException] = []
@@ -98,7 +94,7 @@ class ArrayTask:
         if self._stop is not None and self._ended is not None:
             self._stop.set()
             self._ended.wait()
-        return submitit.helpers.DelayedSubmission(ArrayTask(self.sweep, self.ids, self.side_by_side, self.retries))
+        return submitit.helpers.DelayedSubmission(ArrayTask(self.jobs, self.side_by_side, self.retries))
 
 
 def _requeue(job: str) -> None:
@@ -124,13 +120,23 @@ def _query_states(jobs: Sequence[str]) -> dict[str, str] | None:
     return found
 
 
-def array_tasks(jobs: Sequence[Job], settings: SweepSettings, sweep: Path) -> list[ArrayTask]:
+def _ask_accounting(job: str) -> dict[str, str]:
+    """The states of a job, or of the tasks of an array, in Slurm's accounting; empty where there is none."""
+    if shutil.which("sacct") is None:
+        return {}
+    command = ["sacct", "--noheader", "--parsable2", "--allocations", "--format=JobID,State", f"--jobs={job}"]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    lines = answer.stdout.splitlines() if answer.returncode == 0 else []
+    return {name: state.split()[0] for name, _, state in (line.partition("|") for line in lines) if state.split()}
+
+
+def array_tasks(jobs: Sequence[Job], settings: SweepSettings) -> list[ArrayTask]:
     """Divide the runs among tasks of a job array."""
-    ids = [str(job.id) for job in jobs]
+    jobs = [replace(job, path=job.path.resolve()) for job in jobs]
     size = settings.slurm.runs_per_job
     return [
-        ArrayTask(sweep.resolve(), tuple(ids[first : first + size]), settings.slurm.side_by_side, settings.retries)
-        for first in range(0, len(ids), size)
+        ArrayTask(tuple(jobs[first : first + size]), settings.slurm.side_by_side, settings.retries)
+        for first in range(0, len(jobs), size)
     ]
 
 
@@ -144,7 +150,7 @@ class SlurmQueue:
 
     def __init__(self, sweep: Path):
         self._file = slurm_folder(sweep) / "jobs.json"
-        self.jobs: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
+        self.jobs = self._read()
         self.states: dict[str, str] = {}
 
     def submit(self, tasks: Sequence[ArrayTask], settings: SweepSettings, sweep: Path) -> None:
@@ -162,8 +168,13 @@ class SlurmQueue:
                     submitted = [executor.submit(task) for task in array]
             except (subprocess.CalledProcessError, submitit.core.utils.FailedJobError) as error:
                 raise Stopped(f"Slurm rejects the jobs: {' '.join(str(error).split())}") from None
-            self.jobs |= {job.job_id: list(task.ids) for job, task in zip(submitted, array, strict=True)}
+            runs = {job.job_id: [str(run.id) for run in task.jobs] for job, task in zip(submitted, array, strict=True)}
+            self.jobs = {**self._read(), **runs}  # another command may have submitted jobs meanwhile
             write_json(self._file, self.jobs)
+
+    def _read(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = json.loads(self._file.read_text()) if self._file.is_file() else {}
+        return found
 
     def refresh(self) -> bool:
         """Query the states of the jobs; returns whether Slurm answered."""
@@ -181,18 +192,24 @@ class SlurmQueue:
         return {run for job, runs in self.jobs.items() if self.is_active(job) for run in runs}
 
     def last_state(self, run: str) -> tuple[str, str]:
-        """The last job to which a run was assigned, and its last known state."""
+        """The last job to which a run was assigned, and its state.
+
+        Slurm forgets jobs some minutes after their end, and tasks of an array that are cancelled before they start at
+        once. If accounting does not know the job either, one that has started is "LOST", one that has not "CANCELLED".
+        """
         job = [job for job, runs in self.jobs.items() if run in runs][-1]
-        return job, self.states.get(job, "gone")
+        if job not in self.states:
+            self.states |= _ask_accounting(job.partition("_")[0])
+        return job, self.states.setdefault(job, "LOST" if self.log_file(job).exists() else "CANCELLED")
 
     def log_file(self, job: str) -> Path:
         """The file with the output of a job."""
         return self._file.with_name(f"{job}_0_log.out")
 
-    def cancel_command(self) -> str:
-        """The command that cancels all queued and running jobs."""
+    def cancel_command(self) -> str | None:
+        """The command that cancels all queued and running jobs; None if there are none."""
         arrays = {job.partition("_")[0] for job in self.jobs if self.is_active(job)}
-        return f"scancel {' '.join(sorted(arrays, key=int))}"
+        return f"scancel {' '.join(sorted(arrays, key=int))}" if arrays else None
 
 
 def run_on_slurm(
@@ -248,7 +265,7 @@ def run_on_slurm(
                     failed[job] = reason
                     monitor.failed(job, reason)
             if to_submit:
-                queue.submit(array_tasks(to_submit, settings, sweep), settings, sweep)
+                queue.submit(array_tasks(to_submit, settings), settings, sweep)
                 missing_before = set()
             first = False
         if not wait:
@@ -268,5 +285,6 @@ def _failure_reason(job: Job, queue: SlurmQueue, attempts: int, retries: int) ->
     if status.get("state") == "failed" and "reason" in status:
         return str(status["reason"])  # the job has already retried it
     if state == "CANCELLED" or attempts > retries:
-        return f"Slurm job {slurm_job} ended ({state}) before the run did; see {queue.log_file(slurm_job)}"
+        log = queue.log_file(slurm_job)
+        return f"Slurm job {slurm_job} ended ({state}) before the run did" + (f"; see {log}" if log.exists() else "")
     return None

@@ -58,6 +58,8 @@ def print_sweep(
     collection = collect(sweep)
     for remark in collection.remarks:
         warn(f"left out: {remark}")
+    for warning in collection.warnings:
+        warn(warning)
     if not collection.scored:
         raise ValueError(
             f"no run of sweep {str(sweep)!r} has a final evaluation yet; scripts/plot.py draws what runs have logged"

@@ -147,8 +147,8 @@ class Head:
         )
         assert done.returncode == 0, done.stdout + done.stderr
 
-    def kill(self) -> None:
-        for name in ("gcs_server", "raylet/raylet", "ray::", "log_monitor.py"):
+    def kill(self, *names: str) -> None:
+        for name in names or ("gcs_server", "raylet/raylet", "ray::", "log_monitor.py"):
             kill(name)
 
 
@@ -177,6 +177,23 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
     head.start()
     assert run_sweep(long.file, *options, environment=head.environment).returncode == 0
     assert_same_sweep(sweep, long.directory)
+
+
+@pytest.mark.parametrize("names", [(), ("gcs_server",)], ids=["all", "server"])
+def test_a_head_that_is_killed_ends_the_command_with_one_line(
+    head: Head, tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    sweep = tmp_path / "ray"
+    endless = {"training.total_timesteps": 10**9, "training.num_envs": 64, "logging.checkpoint_interval": 10_000}
+    options = ("--on", "ray", "--address", "auto", "--output", sweep)
+    with start_sweep(write_sweep(tmp_path, overrides=endless), *options, environment=head.environment) as process:
+        eventually(lambda: runs_in_progress(sweep))
+        head.kill(*names)
+        out, _ = process.communicate(timeout=240)
+    print(out)
+    assert process.returncode == 1
+    assert "Traceback" not in out
+    assert "Failed to connect to GCS" in out or "error: Ray cannot continue" in out
 
 
 def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.common.metrics_file import MetricsFile
 from algorithms.experiments.config import load_experiment
+from algorithms.experiments.run_files import record_files
 from algorithms.sweeps.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
 
@@ -59,6 +60,13 @@ def end(sweep: Path, row: ManifestRow, policies: Mapping[str, Mapping[str, float
             for policy, metrics in policies.items()
         }
         (directory / "evaluation.json").write_text(json.dumps({"policies": summary}))
+
+
+def record(sweep: Path, row: ManifestRow) -> None:
+    """Record the files of a finished run in its status, as training does."""
+    path = sweep / row.directory / "status.json"
+    status = json.loads(path.read_text())
+    path.write_text(json.dumps({**status, "files": record_files(path.parent)}))
 
 
 def scores_of(row: ManifestRow) -> float:

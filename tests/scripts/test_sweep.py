@@ -6,6 +6,7 @@ import json
 import math
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import time
@@ -15,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from algorithms.experiments import worker_pool
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
-from algorithms.sweeps import runner
 from tests.helpers.short_runs import assert_same_run, job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
@@ -129,7 +130,7 @@ def test_a_finished_sweep_is_left_alone_and_new_runs_are_added(call: Call, tmp_p
 def test_removed_runs_are_counted_and_their_directories_kept(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runner, "perform_all", lambda *arguments, **options: {})
+    monkeypatch.setattr(worker_pool, "perform_all", lambda *arguments, **options: {})
     assert call(write_sweep(tmp_path, seeds=3), "--output", "sweep")[0] == 0
     made = runs(tmp_path / "sweep")[-1]
     made.mkdir(parents=True)
@@ -151,7 +152,7 @@ def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Pat
 def test_markup_in_the_name_of_a_directory_is_shown_literally(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runner, "perform_all", lambda *arguments, **options: {})
+    monkeypatch.setattr(worker_pool, "perform_all", lambda *arguments, **options: {})
     code, out, _ = call(write_sweep(tmp_path), "--output", Path("[bold]sweep [/x]"))
     assert code == 0
     assert "2 runs, 0 of them done, in [bold]sweep [/x]\n" in out
@@ -174,6 +175,8 @@ def test_markup_in_the_name_of_a_directory_is_shown_literally(
         (["--no-wait"], "--no-wait is for --on slurm, not local"),
         (["--no-wait", "--on", "manifest"], "--no-wait is for --on slurm, not manifest"),
         (["--status"], "is not a sweep: it has no manifest.jsonl"),
+        (["--verify"], "is not a sweep: it has no manifest.jsonl"),
+        (["--verify", "--on", "manifest"], "--verify is for --on local and ray and slurm, not manifest"),
     ],
 )
 def test_an_option_of_another_backend_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
@@ -296,6 +299,104 @@ def test_runs_on_a_missing_device_fail_with_a_message(call: Call, tmp_path: Path
     assert not (tmp_path / "sweep" / "runs").exists()
 
 
+# --------------------------------------------------------------------------------------------------------------- verify
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    """Replace text in a file."""
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def score(run: Path, value: float) -> None:
+    """Change the final utility of a run."""
+    found = json.loads((run / "evaluation.json").read_text())
+    found["policies"]["greedy"]["utility_esr"]["value"] = value
+    (run / "evaluation.json").write_text(json.dumps(found))
+
+
+def cut(path: Path, size: int) -> None:
+    """Keep the beginning of a file."""
+    path.write_bytes(path.read_bytes()[:size])
+
+
+DAMAGES: dict[str, Callable[[Path], None]] = {
+    "checkpoint.safetensors: missing": lambda run: (run / "checkpoint.safetensors").unlink(),
+    "checkpoint.safetensors: 1000 bytes, recorded ": lambda run: cut(run / "checkpoint.safetensors", 1000),
+    "metrics.csv: 100 bytes, recorded ": lambda run: cut(run / "metrics.csv", 100),
+    "config.yaml: changed since the run finished": lambda run: edit(run / "config.yaml", "gamma: 0.99", "gamma: 0.98"),
+}
+
+
+def test_verify_makes_again_what_is_broken(call: Call, tmp_path: Path, whole: Path) -> None:
+    file = write_sweep(tmp_path, seeds=2)
+    sweep = tmp_path / "sweep"
+    shutil.copytree(whole, sweep)
+    before = times(sweep)
+    code, out, _ = call(file, "--output", sweep, "--verify")
+    assert (code, out.splitlines()[0]) == (0, "4 finished runs: 0 broken")
+    assert times(sweep) == before
+    for run, damage in zip(runs(sweep), DAMAGES.values(), strict=True):
+        damage(run)
+    code, out, _ = call(file, "--output", sweep, "--verify")
+    assert code == 0
+    lines = out.splitlines()
+    for run, line, problem in zip(runs(sweep), lines, DAMAGES, strict=False):
+        assert line.startswith(f"{run}: {problem}")
+        assert line.endswith(f": moved to {sweep / 'broken' / run.name}-1, made again")
+    assert lines[4:6] == ["4 finished runs: 4 broken", f"4 runs, 0 of them done, in {sweep}"]
+    assert_same_sweep(sweep, whole)
+    assert not (sweep / "broken" / f"{runs(sweep)[0].name}-1" / "checkpoint.safetensors").exists()
+    cut(runs(sweep)[0] / "checkpoint.safetensors", 1)
+    assert f"moved to {sweep / 'broken' / runs(sweep)[0].name}-2" in call(file, "--output", sweep, "--verify")[1]
+    assert_same_sweep(sweep, whole)
+
+
+@pytest.mark.parametrize("damage", [lambda run: score(run, 999.0), lambda run: (run / "evaluation.json").unlink()])
+def test_verify_evaluates_a_run_again_whose_final_evaluation_alone_is_broken(
+    call: Call, tmp_path: Path, whole: Path, damage: Callable[[Path], None]
+) -> None:
+    file = write_sweep(tmp_path, seeds=2)
+    sweep = tmp_path / "sweep"
+    shutil.copytree(whole, sweep)
+    damage(runs(sweep)[1])
+    made = (runs(sweep)[1] / "versions.json").stat().st_mtime_ns
+    code, out, _ = call(file, "--output", sweep, "--verify")
+    assert code == 0
+    assert out.splitlines()[0].endswith(": evaluated again")
+    assert_same_sweep(sweep, whole)
+    assert (runs(sweep)[1] / "versions.json").stat().st_mtime_ns == made
+    assert not (sweep / "broken").exists()
+
+
+def test_verify_keeps_runs_of_earlier_versions(call: Call, tmp_path: Path, whole: Path) -> None:
+    file = write_sweep(tmp_path, seeds=2)
+    sweep = tmp_path / "sweep"
+    shutil.copytree(whole, sweep)
+    path = runs(sweep)[2] / "status.json"
+    path.write_text(json.dumps({key: value for key, value in status(runs(sweep)[2]).items() if key != "files"}))
+    code, out, _ = call(file, "--output", sweep, "--verify")
+    message = "4 finished runs: 0 broken, 1 cannot be checked because an earlier version made them"
+    assert (code, out.splitlines()[0]) == (0, message)
+
+
+def test_a_search_refuses_a_changed_evaluation(call: Call, tmp_path: Path) -> None:
+    search = {"space": {RATE: [0.001, 0.003]}, "metric": "greedy/utility_esr", "trials": 2, "batch": 1}
+    file = write_sweep(tmp_path, search=search)
+    assert call(file, "--output", "sweep")[0] == 0
+    shutil.copytree("sweep", "copy")
+    run = runs(tmp_path / "sweep")[0]
+    score(run, 999.0)
+    code, _, error = call(file, "--output", "sweep")
+    assert code == 2
+    name = run.relative_to(tmp_path)
+    assert f"error: the search cannot use {name}: evaluation.json: " in error
+    assert error.endswith("; --verify makes it again\n")
+    assert call(file, "--output", "sweep", "--verify")[0] == 0
+    assert_same_sweep(tmp_path / "sweep", tmp_path / "copy")
+
+
 # ---------------------------------------------------------------------------------------------------------- interrupted
 
 
@@ -364,7 +465,7 @@ def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
     ended = max((run / "status.json").stat().st_mtime_ns for run in made[:6])
     assert all((run / "config.yaml").stat().st_mtime_ns > ended for run in made[6:])
 
-    perform_all = runner.perform_all
+    perform_all = worker_pool.perform_all
 
     def interrupted(jobs: Sequence[Job], workers: int, monitor: Dashboard, **options: Any) -> dict[Job, str]:
         def stop() -> bool:
@@ -378,7 +479,7 @@ def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
         return perform_all(jobs, workers, monitor, stop=stop, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(runner, "perform_all", interrupted)
+        patch.setattr(worker_pool, "perform_all", interrupted)
         assert call(file, "--output", "second", "--workers", "2")[0] == 130
     assert states(tmp_path / "second").count("finished") < 12
     assert call(file, "--output", "second", "--workers", "2")[0] == 0

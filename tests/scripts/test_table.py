@@ -172,3 +172,19 @@ def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, run_table
     assert rows[0] == ["environment", "algorithm", "steps", "policy", "seeds", "hypervolume", "cardinality"]
     assert [row[5:] for row in rows[1:end]] == [["7.5", "3"]] * 2
     assert len(rows) == end + 2  # the header of the comparisons
+
+
+def test_a_run_whose_final_evaluation_has_changed_is_left_out(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed, intact = (make_run(tmp_path, "a2c", seed, 1.0) for seed in range(2))
+    for path in (changed, intact):
+        Run.open(path).set_status("finished", 10)
+    text = (changed / "evaluation.json").read_text()
+    (changed / "evaluation.json").write_text(text.replace("1.0", "9.0"))
+    output = tmp_path / "scores.csv"
+    assert run_table(tmp_path, "--output", output) == 0
+    message = f"left out: {changed}: evaluation.json: changed since the run finished\n"
+    assert capsys.readouterr().err == message
+    header, *rows = list(csv.reader(output.read_text().splitlines()))
+    assert {row[header.index("seeds")] for row in rows if row} == {"1"}

@@ -15,7 +15,7 @@ from algorithms.common.metrics_file import read_metrics
 from algorithms.sweeps import metrics_parquet
 from algorithms.sweeps.collection import collect
 from algorithms.sweeps.manifest import ManifestRow, write_manifest
-from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, parts, scores_of
+from tests.helpers.made_up_sweeps import end, log, make_row, make_sweep, parts, record, scores_of
 
 # -------------------------------------------------------------------------------------------------------------- content
 
@@ -109,6 +109,19 @@ def test_unchanged_files_are_neither_read_nor_written_again(
     assert [name for name, when in parts(tmp_path).items() if when != written[name]] == ["part-001.parquet"]
     assert collection.metrics.filter(pl.col("run") == rows[7].id).select("step").collect().height == 25
     assert collection.metrics.collect().height == 18 * 24 + 1
+
+
+def test_a_changed_file_of_the_same_size_is_read_again(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    row = make_sweep(tmp_path, grid[:2])[1]
+    mine = collect(tmp_path).metrics.filter(pl.col("run") == row.id)
+    assert mine.select("loss/policy").collect()["loss/policy"].max() == 0.5
+    path = tmp_path / row.directory / "metrics.csv"
+    before = path.stat()
+    path.write_text(path.read_text().replace("0.5", "0.7"))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
+    assert path.stat().st_size == before.st_size
+    mine = collect(tmp_path).metrics.filter(pl.col("run") == row.id)
+    assert mine.select("loss/policy").collect()["loss/policy"].max() == 0.7
 
 
 def test_added_and_removed_runs(tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,6 +248,46 @@ def test_unfinished_and_missing_runs_are_counted_and_the_first_ones_named(
     for broken in ("{", "{}", '{"policies": []}', '{"policies": {"greedy": {"success": 1}}}'):
         (tmp_path / rows[5].directory / "evaluation.json").write_text(broken)
         assert collect(tmp_path).remarks[1].startswith("1 files cannot be read")
+
+
+# ------------------------------------------------------------------------------------------ files that do not match
+
+
+def edited(path: Path, old: str, new: str) -> None:
+    """Replace text in a file."""
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+
+
+def test_runs_whose_scores_or_metrics_have_changed_are_left_out(tmp_path: Path, grid: list[ManifestRow]) -> None:
+    rows = make_sweep(tmp_path, grid[:6])
+    for row in rows:
+        (tmp_path / row.directory / "checkpoint.safetensors").write_bytes(b"weights")
+        record(tmp_path, row)
+    for collection in (collect(tmp_path), collect(tmp_path)):
+        assert (collection.remarks, collection.warnings) == ([], [])
+    folders = [tmp_path / row.directory for row in rows]
+    edited(folders[0] / "evaluation.json", '"value": 0.1', '"value": 9.9')
+    edited(folders[1] / "metrics.csv", "0.5", "0.7")
+    cut = (folders[2] / "metrics.csv").read_bytes()
+    (folders[2] / "metrics.csv").write_bytes(cut[:100])
+    (folders[3] / "checkpoint.safetensors").unlink()
+    for _ in range(2):  # also when nothing is read again
+        collection = collect(tmp_path)
+        advice = "runs differ from the record of their files, scripts/sweep.py --verify makes them again: "
+        assert collection.remarks == [
+            f"3 {advice}{rows[0].directory}: evaluation.json: changed since the run finished, "
+            f"{rows[1].directory}: metrics.csv: changed since the run finished, "
+            f"{rows[2].directory}: metrics.csv: 100 bytes, recorded {len(cut)}"
+        ]
+        assert collection.warnings == [f"1 {advice}{rows[3].directory}: checkpoint.safetensors: missing"]
+        assert collection.scored == {row.id for row in rows[3:]}
+        assert set(collection.scores.collect()["run"]) == collection.scored
+    for folder in folders[3:]:
+        edited(folder / "evaluation.json", "0.5", "0.6")
+    collection = collect(tmp_path)
+    assert not collection.scored
+    assert len(collection.latest_scores()[1]) == 0
 
 
 # --------------------------------------------------------------------------------------------------------------- curves

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import Job
+from algorithms.sweeps import manifest
 from algorithms.sweeps.manifest import (
     FILE,
     ManifestRow,
@@ -146,6 +147,34 @@ def test_without_a_grid_every_base_config_is_a_cell(tmp_path: Path) -> None:
     assert row.cell == {}
     assert row.name == f"seed 0 ({row.id})"
     assert row.config == make_experiment({**VALUES, "training": {**VALUES["training"], "seed": 0}}).to_dict()
+
+
+def test_a_cell_is_resolved_once_for_all_its_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resolved: list[dict[str, Any]] = []
+
+    def resolve(values: dict[str, Any], *arguments: Any, **options: Any) -> Any:
+        resolved.append(values)
+        return make_experiment(values, *arguments, **options)
+
+    monkeypatch.setattr(manifest, "make_experiment", resolve)
+    rows = expanded(tmp_path, seeds=[3, 1, 4])
+    assert [values["training"]["seed"] for values in resolved] == [3, 3]
+    for row in rows:
+        training, algorithm = VALUES["training"], VALUES["algorithm"]
+        values = {**VALUES, "training": {**training, "seed": row.seed}}
+        values["algorithm"] = {**algorithm, "learning_rate": row.cell[RATE]}
+        assert row.config == make_experiment(values).to_dict()
+        assert row.id == run_id(row.config)
+
+
+def test_a_line_of_the_manifest_is_the_row_as_compact_json(tmp_path: Path) -> None:
+    rows = expanded(tmp_path, grid={"utility": [UTILITY]}, seeds=2)
+    names = ("id", "directory", "cell", "seed", "trial", "config")
+    lines = [json.dumps({name: getattr(row, name) for name in names}, separators=(",", ":")) for row in rows]
+    assert manifest_bytes(rows).decode() == "\n".join(lines) + "\n"
+    sections = [list(row.config) for row in rows]
+    assert sections == [["algorithm", "environment", "evaluation", "logging", "training", "utility"]] * 2
+    assert all(list(row.config["training"]) == sorted(row.config["training"]) for row in rows)
 
 
 def test_a_mapping_is_merged_into_its_section(tmp_path: Path) -> None:
