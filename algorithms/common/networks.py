@@ -15,6 +15,13 @@ if TYPE_CHECKING:
 LOG_TWO_PI = math.log(2 * math.pi)
 
 
+class _Linear(nn.Linear):
+    """A linear layer whose parameters are initialised by its maker, from a generator."""
+
+    def reset_parameters(self) -> None:
+        """Leave them: torch's own initialisation would draw from the global generator."""
+
+
 def mlp(
     inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator, output_gain: float
 ) -> nn.Sequential:
@@ -22,7 +29,7 @@ def mlp(
     sizes = [inputs, *hidden, outputs]
     layers: list[nn.Module] = []
     for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
-        layer = nn.utils.skip_init(nn.Linear, fan_in, fan_out)
+        layer = _Linear(fan_in, fan_out)
         last = i == len(sizes) - 2
         nn.init.orthogonal_(layer.weight, gain=output_gain if last else math.sqrt(2), generator=generator)
         nn.init.zeros_(layer.bias)
