@@ -118,8 +118,15 @@ def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
 def _search_rows(
     settings: SweepSettings, cell: dict[str, Any], base: dict[str, Any], scores: Scores
 ) -> list[ManifestRow]:
-    """The rows of a hyperparameter search within one cell of the grid."""
+    """The rows of a hyperparameter search within one cell of the grid, which are scored on the validation split."""
     assert settings.search is not None
+    split = (base.get("evaluation") or {}).get("split", "validation")
+    if split != "validation":
+        raise ValueError(
+            f"{_cell_name(cell)}: evaluation.split = {split!r}: a search chooses by the final scores, so it needs "
+            "'validation'"
+        )
+    base = _overridden(base, {"evaluation.split": "validation"}, cell)
     rows: list[ManifestRow] = []
 
     def runs_of(trial: int, point: dict[str, Any]) -> list[str]:

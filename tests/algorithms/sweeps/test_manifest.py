@@ -499,6 +499,15 @@ def test_a_search_adds_its_points_to_every_cell_of_the_grid(tmp_path: Path) -> N
     assert expanded(tmp_path, partly, **settings) == rows
 
 
+def test_a_search_is_scored_on_the_validation_split(tmp_path: Path) -> None:
+    search = {"space": {RATE: [1e-3]}, "metric": METRIC, "trials": 1, "sampler": "random"}
+    for row in expanded(tmp_path, search=search):
+        assert row.config["evaluation"]["split"] == "validation"
+    said = refused_cells(tmp_path, search=search, overrides={"evaluation.split": "test"})
+    assert "evaluation.split = 'test': a search chooses by the final scores, so it needs 'validation'" in said
+    assert expanded(tmp_path)[0].config["evaluation"]["split"] == "test"
+
+
 def test_an_unknown_key_in_a_search_is_refused_with_the_nearest_known_key(tmp_path: Path) -> None:
     space = {"algorithm.step": {"low": 8, "high": 16}}
     said = refused_cells(tmp_path, search={"space": space, "metric": METRIC, "trials": 3})
