@@ -34,7 +34,7 @@ from algorithms.evaluation.metrics import (
     split_name,
 )
 from algorithms.evaluation.seed_groups import group_by_experiment
-from algorithms.evaluation.statistics import interquartile_mean, mann_whitney_p, mean_difference, means
+from algorithms.evaluation.statistics import Estimate, interquartile_mean, mann_whitney_p, mean_difference, means
 from mo_deepdrive.config import EnvConfig
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ class ScoreGroup:
         scores: one value per seed for every policy, vehicle and metric; the vehicle is "" for the scores of the only
             vehicle, or of all together.
         wanted: how many seeds there are to be; None if that is not known.
+        widths: the widths of the scores' own intervals, over evaluation episodes, where they are known.
     """
 
     about: dict[str, str]
@@ -74,6 +75,7 @@ class ScoreGroup:
     seeds: list[int] = field(default_factory=list)
     scores: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
     wanted: int | None = None
+    widths: dict[MetricName, list[float]] = field(default_factory=lambda: defaultdict(list))
 
     @property
     def policies(self) -> list[str]:
@@ -94,8 +96,10 @@ class ScoreGroup:
         return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
 
 
-def final_metrics(run: Path) -> dict[str, float]:
+def final_scores(run: Path) -> dict[str, Estimate]:
     """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet.
+
+    The intervals are those over evaluation episodes.
 
     Raises:
         ValueError: if its file is broken.
@@ -105,12 +109,17 @@ def final_metrics(run: Path) -> dict[str, float]:
         return {}
     try:
         return {
-            f"{policy}/{name}": estimate["value"]
+            f"{policy}/{name}": Estimate(estimate["value"], estimate.get("low"), estimate.get("high"))
             for policy, estimates in json.loads(file.read_bytes())["policies"].items()
             for name, estimate in estimates.items()
         }
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{str(file)!r} is not a final evaluation: {type(error).__name__}: {error}") from None
+
+
+def final_metrics(run: Path) -> dict[str, float]:
+    """The values of :func:`final_scores`, with its errors."""
+    return {name: score.value for name, score in final_scores(run).items()}
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:
@@ -144,7 +153,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
     finished: list[Path] = []
     scores: list[dict[str, float]] = []
     for path in find_runs(paths):
-        found = final_metrics(path)
+        found = final_scores(path)
         if found:
             finished.append(path)
             scores.append(found)
@@ -164,10 +173,12 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
         group = ScoreGroup(about, task, algorithm, measured)
         for i in members:
             group.seeds.append(configs[i]["training"]["seed"])
-            for name, value in scores[i].items():
+            for name, score in scores[i].items():
                 place = split_name(name)
                 if place.metric in TABLE_METRICS:
-                    group.scores[place].append(value)
+                    group.scores[place].append(score.value)
+                    if score.low is not None and score.high is not None:
+                        group.widths[place].append(score.high - score.low)
         groups.append(group)
     return sorted(groups, key=lambda group: (*group.task.values(), group.algorithm))
 
@@ -200,10 +211,15 @@ def utility_label(utility: Mapping[str, Any] | None) -> str:
 
 
 def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_METRICS) -> Rows:
-    """One row per group, policy and vehicle: the means over seeds with their intervals."""
+    """One row per group, policy and vehicle: the means over seeds with their intervals.
+
+    The digits are also no more than one run's interval over evaluation episodes supports, where it is known.
+    """
     about = list(dict.fromkeys(name for group in groups for name in group.about))
     places = [(g, place) for g, group in enumerate(groups) for place in group.scores]
-    texts = [each.text() for each in means([groups[g].scores[place] for g, place in places])]
+    estimates = means([groups[g].scores[place] for g, place in places])
+    widths = [float(np.mean(groups[g].widths.get(place, [0.0]))) for g, place in places]
+    texts = [each.text(width) for each, width in zip(estimates, widths, strict=True)]
     cells = dict(zip(places, texts, strict=True))
     rows = [[*about, "policy", "vehicle", "seeds", *metrics, f"{UTILITY_ESR}_iqm"]]
     for g, group in enumerate(groups):

@@ -9,7 +9,13 @@ import pytest
 
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
-from algorithms.reporting.seed_tables import environment_label, group_runs, utility_label, without_empty_columns
+from algorithms.reporting.seed_tables import (
+    environment_label,
+    group_runs,
+    scores_table,
+    utility_label,
+    without_empty_columns,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,6 +46,19 @@ def test_runs_on_another_device_or_with_more_threads_share_a_row(tmp_path: Path)
     first, second = group_runs([tmp_path], pytest.fail)
     assert (first.seeds, second.seeds) == ([0, 1, 2], [0])
     assert first.scores["greedy", "", "success"] == pytest.approx([0.0, 0.1, 0.2])  # type: ignore[index]
+
+
+def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: Path) -> None:
+    for seed in range(3):
+        make_run(tmp_path / str(seed), seed)
+        utility = 10.0 + 0.001 * seed
+        scores = {"utility_esr": {"value": utility, "low": utility - 0.6, "high": utility + 0.6}}
+        (tmp_path / str(seed) / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    (group,) = group_runs([tmp_path], pytest.fail)
+    header, row = scores_table([group])
+    assert dict(zip(header, row, strict=True))["utility_esr"] == "10.0 [10.0, 10.0]"
+    group.widths.clear()
+    assert dict(zip(header, scores_table([group])[1], strict=True))["utility_esr"] == "10.0010 [10.0000, 10.0020]"
 
 
 def test_environments_are_named_by_their_id_and_the_arguments_that_differ_from_the_default() -> None:
