@@ -151,7 +151,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
         ValueError: if a path holds no run, or two runs of a group have the same seed.
     """
     finished: list[Path] = []
-    scores: list[dict[str, float]] = []
+    scores: list[dict[str, Estimate]] = []
     for path in find_runs(paths):
         found = final_scores(path)
         if found:
