@@ -61,10 +61,10 @@ class Group:
 
 
 GROUPS = (
-    Group("simulation", "mo_deepdrive/simulation", "tests/mo_deepdrive/simulation", 65),
-    Group("scenarios", "mo_deepdrive/scenarios.py", "tests/mo_deepdrive/test_scenarios.py", 10),
     Group("advantages", "algorithms/common/advantages.py", "tests/algorithms/common/test_advantages.py", 12),
     Group("pareto", "algorithms/common/pareto.py", "tests/algorithms/common/test_pareto.py", 25),
+    Group("simulation", "mo_deepdrive/simulation", "tests/mo_deepdrive/simulation", 65),
+    Group("scenarios", "mo_deepdrive/scenarios.py", "tests/mo_deepdrive/test_scenarios.py", 10),
     Group("sweeps", "algorithms/sweeps", "tests/algorithms/sweeps", 40),
 )
 # Module -> tests beside those of its group.
