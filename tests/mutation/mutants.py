@@ -67,8 +67,11 @@ GROUPS = (
     Group("scenarios", "mo_deepdrive/scenarios.py", "tests/mo_deepdrive/test_scenarios.py", 10),
     Group("sweeps", "algorithms/sweeps", "tests/algorithms/sweeps", 40),
 )
-# Module -> tests beside those of its group.
-MORE_TESTS = {"algorithms/sweeps/runner.py": "tests/scripts/test_sweep.py"}
+# Module or package -> tests of it in other places.
+MORE_TESTS = {
+    "mo_deepdrive/simulation": "tests/mo_deepdrive/test_scenarios.py",  # the rules of episodes
+    "algorithms/sweeps/runner.py": "tests/scripts/test_sweep.py",
+}
 # Their tests start clusters (`make test-cluster`) and take minutes for each mutant.
 LEFT_OUT = ("algorithms/sweeps/ray_tune.py",)
 
@@ -221,8 +224,8 @@ def tests_of(group: Group, module: str, root: Path) -> list[str]:
     tests = root / group.tests
     files = sorted(tests.glob("test_*.py"), key=lambda path: path.stat().st_size) if tests.is_dir() else [tests]
     files.sort(key=lambda path: path.stem != f"test_{Path(module).stem}")
-    names = [path.relative_to(root).as_posix() for path in files]
-    return [*names, MORE_TESTS[module]] if module in MORE_TESTS else names
+    more = [root / path for source, path in MORE_TESTS.items() if module.startswith(source)]
+    return [path.relative_to(root).as_posix() for path in files + more]
 
 
 # ---------------------------------------------------------------------------------------------------------- running
@@ -355,6 +358,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=REPOSITORY / "docs" / "results" / "mutants.csv")
     parser.add_argument("--resume", action="store_true", help="do not repeat the mutants that were killed in --output")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     mutants = [
         mutant
         for group in GROUPS
