@@ -24,6 +24,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -216,7 +217,7 @@ def sample(group: Group, root: Path, seed: int, count: int) -> list[Mutant]:
         if changes_code(text, after):
             name = operator.removeprefix("core/")
             found.append(Mutant(group.name, module, *changed_lines(text, after), name, occurrence))
-    return found
+    return sorted(found, key=lambda mutant: (mutant.module, mutant.line))
 
 
 def tests_of(group: Group, module: str, root: Path) -> list[str]:
@@ -280,16 +281,23 @@ def run_mutant(mutant: Mutant, copy: Path, files: Sequence[str], limit: float) -
     return replace(mutant, outcome=outcome, seconds=round(time.monotonic() - began, 1))
 
 
-def time_limits(copy: Path, lists: Iterable[Sequence[str]]) -> dict[frozenset[str], float]:
-    """Seconds after which the tests in each of the lists are stopped; they must pass without a mutation."""
-    limits: dict[frozenset[str], float] = {}
-    for files in lists:
-        if frozenset(files) not in limits:
-            began = time.monotonic()
-            if run_tests(copy, files) != "survived":
-                raise SystemExit(f"tests fail without a mutation: pytest {' '.join(files)}")
-            limits[frozenset(files)] = 60.0 + 3.0 * (time.monotonic() - began)
-    return limits
+class TimeLimits:
+    """The seconds after which tests are stopped, by how long they take without a mutation."""
+
+    def __init__(self) -> None:
+        self._limits: dict[frozenset[str], float] = {}
+        self._lock = threading.Lock()
+
+    def of(self, files: Sequence[str], copy: Path) -> float:
+        """The limit of the tests in these files; they are run in a copy without a mutation, and must pass."""
+        with self._lock:
+            key = frozenset(files)
+            if key not in self._limits:
+                began = time.monotonic()
+                if run_tests(copy, files) != "survived":
+                    raise ValueError(f"tests fail without a mutation: pytest {' '.join(files)}")
+                self._limits[key] = 60.0 + 3.0 * (time.monotonic() - began)
+            return self._limits[key]
 
 
 # ---------------------------------------------------------------------------------------------------------- results
@@ -368,21 +376,20 @@ def main() -> None:
         mutants = with_results(mutants, read_results(options.output))
     groups = {group.name: group for group in GROUPS}
     equivalent = read_equivalent()
-    to_run = [i for i, mutant in enumerate(mutants) if not mutant.outcome]
-    files = {i: tests_of(groups[mutants[i].group], mutants[i].module, REPOSITORY) for i in to_run}
+    limits = TimeLimits()
+    files = [tests_of(groups[mutant.group], mutant.module, REPOSITORY) for mutant in mutants]
+    to_run = sorted((i for i, mutant in enumerate(mutants) if not mutant.outcome), key=lambda i: len(files[i]))
+    print(f"{len(to_run)} of {len(mutants)} mutants to test", flush=True)
     with tempfile.TemporaryDirectory(prefix="mutants-") as directory, ThreadPoolExecutor(options.workers) as executor:
         copies: queue.SimpleQueue[Path] = queue.SimpleQueue()
         for number in range(options.workers):
-            copy = Path(directory) / str(number) / REPOSITORY.name
-            copy_repository(copy)
-            copies.put(copy)
-        print(f"{len(to_run)} of {len(mutants)} mutants to test; the tests without a mutation first", flush=True)
-        limits = time_limits(copy, files.values())
+            copies.put(Path(directory) / str(number) / REPOSITORY.name)
+            copy_repository(Path(directory) / str(number) / REPOSITORY.name)
 
         def run(i: int) -> tuple[int, Mutant]:
             copy = copies.get()
             try:
-                return i, run_mutant(mutants[i], copy, files[i], limits[frozenset(files[i])])
+                return i, run_mutant(mutants[i], copy, files[i], limits.of(files[i], copy))
             finally:
                 copies.put(copy)
 
@@ -398,8 +405,9 @@ def main() -> None:
                 print(f"{number:4} {mutant.outcome:10} {mutant.seconds:6} s  {place} {mutant.operator}", flush=True)
         except KeyboardInterrupt:
             print("interrupted: ends after the mutants in progress; --resume continues", file=sys.stderr)
-            executor.shutdown(cancel_futures=True)
             raise SystemExit(128 + signal.SIGINT) from None
+        finally:
+            executor.shutdown(cancel_futures=True)
     print(f"\n{table(mutants)}\n\n{survivors(mutants)}")
 
 
