@@ -51,28 +51,29 @@ class Group:
     Attributes:
         name: for the tables.
         source: the mutated module, or package.
-        tests: the tests that mirror it.
+        tests: files and folders of tests that mirror it.
         count: number of mutants.
     """
 
     name: str
     source: str
-    tests: str
+    tests: tuple[str, ...]
     count: int
 
 
 GROUPS = (
-    Group("advantages", "algorithms/common/advantages.py", "tests/algorithms/common/test_advantages.py", 12),
-    Group("pareto", "algorithms/common/pareto.py", "tests/algorithms/common/test_pareto.py", 25),
-    Group("simulation", "mo_deepdrive/simulation", "tests/mo_deepdrive/simulation", 65),
-    Group("scenarios", "mo_deepdrive/scenarios.py", "tests/mo_deepdrive/test_scenarios.py", 10),
-    Group("sweeps", "algorithms/sweeps", "tests/algorithms/sweeps", 40),
+    Group("advantages", "algorithms/common/advantages.py", ("tests/algorithms/common/test_advantages.py",), 12),
+    Group("pareto", "algorithms/common/pareto.py", ("tests/algorithms/common/test_pareto.py",), 25),
+    Group("scenarios", "mo_deepdrive/scenarios.py", ("tests/mo_deepdrive/test_scenarios.py",), 10),
+    # The rules of the kernel are tested in every scenario.
+    Group(
+        "simulation",
+        "mo_deepdrive/simulation",
+        ("tests/mo_deepdrive/simulation", "tests/mo_deepdrive/test_scenarios.py"),
+        65,
+    ),
+    Group("sweeps", "algorithms/sweeps", ("tests/algorithms/sweeps",), 40),
 )
-# Module or package -> tests of it in other places.
-MORE_TESTS = {
-    "mo_deepdrive/simulation": "tests/mo_deepdrive/test_scenarios.py",  # the rules of episodes
-    "algorithms/sweeps/runner.py": "tests/scripts/test_sweep.py",
-}
 # Their tests start clusters (`make test-cluster`) and take minutes for each mutant.
 LEFT_OUT = ("algorithms/sweeps/ray_tune.py",)
 
@@ -222,11 +223,10 @@ def sample(group: Group, root: Path, seed: int, count: int) -> list[Mutant]:
 
 def tests_of(group: Group, module: str, root: Path) -> list[str]:
     """The files of tests that are run on the mutants of a module: its own first, then the small ones."""
-    tests = root / group.tests
-    files = sorted(tests.glob("test_*.py"), key=lambda path: path.stat().st_size) if tests.is_dir() else [tests]
-    files.sort(key=lambda path: path.stem != f"test_{Path(module).stem}")
-    more = [root / path for source, path in MORE_TESTS.items() if module.startswith(source)]
-    return [path.relative_to(root).as_posix() for path in files + more]
+    paths = [root / name for name in group.tests]
+    files = [file for path in paths for file in (path.glob("test_*.py") if path.is_dir() else [path])]
+    files.sort(key=lambda file: (file.stem != f"test_{Path(module).stem}", file.stat().st_size))
+    return [file.relative_to(root).as_posix() for file in files]
 
 
 # ---------------------------------------------------------------------------------------------------------- running

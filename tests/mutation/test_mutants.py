@@ -86,7 +86,7 @@ def test_the_sample_is_the_same_for_the_same_seed_and_has_one_mutant_of_a_place(
 
     monkeypatch.setattr(mutants, "mutation_sites", sites)
     monkeypatch.setattr(mutants, "mutated", mutated)
-    group = Group("sums", "package", "tests", 10)
+    group = Group("sums", "package", ("tests",), 10)
     found = mutants.sample(group, tmp_path, 0, 10)
     assert found == mutants.sample(group, tmp_path, 0, 10)
     assert found != mutants.sample(group, tmp_path, 1, 10)
@@ -104,13 +104,13 @@ def test_a_modules_own_tests_come_first_then_the_small_ones(tmp_path: Path) -> N
     tests.mkdir()
     for name, size in (("test_large.py", 300), ("test_own.py", 200), ("test_small.py", 100), ("conftest.py", 1)):
         (tests / name).write_text("#" * size)
-    group = Group("g", "package", "tests", 1)
+    group = Group("g", "package", ("tests",), 1)
     assert mutants.tests_of(group, "package/own.py", tmp_path) == [
         "tests/test_own.py",
         "tests/test_small.py",
         "tests/test_large.py",
     ]
-    alone = Group("g", "package/own.py", "tests/test_own.py", 1)
+    alone = Group("g", "package/own.py", ("tests/test_own.py",), 1)
     assert mutants.tests_of(alone, "package/own.py", tmp_path) == ["tests/test_own.py"]
 
 
