@@ -5,12 +5,14 @@ CONFIG ?= configs/one_waypoint/mo_a2c_linear.yaml
 SEED ?= 0
 RAY_VENV ?= .venv-ray
 PEERS_VENV ?= .venv-peers
+MUTANTS_VENV ?= .venv-mutants
 PIP = $(VENV)/bin/python -m pip --disable-pip-version-check
 READY = $(VENV)/.ready
 RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
+MUTANTS_READY = $(MUTANTS_VENV)/.ready
 
-.PHONY: install train test test-fast test-ray test-peers test-cluster lint benchmark clean
+.PHONY: install train test test-fast test-ray test-peers test-cluster mutants lint benchmark clean
 
 install: $(READY)
 
@@ -32,6 +34,13 @@ $(PEERS_READY): pyproject.toml constraints.txt constraints-peers.txt
 	$(PYTHON) -m venv $(PEERS_VENV)
 	$(PEERS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
 		--constraint constraints.txt --constraint constraints-peers.txt --editable ".[peers]" pytest hypothesis
+	touch $@
+
+# Cosmic Ray installs 16 further packages.
+$(MUTANTS_READY): pyproject.toml constraints.txt constraints-mutants.txt
+	$(PYTHON) -m venv $(MUTANTS_VENV)
+	$(MUTANTS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
+		--constraint constraints.txt --constraint constraints-mutants.txt --editable ".[dev]" cosmic-ray
 	touch $@
 
 train: $(READY)
@@ -61,8 +70,12 @@ test-ray: $(RAY_READY)
 test-peers: $(PEERS_READY)
 	$(PEERS_VENV)/bin/python -m pytest tests/peers tests/mo_deepdrive/test_wrappers.py
 
+# Which small changes of the code the tests notice; more options in MUTANTS, such as MUTANTS="--workers 2 --resume".
+mutants: $(MUTANTS_READY)
+	$(MUTANTS_VENV)/bin/python -m tests.mutation.mutants $(MUTANTS)
+
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(MUTANTS_VENV) .mypy_cache .ruff_cache .pytest_cache

@@ -848,3 +848,12 @@ def test_a_vehicle_that_has_left_the_road_is_observed_far_away_and_at_rest(world
     assert {value for name, value in others.items() if name.endswith("_distance")} == {100.0}
     assert {value for name, value in others.items() if not name.endswith("_distance")} == {0.0}
     assert seen["speed"] > 0.0
+
+
+@pytest.mark.parametrize(("degrees", "end"), [(399.5, ""), (400.5, "circling"), (-399.5, ""), (-400.5, "circling")])
+def test_circling_begins_at_400_degrees(world: Any, degrees: float, end: str) -> None:
+    env = world()
+    env.reset(options={"start": (0.0, 0.0, -math.pi / 2), "destination": (50.0, 0.0)})
+    set_vehicle(env, heading=-math.pi / 2 + math.radians(degrees))
+    env.step(control()[None])
+    assert env.batch.end_names(0) == (end,)

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.common.advantages import generalised_advantages, utility_gradient
+from algorithms.common.advantages import generalised_advantages, normalise, utility_gradient
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections
 
 
@@ -87,3 +87,23 @@ def test_taking_the_gradient_does_not_modify_the_expected_return() -> None:
     assert not point.requires_grad
     assert point.grad is None
     assert not gradient.requires_grad
+
+
+@given(c=collections())
+def test_normalised_advantages_have_mean_zero_and_deviation_one_under_the_weights(c: dict[str, torch.Tensor]) -> None:
+    advantages, steps = c["rewards"][..., 0], 1.0 + c["values"][..., 0].abs()
+    weights = steps / steps.sum()
+    pairs = list(zip(advantages.flatten().tolist(), weights.flatten().tolist(), strict=True))
+    mean = sum(weight * advantage for advantage, weight in pairs)
+    variance = sum(weight * (advantage - mean) ** 2 for advantage, weight in pairs)
+    torch.testing.assert_close(normalise(advantages, weights), (advantages - mean) / (variance**0.5 + 1e-8))
+
+
+def test_steps_without_weight_do_not_count_in_the_normalisation() -> None:
+    weights = torch.tensor([[0.5], [0.5], [0.0]], dtype=torch.float64)
+    advantages = torch.tensor([[1.0], [5.0], [9.0]], dtype=torch.float64)
+    torch.testing.assert_close(normalise(advantages, weights), torch.tensor([[-1.0], [1.0], [3.0]]).double())
+
+
+def test_equal_advantages_are_normalised_to_zero() -> None:
+    assert normalise(torch.full((4,), 7.0), torch.full((4,), 0.25)).tolist() == [0.0] * 4

@@ -228,6 +228,7 @@ GOOD = [[1.0, 2.0], [2.0, 1.0]]
         (lambda: non_dominated(np.zeros((0, 2))), "returns has shape (0, 2)"),
         (lambda: non_dominated([1.0, 2.0]), "returns has shape (2,)"),
         (lambda: non_dominated([[1.0, np.nan]]), "returns must be finite; it has nan"),
+        (lambda: non_dominated([[1.0, np.nan], [np.inf, 1.0]]), "returns must be finite; it has nan"),
         (lambda: hypervolume([], [0, 0]), "front has shape (0,)"),
         (lambda: hypervolume([[1.0, np.inf]], [0, 0]), "front must be finite; it has inf"),
         (lambda: hypervolume(GOOD, [0]), "reference point = [0] must be 2 finite numbers"),

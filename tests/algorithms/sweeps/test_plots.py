@@ -5,10 +5,13 @@ from __future__ import annotations
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from algorithms.sweeps.collection import collect
 from algorithms.sweeps.manifest import ManifestRow, write_manifest
+from algorithms.sweeps.plots import varied_scores
+from algorithms.sweeps.ranking import rank
 from tests.helpers.made_up_sweeps import config_of, end, log, make_row, make_sweep, scores_of
 
 if TYPE_CHECKING:
@@ -84,3 +87,16 @@ def test_a_directory_without_runs_is_refused(
     assert all("give one sweep, or else runs" in error for error in errors(tmp_path, "runs"))
     assert table(tmp_path, "--top", "0") == 2
     assert "--top 0 must be at least 1" in capsys.readouterr().err
+
+
+def test_only_numbers_are_compared_as_numbers(tmp_path: Path, base: dict[str, Any]) -> None:
+    points = [(1e-3, True, "b"), (1e-2, False, "b"), (1e-3, False, "a")]
+    keys = ("algorithm.learning_rate", "algorithm.observe_discount", "config")
+    make_sweep(tmp_path, [make_row(base, dict(zip(keys, point, strict=True)), 0) for point in points])
+    collection = collect(tmp_path)
+    (ranking,) = rank(collection.cells, collection.scores.collect())
+    found = varied_scores(collection, ranking)
+    assert found.values.tolist() == pytest.approx([1.0, 10.0, 1.0])
+    assert np.array_equal(found.keys["learning_rate"], [1e-3, 1e-2, 1e-3])
+    assert found.keys["observe_discount"] == ["true", "false", "false"]
+    assert found.keys["config"] == ["b", "b", "a"]

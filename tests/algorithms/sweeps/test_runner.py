@@ -1,12 +1,137 @@
-"""The runner of sweeps; tests/scripts/test_sweep.py has the other tests."""
+"""The order in which a sweep's runs are made, what is repeated, and the exit codes, with runs that do not train."""
 
 from __future__ import annotations
 
+import io
+import json
+import signal
 import subprocess
 import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rich.console import Console
+
+from algorithms.sweeps.manifest import read_manifest
+from algorithms.sweeps.runner import Backend, SweepRunner
+from algorithms.sweeps.sweep_settings import load_sweep
+from tests.helpers.sweep_files import write_sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from algorithms.experiments.dashboard import Dashboard
+    from algorithms.experiments.jobs import Job
+
+RATE = "algorithm.learning_rate"
+SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "greedy/utility_esr", "trials": 6, "batch": 2}
+
+
+class MadeUpRuns(SweepRunner):
+    """A runner whose runs end at once, with a score, or with an error if their number is in ``failing``."""
+
+    def __init__(self, directory: Path, file: Path, *failing: int, **backend: Any):
+        self.said = io.StringIO()
+        super().__init__(load_sweep(file), directory, Backend(**backend), Console(file=self.said, width=200))
+        self.failing = failing
+        self.batches: list[list[str]] = []
+
+    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+        numbers = {row.id: i for i, row in enumerate(read_manifest(jobs[0].path.parents[1]))}
+        self.batches.append([])
+        failed: dict[Job, str] = {}
+        for job in jobs:
+            if job.done:
+                continue
+            assert job.id is not None
+            self.batches[-1].append(job.id)
+            job.path.mkdir(parents=True, exist_ok=True)
+            status: dict[str, Any] = {"state": "finished", "step": 1}
+            if numbers[job.id] in self.failing:
+                failed[job] = "made to fail"
+                status |= {"state": "failed", "reason": failed[job]}
+            (job.path / "status.json").write_text(json.dumps(status))
+            summary = {"greedy": {"utility_esr": {"value": float(numbers[job.id]), "low": None, "high": None}}}
+            (job.path / "evaluation.json").write_text(json.dumps({"policies": summary}))
+        return failed
+
+
+def ids(directory: Path) -> list[str]:
+    return [row.id for row in read_manifest(directory)]
 
 
 def test_what_trains_is_not_imported_to_show_the_status() -> None:
     code = "import sys, algorithms.sweeps.runner; print([name for name in ('torch', 'numba') if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+def test_all_runs_are_made_once(tmp_path: Path) -> None:
+    file, sweep = write_sweep(tmp_path, seeds=3), tmp_path / "sweep"
+    runner = MadeUpRuns(sweep, file)
+    assert runner.run() == 0
+    assert runner.batches == [ids(sweep)]
+    assert len(ids(sweep)) == 6
+    assert "6 runs, 0 of them done" in runner.said.getvalue()
+    assert "no longer in the sweep" not in runner.said.getvalue()
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert again.batches == []
+
+
+def test_a_failed_run_is_reported_and_repeated_by_the_next_command(tmp_path: Path) -> None:
+    file, sweep = write_sweep(tmp_path, seeds=2), tmp_path / "sweep"
+    runner = MadeUpRuns(sweep, file, 1)
+    assert runner.run() == 1
+    assert "made to fail" in runner.said.getvalue()
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert again.batches == [[ids(sweep)[1]]]
+    assert "4 runs, 3 of them done" in again.said.getvalue()
+
+
+def test_runs_that_the_sweep_no_longer_has_are_counted(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, write_sweep(tmp_path, seeds=3)).run()
+    fewer = MadeUpRuns(sweep, write_sweep(tmp_path, seeds=2))
+    assert fewer.run() == 0
+    assert "2 runs of the previous manifest are no longer in the sweep" in fewer.said.getvalue()
+
+
+def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Interrupted(MadeUpRuns):
+        def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+            assert not stop()
+            signal.raise_signal(signal.SIGTERM)
+            assert stop()
+            return {}
+
+    assert Interrupted(tmp_path / "sweep", write_sweep(tmp_path)).run() == 128 + signal.SIGTERM
+    assert "the same command resumes them" in capsys.readouterr().err
+
+
+def test_a_search_goes_on_until_all_its_points_have_scores(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    runner = MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, search=SEARCH))
+    assert runner.run() == 0
+    assert [len(batch) for batch in runner.batches] == [2, 2, 2]
+
+
+def test_without_waiting_only_the_first_batch_of_a_search_is_made(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    runner = MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, search=SEARCH), wait=False)
+    assert runner.run() == 0
+    assert [len(batch) for batch in runner.batches] == [2]
+
+
+def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depend_on_them(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    file, sweep = write_sweep(tmp_path, search=SEARCH), tmp_path / "sweep"
+    runner = MadeUpRuns(sweep, file, 0, 3, 5)
+    assert runner.run() == 1
+    assert [len(batch) for batch in runner.batches] == [2, 2, 2]
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 1
+    assert again.batches == [[ids(sweep)[5]]]
+    assert again.said.getvalue().count("made to fail") == 2

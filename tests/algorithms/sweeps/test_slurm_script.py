@@ -11,7 +11,7 @@ pytest.importorskip("submitit", reason="submitit is not installed: pip install '
 
 from typing import TYPE_CHECKING
 
-from algorithms.sweeps.slurm_script import sbatch_options
+from algorithms.sweeps.slurm_script import batch_script, sbatch_options
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,3 +26,16 @@ def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path
     assert (wanted["cpus_per_task"], wanted["gpus_per_node"], wanted["mem"], wanted["time"]) == (5, 2, "3687MB", 90)
     assert wanted["additional_parameters"] == {"requeue": True, "nice": 1}
     assert "partition" not in wanted
+
+
+def test_several_tasks_are_an_array_and_one_is_not(tmp_path: Path) -> None:
+    settings = load_sweep(write_sweep(tmp_path))
+    assert "#SBATCH --array=0-2%" in batch_script(3, settings, tmp_path)
+    assert "#SBATCH --array=0-1%" in batch_script(2, settings, tmp_path)
+    assert "--array" not in batch_script(1, settings, tmp_path)
+
+
+def test_by_default_a_task_has_one_run_and_the_memory_that_slurm_chooses(tmp_path: Path) -> None:
+    settings = load_sweep(write_sweep(tmp_path))
+    assert (settings.slurm.runs_per_job, settings.slurm.side_by_side) == (1, 1)
+    assert "mem" not in sbatch_options(settings, "name")

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from algorithms.sweeps.collection import collect
+from algorithms.sweeps.ranking import rank
+from algorithms.sweeps.tables import best_cells, group_cells
 from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
 
 if TYPE_CHECKING:
@@ -67,3 +70,15 @@ def test_algorithms_are_compared_in_cells_that_differ_in_nothing_else(
     compared = found[found.index([]) + 1 :]
     assert compared[0][:4] == ["algorithm.steps", "policy", "difference", "of"]
     assert [row[:3] for row in compared[1:]] == [[steps, "greedy", "mo_a2c - a2c"] for steps in ("8", "16")]
+
+
+@pytest.mark.parametrize(("width", "columns"), [(1, 4), (1000, 7)])
+def test_a_narrow_terminal_always_shows_the_metric(
+    tmp_path: Path, grid: list[ManifestRow], width: int, columns: int
+) -> None:
+    make_sweep(tmp_path, grid)
+    collection = collect(tmp_path)
+    (ranking,) = rank(collection.cells, collection.scores.collect())
+    header = best_cells(ranking, group_cells(collection, ranking), 2, width)[0]
+    assert header[:4] == ["learning_rate", "steps", "seeds", "utility_esr"]
+    assert len(header) == columns

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from mo_deepdrive.simulation import geometry
+from mo_deepdrive.simulation import collision, geometry
 
 EDGE = 1e-9  # m; closer to contact, rounding decides
 IDLE = 0
@@ -393,3 +393,49 @@ def test_two_vehicles_that_cross_at_any_speed_do_not_pass_through_each_other(
     assert outcomes["met"] > 60
     assert outcomes["clear"] > 20
     assert outcomes["clipped"] < 25
+
+
+# ------------------------------------------------------------------------------------------ between two physics steps
+
+
+def path_of(*poses: tuple[float, float, float]) -> np.ndarray:
+    """The path of a vehicle through poses (x, y, heading), as `drive` records it, after another vehicle's."""
+    rows = [(x, y, math.cos(heading), math.sin(heading)) for x, y, heading in poses]
+    return np.array([np.full((len(rows), 4), np.nan), rows])
+
+
+@pytest.mark.parametrize("part", [0.25, 0.5, 0.75])
+def test_a_pose_between_two_steps_divides_the_way_and_the_turn(part: float) -> None:
+    path = path_of((9.0, 9.0, 9.0), (1.0, 2.0, 0.4), (3.0, -2.0, 1.4))
+    x, y, cos, sin = collision.pose(path, 1, 2, part)
+    assert (x, y) == pytest.approx((1.0 + 2.0 * part, 2.0 - 4.0 * part))
+    chord = [(1 - part) * wave(0.4) + part * wave(1.4) for wave in (math.cos, math.sin)]
+    assert (cos, sin) == pytest.approx(tuple(np.array(chord) / math.hypot(*chord)))
+    assert collision.pose(path, 1, 2, 1.0) == (3.0, -2.0, math.cos(1.4), math.sin(1.4))
+
+
+def test_half_way_through_half_a_turn_the_pose_has_the_heading_of_the_end() -> None:
+    path = path_of((0.0, 0.0, 0.0), (2.0, 4.0, math.pi))
+    path[:, 1, 3] = 0.0  # math.sin(math.pi) is not zero
+    assert collision.pose(path, 1, 1, 0.5) == (1.0, 2.0, -1.0, 0.0)
+
+
+def test_no_corner_moves_farther_than_the_bound(shapes: Any) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        first, second, other = ((*rng.uniform(-3.0, 3.0, 2), rng.uniform(-4.0, 4.0)) for _ in range(3))
+        bound = collision.sweep(path_of(other, first, second, other), 1, 2)
+        moved = np.linalg.norm(shapes.box(*second) - shapes.box(*first), axis=1).max()
+        assert moved <= bound + EDGE
+        ways = math.dist(first[:2], second[:2]), 2 * abs(math.sin((second[2] - first[2]) / 2))
+        assert bound == pytest.approx(ways[0] + ways[1] * math.hypot(shapes.width, shapes.length) / 2)
+
+
+def test_the_angle_to_a_point_is_positive_to_the_right() -> None:
+    def angle(x: float, y: float) -> float:
+        return float(geometry.angle_to(3.0, 4.0, 1.0, 0.0, 3.0 + x, 4.0 + y))
+
+    assert [angle(0.0, 2.0), angle(2.0, 0.0), angle(-2.0, 0.0)] == [0.0, math.pi / 2, -math.pi / 2]
+    assert [angle(1.0, 1.0), angle(-1.0, 1.0)] == pytest.approx([math.pi / 4, -math.pi / 4])
+    assert abs(angle(0.0, -2.0)) == math.pi
+    assert angle(0.0, 0.0) == 0.0

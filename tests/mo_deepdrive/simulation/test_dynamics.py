@@ -393,3 +393,19 @@ def test_sine_and_cosine_of_simple_angles_are_exact() -> None:
     for angle in (0.3, 1.0, 2.5, 3.7):
         sine, cosine = sine_cosine(angle)
         assert sine_cosine(-angle) == (-sine, cosine)
+
+
+def test_the_path_leads_from_the_pose_before_the_decision_to_that_after_it() -> None:
+    params = make_params(EnvConfig(scenario="one_waypoint"))[0]
+    vehicle = np.zeros(1, VEHICLE)[0]
+    vehicle.x, vehicle.y, vehicle.heading, vehicle.speed, vehicle.steer = 3.0, -2.0, 0.5, 8.0, 0.2
+    vehicle.cos_heading = vehicle.cos_before = math.cos(0.5)
+    vehicle.sin_heading = vehicle.sin_before = math.sin(0.5)
+    path = np.full((2, params.physics_steps + 1, PATH_WIDTH), np.nan)
+    moved = drive(vehicle, 0, 1, np.array([[[9.0, 9.0, 0.0], [0.2, 0.0, 0.0]]]), params, path)
+    assert path[1, 0].tolist() == [3.0, -2.0, math.cos(0.5), math.sin(0.5)]
+    assert path[1, -1].tolist() == [vehicle.x, vehicle.y, vehicle.cos_heading, vehicle.sin_heading]
+    steps = np.linalg.norm(np.diff(path[1, :, :2], axis=0), axis=1)
+    assert steps.sum() == pytest.approx(moved)
+    assert steps == pytest.approx(8.0 * params.dt * 0.999 ** np.arange(params.physics_steps))
+    assert np.isnan(path[0]).all()
