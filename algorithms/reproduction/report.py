@@ -25,6 +25,7 @@ from algorithms.evaluation.metrics import (
     return_of,
     vehicle_prefix,
 )
+from algorithms.evaluation.splits import describe_episodes
 from algorithms.evaluation.statistics import iqm, iqm_difference, probability_of_improvement
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reproduction.claims import (
@@ -280,14 +281,14 @@ def _document(
         "# Reproduction of the paper's figures and claims",
         f"Written by `{how}`: {len(runs)} runs, {sum(runs.values()) / 3600:.1f} hours on one core, seeds {seeds[0]} to "
         f"{seeds[-1]}. For background and discussion see [reproduction](../reproduction.md).",
-        "Scores are interquartile means over seeds of the utility (ESR) of the stochastic policy in "
-        f"{plan.overrides.get('evaluation.final_episodes', 200)} episodes, the same for all runs; at the intersection, "
-        "of the sum of both vehicles' utilities. Intervals (95%, bootstrap) are over seeds. They do not include the "
-        "sampling of episodes, which *± of one run* gives: half the width of the interval over the episodes of one "
-        "run, at the intersection at most. Utilities have the digits that the wider of the two supports. "
-        "P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has "
-        f"collapsed if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the "
-        "paper's hyperparameters, *best effort* tuned ones.",
+        "Scores are interquartile means over seeds of the utility (ESR) of the stochastic policy; at the intersection, "
+        f"of the sum of both vehicles' utilities. {_episodes_sentence(plan, results)}",
+        "Intervals (95%, bootstrap) are over seeds. They do not include the sampling of episodes, which *± of one run* "
+        "gives: half the width of the interval over the episodes of one run, at the intersection at most. Utilities "
+        "have the digits that the wider of the two supports. All runs of a protocol have the same episodes. P(MO-A2C "
+        "higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has collapsed "
+        f"if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the paper's "
+        "hyperparameters, *best effort* tuned ones.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
         verdict_table(plan, results, quick=quick),
@@ -307,6 +308,16 @@ def _document(
             parts += [f"## {plan.tasks[task].title}", _comparison_table(task, plan, results)]
             parts += _ablations(task, plan, results)
     return "\n\n".join(parts) + "\n"
+
+
+def _episodes_sentence(plan: Plan, results: ReproductionResults) -> str:
+    """In which episodes the runs were evaluated at the end."""
+    titles: dict[str, dict[str, None]] = {}
+    for row in results.scores:
+        if row["task"] != FRONT_TASK and "first_episode" in row:  # every episode of a front's task is the same
+            title = plan.tasks[row["task"]].protocols[row["protocol"]].title
+            titles.setdefault(describe_episodes(row["episodes"], row["first_episode"]), {})[title] = None
+    return " ".join(f"Evaluated in {episodes}: {'; '.join(where)}." for episodes, where in titles.items())
 
 
 def _comparison_table(task: str, plan: Plan, results: ReproductionResults) -> str:

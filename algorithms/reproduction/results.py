@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from algorithms.reproduction.plan import PlannedRun
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
-KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "policy")
+KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "episodes", "first_episode", "policy")
 # Of the final evaluation and of those during training, besides returns; with several vehicles also those of each.
 METRICS = (UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), end_by(OFF_LANE), end_by(TIME_LIMIT), LENGTH)
 # Ending of the column with the width of a utility's interval over the episodes of the evaluation.
@@ -64,9 +64,10 @@ class ReproductionResults:
     """Scores and learning curves of all runs.
 
     Attributes:
-        scores: one row per run and policy, with KEYS and metrics; missing metrics have no entry.
-        curves: one row per run and evaluation during training, with KEYS except "seconds" and "policy", "step", and
-            metrics whose names start with the policy.
+        scores: one row per run and policy, with KEYS and metrics; missing metrics have no entry. "first_episode" is the
+            seed of the first of the "episodes" of the final evaluation.
+        curves: one row per run and evaluation during training, with the KEYS that describe the run, "step", and metrics
+            whose names start with the policy.
     """
 
     scores: list[ResultRow]
@@ -126,7 +127,7 @@ class ReproductionResults:
             OSError: if a file cannot be written; no file is left half written.
         """
         atomic_write(directory / SCORES_FILE, _csv(self.scores, KEYS))
-        curve_keys = (*(key for key in KEYS if key not in ("seconds", "policy")), STEP)
+        curve_keys = (*KEYS[: KEYS.index("seconds")], STEP)
         # Without name and time in the header, equal curves give equal bytes.
         atomic_write(directory / CURVES_FILE, gzip.compress(_csv(self.curves, curve_keys), mtime=0))
 
@@ -161,16 +162,18 @@ def gather(runs: Iterable[PlannedRun]) -> ReproductionResults:
             "steps": run.job.experiment.training.total_timesteps,
         }
         seconds = float(run.job.open().status.get("seconds", 0.0))
-        for policy, metrics in _final_scores(run.job.path).items():
-            scores.append({**keys, "seconds": seconds, "policy": policy, **metrics})
+        evaluation = json.loads((run.job.path / EVALUATION_FILE).read_text())
+        measured = {"seconds": seconds, "episodes": evaluation["episodes"], "first_episode": evaluation["seed"]}
+        for policy, metrics in _final_scores(run.job.path, evaluation).items():
+            scores.append({**keys, **measured, "policy": policy, **metrics})
         curves += [{**keys, **row} for row in _learning_curve(run.job.path)]
     return ReproductionResults(scores, curves)
 
 
-def _final_scores(path: Path) -> dict[str, dict[str, float]]:
+def _final_scores(path: Path, evaluation: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """The metrics of the final evaluation of the run in ``path``, by policy."""
     found = {}
-    for policy, estimates in json.loads((path / EVALUATION_FILE).read_text())["policies"].items():
+    for policy, estimates in evaluation["policies"].items():
         metrics = {name: float(each["value"]) for name, each in estimates.items() if _is_kept(name)}
         metrics |= {name + WIDTH: _width(each) for name, each in estimates.items() if _is_utility(name)}
         if policy == FRONT:
@@ -259,7 +262,7 @@ def _read_csv(text: str) -> list[ResultRow]:
         for name, value in line.items():
             if value == "":
                 continue
-            if name in ("seed", "steps", STEP):
+            if name in ("seed", "steps", "episodes", "first_episode", STEP):
                 row[name] = int(value)
             else:
                 row[name] = value if name in KEYS and name != "seconds" else float(value)

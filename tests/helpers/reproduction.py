@@ -50,6 +50,7 @@ def make_results(
     protocol: str = "best",
     policy: str = "stochastic",
     risen: float = 0.5,
+    first_episode: int = 3_000_000,
 ) -> ReproductionResults:
     """Results with one score per variant, metric and seed.
 
@@ -67,7 +68,8 @@ def make_results(
                 "steps": 1000,
             }
             values = {name: float(each[i]) for name, each in metrics.items()}
-            rows.append({**keys, "seconds": 2.5, "policy": policy, **values})
+            measured = {"seconds": 2.5, "episodes": 1000, "first_episode": first_episode}
+            rows.append({**keys, **measured, "policy": policy, **values})
             for step in range(0, 1001, 100):
                 part = min(1.0, step / (1000 * risen))
                 curves.append({**keys, "step": step, **{f"{policy}/{k}": v * part for k, v in values.items()}})

@@ -37,6 +37,7 @@ def test_a_report_of_some_tasks_omits_the_others(tmp_path: Path) -> None:
     text = (tmp_path / "reproduction.md").read_text()
     assert "## Claim 1" in text
     assert "## Claim 2" not in text
+    assert "Evaluated in 1000 episodes of the test split: best effort." in text
     assert paths == [tmp_path / "reproduction.md", tmp_path / "figure_04.png"]
 
 
@@ -46,6 +47,24 @@ def test_utilities_have_the_digits_that_the_wider_interval_supports() -> None:
     assert "| 10.0 [10.0, 10.0] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
     scores = dict.fromkeys(("a2c", "mo_a2c"), SOLVED)
     assert "| 10.000 [9.993, 10.008] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
+
+
+def test_the_report_says_which_protocols_were_evaluated_in_which_episodes(tmp_path: Path) -> None:
+    plan = load_plan(PLAN)
+    one = {**SOLVED, "end/collision": SOLVED["success"], "return/distance": [1.0] * 5}
+    scores = {"a2c": one, "mo_a2c": one}
+    parts = [
+        make_results("one_waypoint_linear", scores, protocol, policy, first_episode=first)
+        for protocol, first in (("printed", 1_000_000), ("best", 3_000_000))
+        for policy in ("greedy", "stochastic")
+    ]
+    rows = ReproductionResults([row for part in parts for row in part.scores], [])
+    write_report(plan, rows, tmp_path, [], how="a test")
+    text = (tmp_path / "reproduction.md").read_text()
+    assert (
+        "Evaluated in 1000 episodes from seed 1000000: as printed. Evaluated in 1000 episodes of the test split: "
+        in text
+    )
 
 
 def test_collapsed_runs_of_pcn_are_counted(tmp_path: Path) -> None:
