@@ -311,13 +311,21 @@ def _document(
 
 
 def _episodes_sentence(plan: Plan, results: ReproductionResults) -> str:
-    """In which episodes the runs were evaluated at the end."""
-    titles: dict[str, dict[str, None]] = {}
+    """In which episodes the runs were evaluated at the end: by protocol, or by task and protocol where tasks differ."""
+    found: dict[str, dict[str, str]] = {}  # the episodes by title of the protocol and of the task
     for row in results.scores:
         if row["task"] != FRONT_TASK and "first_episode" in row:  # every episode of a front's task is the same
-            title = plan.tasks[row["task"]].protocols[row["protocol"]].title
-            titles.setdefault(describe_episodes(row["episodes"], row["first_episode"]), {})[title] = None
-    return " ".join(f"Evaluated in {episodes}: {'; '.join(where)}." for episodes, where in titles.items())
+            task = plan.tasks[row["task"]]
+            by_task = found.setdefault(task.protocols[row["protocol"]].title, {})
+            by_task[task.title] = describe_episodes(row["episodes"], row["first_episode"])
+    places: dict[str, list[str]] = {}
+    for title, by_task in found.items():
+        if len({*by_task.values()}) == 1:
+            places.setdefault(next(iter(by_task.values())), []).append(title)
+            continue
+        for task_title, episodes in by_task.items():
+            places.setdefault(episodes, []).append(f"{title} on {task_title}")
+    return " ".join(f"Evaluated in {episodes}: {'; '.join(where)}." for episodes, where in places.items())
 
 
 def _comparison_table(task: str, plan: Plan, results: ReproductionResults) -> str:
