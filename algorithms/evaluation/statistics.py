@@ -40,11 +40,9 @@ class Estimate:
         Args:
             other_width: width of an interval for another source of error; the digits are those of the wider one.
         """
-        if self.low is None or self.high is None:
+        if self.low is None or self.high is None or not self.high - self.low > 0.0:  # also if both ends are infinite
             return f"{self.value:.4g}"
         width = max(self.high - self.low, other_width)
-        if not width > 0.0:  # also where both ends are infinite
-            return f"{self.value:.4g}"
         decimals = int(np.clip(1 - np.floor(np.log10(width)), 0, 4))
         return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
 

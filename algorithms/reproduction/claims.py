@@ -252,10 +252,10 @@ def _interval(estimate: Estimate) -> tuple[float, float]:
     return estimate.low, estimate.high
 
 
-def percent(estimate: Estimate) -> str:
-    """A fraction in percent, with its interval."""
+def percent(estimate: Estimate, other_width: float = 0.0) -> str:
+    """A fraction in percent, with its interval; ``other_width`` as for :meth:`Estimate.text`, of the fraction."""
     bounds = [None if bound is None else 100.0 * bound for bound in (estimate.low, estimate.high)]
-    return f"{Estimate(100.0 * estimate.value, *bounds).text()}%"
+    return f"{Estimate(100.0 * estimate.value, *bounds).text(100.0 * other_width)}%"
 
 
 def _label(variant: str) -> str:
@@ -268,7 +268,8 @@ def _success_rate(task: str, variant: str, condition: str, passes: Decision, las
     def criterion(results: ReproductionResults, protocol: str) -> Check:
         rate = iqm(results.values(task, protocol, variant, SUCCESS))
         name = f"{_label(variant)}: success rate {condition}"
-        return _check(results, task, protocol, name, f"success rate {percent(rate)}", passes(rate), lasting)
+        measured = f"success rate {percent(rate, results.episodes_width(task, protocol, variant, SUCCESS))}"
+        return _check(results, task, protocol, name, measured, passes(rate), lasting)
 
     return criterion
 

@@ -200,19 +200,19 @@ def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
     if task == FRONT_TASK:
         return _front_score_table(plan, results)
     vehicles = 2 if task.startswith("intersection") else 1
-    progress = vehicle_prefix(0, vehicles) + return_of("distance")
+    score, progress = utility_metric(task), vehicle_prefix(0, vehicles) + return_of("distance")
     measures = ["utility (ESR)", "± of one run", "success rate", "collisions", "progress (m)"]
     rows = [["protocol", "algorithm", "policy", "seeds", "steps", *measures]]
     for protocol in results.protocols(task):
         for variant, label in results.variants(task, protocol).items():
             for policy in (STOCHASTIC, GREEDY):
                 values = partial(results.values, task, protocol, variant, policy=policy)
+                width = partial(results.episodes_width, task, protocol, variant, policy=policy)
                 seeds = str(len(values(SUCCESS)))
                 about = [plan.tasks[task].protocols[protocol].title, label, policy, seeds]
-                rates = [percent(iqm(values(metric))) for metric in (SUCCESS, end_by(COLLISION))]
-                width = results.episodes_width(task, protocol, variant, utility_metric(task), policy)
-                utility, distance = iqm(values(utility_metric(task))).text(width), iqm(values(progress)).text()
-                half_width = f"{width / 2:.2g}" if width else ""
+                rates = [percent(iqm(values(metric)), width(metric)) for metric in (SUCCESS, end_by(COLLISION))]
+                utility, distance = (iqm(values(metric)).text(width(metric)) for metric in (score, progress))
+                half_width = f"{width(score) / 2:.2g}" if width(score) else ""
                 steps = _steps(results, task, protocol, variant)
                 rows.append([*about, steps, utility, half_width, *rates, distance])
     return markdown_table(rows)
@@ -284,10 +284,11 @@ def _document(
         "Scores are interquartile means over seeds of the utility (ESR) of the stochastic policy; at the intersection, "
         f"of the sum of both vehicles' utilities. {_episodes_sentence(plan, results)}",
         "Intervals (95%, bootstrap) are over seeds. They do not include the sampling of episodes, which *± of one run* "
-        "gives: half the width of the interval over the episodes of one run, at the intersection at most. Utilities "
-        "have the digits that the wider of the two supports. All runs of a protocol have the same episodes. P(MO-A2C "
-        "higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has collapsed "
-        f"if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the paper's "
+        "gives for the utility: half the width of the interval over the episodes of one run, at the intersection at "
+        "most. Scores have the digits that the wider of the two supports. Runs that are compared have the same "
+        "episodes.",
+        "P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has "
+        f"collapsed if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the paper's "
         "hyperparameters, *best effort* tuned ones.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",

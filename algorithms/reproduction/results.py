@@ -36,6 +36,7 @@ from algorithms.evaluation.metrics import (
     UTILITY_SER,
     end_by,
     evaluation_prefix,
+    return_of,
     split_name,
 )
 
@@ -52,7 +53,7 @@ SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.g
 KEYS = ("task", "protocol", "variant", "label", "seed", "steps", "seconds", "episodes", "first_episode", "policy")
 # Of the final evaluation and of those during training, besides returns; with several vehicles also those of each.
 METRICS = (UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), end_by(OFF_LANE), end_by(TIME_LIMIT), LENGTH)
-# Ending of the column with the width of a utility's interval over the episodes of the evaluation.
+# Ending of the columns with the width of a score's interval over the episodes of the evaluation.
 WIDTH = "_width"
 FRONT_METRICS = (HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS)
 
@@ -92,7 +93,7 @@ class ReproductionResults:
         return np.array([value for _, value in sorted(found)], dtype=np.float64)
 
     def episodes_width(self, task: str, protocol: str, variant: str, metric: str, policy: str = STOCHASTIC) -> float:
-        """Mean over runs of the width of a utility's interval over evaluation episodes; 0 if it is not known."""
+        """Mean over runs of the width of a score's interval over evaluation episodes; 0 if it is not known."""
         try:
             return float(self.values(task, protocol, variant, metric + WIDTH, policy).mean())
         except KeyError:
@@ -175,7 +176,7 @@ def _final_scores(path: Path, evaluation: Mapping[str, Any]) -> dict[str, dict[s
     found = {}
     for policy, estimates in evaluation["policies"].items():
         metrics = {name: float(each["value"]) for name, each in estimates.items() if _is_kept(name)}
-        metrics |= {name + WIDTH: _width(each) for name, each in estimates.items() if _is_utility(name)}
+        metrics |= {name + WIDTH: _width(each) for name, each in estimates.items() if _is_shown(name)}
         if policy == FRONT:
             distances = _distances(Front.read(path))
             metrics |= {LOWEST_DISTANCE: float(distances.min()), HIGHEST_DISTANCE: float(distances.max())}
@@ -183,8 +184,9 @@ def _final_scores(path: Path, evaluation: Mapping[str, Any]) -> dict[str, dict[s
     return found
 
 
-def _is_utility(name: str) -> bool:
-    return split_name(name).metric == UTILITY_ESR
+def _is_shown(name: str) -> bool:
+    """Whether the report shows a metric, so that the width of its interval over episodes is kept."""
+    return split_name(name).metric in (UTILITY_ESR, SUCCESS, end_by(COLLISION), return_of("distance"))
 
 
 def _width(estimate: Mapping[str, Any]) -> float:

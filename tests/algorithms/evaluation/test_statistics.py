@@ -77,7 +77,7 @@ def test_the_digits_are_those_of_the_wider_of_two_intervals() -> None:
     estimate = Estimate(10.0136, 10.0103, 10.0168)
     assert estimate.text(0.0001) == "10.0136 [10.0103, 10.0168]"
     assert estimate.text(1.2) == "10.0 [10.0, 10.0]"
-    assert Estimate(5.0, 5.0, 5.0).text(0.2) == "5.00 [5.00, 5.00]"
+    assert Estimate(5.0, 5.0, 5.0).text(0.2) == "5"
 
 
 def test_the_power_of_a_comparison_of_deviations_grows_with_runs_and_effect() -> None:
