@@ -288,8 +288,8 @@ def _document(
         "most. Scores have the digits that the wider of the two supports. Runs that are compared have the same "
         "episodes.",
         "P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has "
-        f"collapsed if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the paper's "
-        "hyperparameters, *best effort* tuned ones.",
+        f"collapsed if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the "
+        "paper's hyperparameters, *best effort* tuned ones.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
         verdict_table(plan, results, quick=quick),
