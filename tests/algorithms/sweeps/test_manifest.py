@@ -523,3 +523,9 @@ def test_a_search_may_choose_a_point_twice(tmp_path: Path, sampler: str) -> None
     rows = expanded(tmp_path, search=search)
     assert len({row.id for row in rows}) == len(rows) == 2
     assert {row.cell["algorithm.steps"] for row in rows} == {8, 16}
+
+
+def test_an_id_has_twelve_hexadecimal_digits(tmp_path: Path) -> None:
+    for row in expanded(tmp_path):
+        assert len(row.id) == 12
+        assert set(row.id) <= set("0123456789abcdef")
