@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from algorithms.sweeps.collection import collect
-from algorithms.sweeps.ranking import cell_labels, check_metric, rank, value_labels, varying_keys
+from algorithms.sweeps.ranking import cell_labels, check_metric, rank, short_names, totals, value_labels, varying_keys
 from tests.helpers.made_up_sweeps import config_of, end, make_row, make_sweep, scores_of
 
 if TYPE_CHECKING:
@@ -88,6 +88,19 @@ def test_rankings_with_equal_titles_also_show_their_keys(tmp_path: Path, base: d
     collection = collect(tmp_path)
     titles = [ranking.title for ranking in rank(collection.cells, collection.scores.collect())]
     assert [title.rpartition(" (")[2] for title in titles] == ["evaluation.gamma=0.9)", "evaluation.gamma=1.0)"]
+
+
+def test_a_key_is_shortened_unless_another_one_ends_in_the_same_way() -> None:
+    keys = ["algorithm.steps", "environment.steps", "algorithm.gamma"]
+    assert short_names(keys) == {**{key: key for key in keys[:2]}, "algorithm.gamma": "gamma"}
+
+
+def test_totals_are_sums_over_the_vehicles_alone() -> None:
+    rows = [
+        ("a", "greedy", vehicle, "m", value) for vehicle, value in (("", 9.0), ("vehicle_0", 1.0), ("vehicle_1", 2.0))
+    ]
+    found = totals(pl.DataFrame(rows, ["run", "policy", "vehicle", "metric", "value"], orient="row"))
+    assert found["value"].to_list() == [3.0]
 
 
 def test_cells_have_short_names(base: dict[str, Any], tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ def refused(folder: Path, **settings: Any) -> str:
         ({"grid": {"seed": [1, 2]}}, ["'seed' in grid: set seeds with the key 'seeds'"]),
         ({"grid": {"training.seed": [1]}}, ["'training.seed' in grid"]),
         ({"overrides": {"training.seed": 1}}, ["'training.seed' in overrides"]),
+        ({"overrides": {"training": {"seed": 1}}}, ["'seed' in 'training': set seeds with the key 'seeds'"]),
         ({"seeds": [3, 5, 3]}, ["[3, 5, 3] has a duplicate seed"]),
         ({"seeds": []}, ["'seeds' = []"]),
         ({"seeds": 0}, ["'seeds' = 0"]),
@@ -118,6 +119,16 @@ def test_an_invalid_range_is_refused_with_its_key(tmp_path: Path, values: Any, m
 def test_an_invalid_search_is_refused_with_its_key(tmp_path: Path, values: dict[str, Any], name: str) -> None:
     said = refused(tmp_path, search={"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1, **values})
     assert f"'{name}' = " in said
+
+
+def test_a_seed_in_another_section_and_a_step_of_one_are_allowed(tmp_path: Path) -> None:
+    space = {"algorithm.steps": {"low": 1, "high": 9, "step": 1}}
+    arguments = {"utility.arguments": {"seed": 3}}
+    search = {"space": space, "metric": METRIC, "trials": 1}
+    settings = load_sweep(write_sweep(tmp_path, overrides=arguments, search=search))
+    assert settings.overrides == arguments
+    assert settings.search is not None
+    assert settings.search.space["algorithm.steps"].step == 1
 
 
 def test_a_search_requires_a_metric_and_a_number_of_trials(tmp_path: Path) -> None:
