@@ -27,10 +27,14 @@ def test_the_first_signal_is_recorded(number: signal.Signals) -> None:
 
 @needs_signals
 def test_the_second_signal_acts_at_once() -> None:
-    with Interrupts():
-        signal.raise_signal(signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores SIGINT
+    try:
+        with Interrupts():
             signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_outside_the_main_thread_nothing_is_recorded() -> None:
