@@ -120,13 +120,9 @@ def _search_rows(
 ) -> list[ManifestRow]:
     """The rows of a hyperparameter search within one cell of the grid, which are scored on the validation split."""
     assert settings.search is not None
-    split = (base.get("evaluation") or {}).get("split", "validation")
-    if split != "validation":
-        raise ValueError(
-            f"{_cell_name(cell)}: evaluation.split = {split!r}: a search chooses by the final scores, so it needs "
-            "'validation'"
-        )
-    base = _overridden(base, {"evaluation.split": "validation"}, cell)
+    evaluation = base.get("evaluation")
+    if not isinstance(evaluation, dict) or "split" not in evaluation:
+        base = _overridden(base, {"evaluation.split": "validation"}, cell)
     rows: list[ManifestRow] = []
 
     def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
@@ -146,6 +142,11 @@ def _cell_rows(
     """The rows of one cell, one per seed."""
     where = _cell_name(cell)
     experiment = make_experiment(_overridden(values, {"training.seed": settings.seeds[0]}, cell), where, here=False)
+    if trial is not None and experiment.evaluation.split != "validation":
+        raise ValueError(
+            f"{where}: evaluation.split = {experiment.evaluation.split!r}: a search chooses by the final scores, so it "
+            "needs 'validation'"
+        )
     _check_buildable(experiment, where)
     resolved = _sorted(experiment.to_dict())
     rows: list[ManifestRow] = []

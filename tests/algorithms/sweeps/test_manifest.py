@@ -505,6 +505,9 @@ def test_a_search_is_scored_on_the_validation_split(tmp_path: Path) -> None:
         assert row.config["evaluation"]["split"] == "validation"
     said = refused_cells(tmp_path, search=search, overrides={"evaluation.split": "test"})
     assert "evaluation.split = 'test': a search chooses by the final scores, so it needs 'validation'" in said
+    inside = {**search, "space": {"evaluation.split": ["test"]}}
+    assert "it needs 'validation'" in refused_cells(tmp_path, search=inside)
+    assert "evaluation" in refused_cells(tmp_path, search=search, overrides={"evaluation": 3})
     assert expanded(tmp_path)[0].config["evaluation"]["split"] == "test"
 
 
