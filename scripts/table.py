@@ -26,10 +26,10 @@ from pathlib import Path
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_files import changed_files
 from algorithms.reporting.seed_tables import Rows, find_runs, print_runs
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.tables import print_sweep
-from algorithms.sweeps.verification import differences
 
 TOP = 20
 
@@ -63,7 +63,7 @@ def intact_runs(paths: list[Path]) -> list[Path]:
     """
     runs = []
     for run in find_runs(paths):
-        problems = differences(run, ["config.yaml", EVALUATION_FILE])
+        problems = changed_files(run, ["config.yaml", EVALUATION_FILE])
         if problems:
             warn(f"left out: {run}: {'; '.join(problems)}")
         else:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
-from algorithms.experiments.run_files import NOT_RECORDED, broken_files
+from algorithms.experiments.run_files import changed_files
 from mo_deepdrive.config import nearest
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def warn_of_changes(run: Path, names: Sequence[str] | None = None) -> bool:
     Returns:
         Whether there is a difference.
     """
-    found = [line for line in broken_files(run, names) if line != NOT_RECORDED]
+    found = changed_files(run, names)
     gap = read_status(run).get("metrics_gap")
     if gap is not None and (names is None or METRICS_FILE in names):
         found.append(gap)

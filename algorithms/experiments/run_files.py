@@ -55,6 +55,11 @@ def broken_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
     return found
 
 
+def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
+    """As :func:`broken_files`, but nothing for a run without a record."""
+    return [problem for problem in broken_files(run, names) if problem != NOT_RECORDED]
+
+
 def _record(path: Path) -> dict[str, Any]:
     digest, size = hashlib.sha256(), 0
     with path.open("rb") as file:

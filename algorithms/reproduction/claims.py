@@ -1,5 +1,7 @@
 """The paper's claims and the criteria that decide them, which were fixed before the runs were trained.
 
+The one exception is the rule that learning curves must be flat, which was added afterwards (docs/reproduction.md).
+
 A criterion is decided by a 95% bootstrap interval over seeds: it passes, fails, or is inconclusive if the interval
 contains the limit. If training stopped before the learning curves were flat (:func:`is_settled`), it is inconclusive
 too, unless longer training could only confirm the answer. A claim is reproduced if all criteria pass, not reproduced if

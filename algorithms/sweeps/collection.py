@@ -32,11 +32,11 @@ import polars as pl
 from algorithms.common.atomic_io import leftovers, open_lock
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
-from algorithms.experiments.run_directory import read_status
+from algorithms.experiments.run_directory import METRICS_FILE, read_status
+from algorithms.experiments.run_files import changed_files
 from algorithms.reporting.learning_curves import MAX_POINTS, Columns
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
-from algorithms.sweeps.verification import differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -46,7 +46,6 @@ if os.name == "posix":
     import fcntl
 
 FOLDER = "collected"
-METRICS_FILE = "metrics.csv"
 MAX_NAMED = 3  # runs that a message lists by name
 SCORE_KEYS = MetricName._fields  # columns that identify a score of a run
 NUMBERS = ("value", "low", "high")
@@ -261,7 +260,7 @@ def _differences(run: Path, status: Mapping[str, Any], log: LogState | None) -> 
             path = run / name
             same = path.is_file() and isinstance(entry, dict) and path.stat().st_size == entry.get("size")
         suspects += [] if same else [name]
-    return differences(run, suspects)
+    return changed_files(run, suspects)
 
 
 def _unreliable(problems: Sequence[str]) -> bool:

@@ -10,8 +10,8 @@ from algorithms.common.metrics_file import read_metrics
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import EVALUATION, known_metric
 from algorithms.experiments.run_directory import read_status
+from algorithms.experiments.run_files import changed_files
 from algorithms.reporting.seed_tables import final_metrics
-from algorithms.sweeps.verification import differences
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +32,7 @@ def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float | None]:
         assert job.id is not None
         state = read_status(job.path).get("state")
         if state == "finished":
-            broken = differences(job.path, [EVALUATION_FILE])
+            broken = changed_files(job.path, [EVALUATION_FILE])
             if broken:
                 raise ValueError(f"the search cannot use {job.path}: {broken[0]}; --verify makes it again")
             final = final_metrics(job.path)

@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 FOLDER = "broken"
 
 
-def differences(run: Path, names: Sequence[str] | None = None) -> list[str]:
-    """As :func:`algorithms.experiments.run_files.broken_files`, but nothing for a run without a record."""
-    return [problem for problem in broken_files(run, names) if problem != NOT_RECORDED]
-
-
 def verify(sweep: Path, say: Callable[[str], None]) -> None:
     """Check all files of the finished runs of a sweep, so that training it makes again what is broken.
 
