@@ -174,10 +174,8 @@ def scores_of(run: PlannedRun, results: ReproductionResults) -> dict[str, dict[s
     """The main scores of a run, by policy and metric: arrivals and utility, or those of a front."""
     metrics = (HYPERVOLUME, CARDINALITY) if run.task == FRONT_TASK else (SUCCESS, utility_metric(run.task))
     return {
-        row["policy"]: {metric: row[metric] for metric in metrics if metric in row}
-        for row in results.scores
-        if (row["task"], row["protocol"], row["variant"], row["seed"])
-        == (run.task, run.protocol, run.variant, run.seed)
+        policy: {metric: row[metric] for metric in metrics if metric in row}
+        for policy, row in results.of_run(run).items()
     }
 
 

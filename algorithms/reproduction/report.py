@@ -99,10 +99,9 @@ def median_run(runs: Sequence[PlannedRun], results: ReproductionResults, metric:
     """The finished run with the median score, the lower of two; None if no run has finished."""
     scored = []
     for run in runs:
-        for row in results.scores:
-            row_of_run = (*_keys(row), row["seed"], row["policy"])
-            if row_of_run == (run.task, run.protocol, run.variant, run.seed, policy) and metric in row:
-                scored.append((row[metric], run.seed, run))
+        score = results.of_run(run).get(policy, {}).get(metric)
+        if score is not None:
+            scored.append((score, run.seed, run))
     if not scored:
         return None
     scored.sort(key=lambda each: each[:2])

@@ -92,6 +92,15 @@ class ReproductionResults:
             raise KeyError(f"no run of {task}/{protocol}/{variant} has {metric!r} of the {policy} policy")
         return np.array([value for _, value in sorted(found)], dtype=np.float64)
 
+    def of_run(self, run: PlannedRun) -> dict[str, ResultRow]:
+        """The scores of a run, by policy."""
+        place = (run.task, run.protocol, run.variant, run.seed)
+        return {
+            row["policy"]: row
+            for row in self.scores
+            if (row["task"], row["protocol"], row["variant"], row["seed"]) == place
+        }
+
     def episodes_width(self, task: str, protocol: str, variant: str, metric: str, policy: str = STOCHASTIC) -> float:
         """Mean over runs of the width of a score's interval over evaluation episodes; 0 if it is not known."""
         try:
