@@ -141,8 +141,9 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
     assert process.returncode == 1, log(sweep)
     assert len(jobs(sweep)) == 3
     assert f"Slurm job {second} ended (CANCELLED)" in out
-    # Slurm calls the job cancelled while the run is still being saved.
-    eventually(lambda: sorted(status(run)["state"] for run in runs(sweep)) == ["finished", "interrupted"], 30)
+    # Slurm calls a job cancelled before its processes have ended: until then the run is being saved, or even finishes.
+    eventually(lambda: not cluster.run("squeue", "--noheader"))
+    assert "finished" in [status(run)["state"] for run in runs(sweep)]
     assert run_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment).returncode == 0
     assert_same_sweep(sweep, long.directory)
 
