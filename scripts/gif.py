@@ -58,7 +58,7 @@ def open_policy(name: str, seed: int, trust: bool) -> tuple[str, Iterator[list[F
     """
     run = Run.open(name, device="cpu", trust=trust)
     if not run.experiment.known_utility:
-        raise ValueError(f"{name!r} is a front of policies; choose one with scripts/choose.py --video instead")
+        raise ValueError(f"{name!r} is a front of policies; choose one with mo-deepdrive choose --video instead")
     agent = load_policy(run)
     environment = run.experiment.environment
     env = make_render_env(environment.id, environment.arguments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from algorithms.commands import COMMANDS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
 
@@ -100,9 +102,11 @@ def run_python() -> Callable[[str], str]:
 
 @pytest.fixture(scope="session")
 def load_script() -> Callable[[str], ModuleType]:
-    """Import a script by its name: ``main`` is what its command line runs. Each is imported once."""
+    """Import a command or a script by its name: ``main`` is what its command line runs. Each is imported once."""
 
     def load(name: str) -> ModuleType:
+        if name in COMMANDS:
+            return importlib.import_module(f"algorithms.commands.{name}")
         module_name = f"scripts_{name}"
         if module_name not in sys.modules:
             spec = importlib.util.spec_from_file_location(module_name, REPOSITORY / "scripts" / f"{name}.py")

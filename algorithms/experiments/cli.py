@@ -1,7 +1,7 @@
-"""What the scripts share: argument definitions, validation and exit handling.
+"""What the commands share: argument definitions, validation and exit handling.
 
-Nothing below ``scripts/`` reads the command line or the environment: a script passes what it has read to these
-functions.
+Nothing below ``algorithms/commands`` reads the command line or the environment: a command passes what it has read to
+these functions.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from algorithms.experiments.run_files import changed_files
 from mo_deepdrive.config import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, MutableMapping, Sequence
+    from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 
     from algorithms.experiments.config import Experiment
 
@@ -29,22 +30,49 @@ FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
 SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
 
 
-def prepare_process(environment: MutableMapping[str, str], path: list[str]) -> None:
-    """Set up the process: videos are rendered without a display, and user modules can be imported.
+# How a command is called: "mo-deepdrive {}", "python -m algorithms {}" or "python scripts/{}.py".
+INSTALLED = "mo-deepdrive {}"
+# SDL's drivers of commands that open no window: videos are drawn in memory.
+HEADLESS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy"}
+
+
+def prepare_process(environment: MutableMapping[str, str], path: list[str], defaults: Mapping[str, str]) -> None:
+    """Set up the process of a command: its environment, and where a user's own modules are imported from.
 
     Args:
-        environment: ``os.environ``; SDL's drivers are set unless the user has chosen others.
-        path: ``sys.path``; the working directory, where a user's own utility may be, is added to its end.
+        environment: ``os.environ``.
+        path: ``sys.path``; the working directory, where a user's own utility may be, is added to its end, so that no
+            folder in it hides an installed package.
+        defaults: variables of the environment that are set unless the user has set them.
     """
-    environment.setdefault("SDL_VIDEODRIVER", "dummy")
-    environment.setdefault("SDL_AUDIODRIVER", "dummy")
+    for name, value in defaults.items():
+        environment.setdefault(name, value)
     path.append(str(Path.cwd()))
 
 
-def make_parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser that prints ``description``, the docstring of a script, as it is, and accepts no abbreviations."""
+def as_called(text: str, program: str) -> str:
+    """``text`` with its commands, such as ``mo-deepdrive train``, as they are called in this process.
+
+    Args:
+        text: a message or a help text.
+        program: how commands are called here, with ``{}`` for the name: see :data:`INSTALLED`.
+    """
+    return re.sub(r"\bmo-deepdrive ([a-z]+)\b", lambda found: program.format(found[1]), text)
+
+
+def make_parser(description: str | None, program: str = "", command: str = "") -> argparse.ArgumentParser:
+    """A parser that prints ``description``, a docstring, as it is, and accepts no abbreviations.
+
+    Args:
+        description: the docstring of a command, whose examples are printed as :func:`as_called`; or of a script.
+        program: how the command is called; empty for a script.
+        command: its name.
+    """
     return argparse.ArgumentParser(
-        description=description, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog=program.format(command) or None,
+        description=as_called(description or "", program) if program else description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
 
 
@@ -62,7 +90,7 @@ def parse_training_arguments(
 
     Args:
         parser: with the arguments of :func:`add_training_arguments`.
-        arguments: the command line without the name of the script.
+        arguments: the command line without the name of the command.
 
     Returns:
         The parser's options, and the overrides for :func:`algorithms.experiments.config.load_experiment`.
@@ -91,7 +119,7 @@ def add_evaluation_arguments(
     """Add --episodes, --split, --seed and --video, which :func:`evaluation_arguments` checks.
 
     Args:
-        parser: of the script.
+        parser: of the command.
         default_episodes: episodes without the option; the config's if None.
         default_split: split of scenario seeds without the option; the config's if None.
         video: help text of --video.
@@ -202,8 +230,8 @@ def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> di
 
 
 @contextlib.contextmanager
-def exit_on_error(*invalid_input: type[Exception], hint: str = "") -> Iterator[None]:
-    """End a script with a message on standard error and an exit code, instead of a traceback.
+def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str = INSTALLED) -> Iterator[None]:
+    """End a command with a message on standard error and an exit code, instead of a traceback.
 
     The code is 2 for the given exceptions, 1 for :class:`~algorithms.experiments.interrupts.Stopped` and 130 for
     Ctrl-C. Other exceptions are errors of the program and are not caught.
@@ -211,6 +239,7 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "") -> Iterator[N
     Args:
         invalid_input: exceptions that the user's input causes in this context, such as ValueError.
         hint: a line to print after Ctrl-C and Stopped, such as how to resume.
+        program: how commands are called, for those that the message names.
 
     Raises:
         SystemExit: with the exit code.
@@ -218,7 +247,7 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "") -> Iterator[N
     try:
         yield
     except invalid_input as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(as_called(f"error: {error}", program), file=sys.stderr)
         raise SystemExit(INVALID_INPUT) from None
     except Stopped as error:
         print(f"error: {error}", *([hint] if hint else []), sep="\n", file=sys.stderr)

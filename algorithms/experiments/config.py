@@ -14,6 +14,7 @@ from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.evaluation.metrics import vehicle_name
 from algorithms.evaluation.splits import SPLITS, Split, check_episodes
 from algorithms.experiments.registry import algorithm_names, find_algorithm
+from algorithms.experiments.shipped import find_config
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     """Read an experiment from a YAML file.
 
     Args:
-        path: the file.
+        path: the file, or the name of a shipped one: :func:`algorithms.experiments.shipped.find_config`.
         overrides: as on a command line: ``--section.key=value`` or ``--section.key value``, values as in YAML;
             ``--seed`` and ``--device`` are short for those of the training section. A mapping is merged into the
             existing one. If a key is given more than once, the last value is used.
@@ -188,7 +189,7 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
         ValueError: for unknown keys (with the nearest known ones), values of a wrong type or out of range, and a file
             or an override that cannot be read; all of them are named.
     """
-    values = read_mapping(path)
+    values = read_mapping(find_config(path))
     for key, value in parse_overrides(overrides):
         override(values, key, value)
     return make_experiment(values, f"experiment {str(path)!r}")
@@ -349,7 +350,7 @@ def _check_utility(experiment: Experiment) -> dict[str, Any]:
     if not experiment.known_utility and experiment.utility is not None:
         raise ValueError(
             f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
-            "section out (scripts/choose.py applies a utility to the front)"
+            "section out (mo-deepdrive choose applies a utility to the front)"
         )
     return {}
 

@@ -32,7 +32,7 @@ class AlgorithmEntry:
         name: its name in YAML files.
         known_utility: whether it learns for a utility that it is given, or a front for every utility.
         config_class: the settings model of its hyperparameters.
-        is_peer: whether it is another library's, which scripts/peers.py trains.
+        is_peer: whether it is another library's, which the command peers trains.
     """
 
     name: str
@@ -80,7 +80,7 @@ def agent_class(name: str) -> type[Any]:
         ValueError: if it is another library's or unknown.
     """
     if find_algorithm(name).is_peer:
-        raise ValueError(f"algorithm {name!r} is another library's; scripts/peers.py runs it")
+        raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
     return ALGORITHMS[name]
 
 

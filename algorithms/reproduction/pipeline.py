@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from algorithms.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
+from algorithms.experiments.shipped import CONFIGS
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, LEARNED, SOLVED, utility_metric
 from algorithms.reproduction.figures import FIGURES
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+PUBLISHED = CONFIGS.parent / "docs" / "results"  # exists in a checkout alone
+
 
 @dataclass(frozen=True)
 class ReproductionOptions:
@@ -42,9 +45,9 @@ class ReproductionOptions:
         quick: whether to use fewer seeds and steps.
         redraw: whether to only judge and draw the results in ``output``, without training.
         runs: folder of the run directories; None for runs/reproduce or runs/reproduce-quick.
-        output: folder of the report; None for docs/results if everything is reproduced, else a folder in ``runs``.
+        output: folder of the report; None for a folder in ``runs``, in a checkout for docs/results if everything is
+            reproduced.
         workers: maximum number of concurrent runs.
-        repository: root of the repository, with configs and docs.
     """
 
     figure: int | None
@@ -55,7 +58,6 @@ class ReproductionOptions:
     runs: Path | None
     output: Path | None
     workers: int
-    repository: Path
 
     @property
     def everything(self) -> bool:
@@ -70,8 +72,8 @@ class ReproductionOptions:
     @property
     def output_folder(self) -> Path:
         """The folder of the report."""
-        published = self.repository / "docs" / "results"
-        return self.output or (published if self.everything and not self.quick else self.run_folder / "results")
+        publish = self.everything and not self.quick and PUBLISHED.is_dir()
+        return self.output or (PUBLISHED if publish else self.run_folder / "results")
 
     @property
     def command(self) -> str:
@@ -79,7 +81,7 @@ class ReproductionOptions:
         given = [f"--{name} {value}" for name in ("figure", "claim", "seeds") if (value := getattr(self, name))]
         quick = ["--quick"] if self.quick else []
         everything = ["--all"] if self.everything and not self.quick else []
-        return " ".join(["python scripts/reproduce.py", *everything, *quick, *given])
+        return " ".join(["mo-deepdrive reproduce", *everything, *quick, *given])
 
     def selection(self, plan: Plan) -> tuple[list[str], list[int]]:
         """The keys of the tasks, and the numbers of the figures, to reproduce."""
@@ -95,7 +97,7 @@ class ReproductionOptions:
 def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int:
     """Train the runs that are missing, then write report and figures.
 
-    A reproduction of everything with the plan's settings also updates the zoo.
+    A reproduction of everything with the plan's settings, in a checkout, also updates the zoo.
 
     Returns:
         The exit code: 0, 1 if runs failed, or 128 plus the number of the signal that interrupted the training.
@@ -106,14 +108,12 @@ def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int
         Stopped: if training cannot continue, for example because the disk is full.
     """
     tasks, figures = options.selection(plan)
-    published = options.everything and options.output is None and not options.quick and options.seeds is None
+    published = options.output_folder == PUBLISHED and options.output is None and options.seeds is None
     if options.redraw:
         results = ReproductionResults.read(options.output_folder)
         _write(plan, results, figures, options, console)
         return 0
-    runs = planned_runs(
-        plan, tasks, options.run_folder, seeds=options.seeds, quick=options.quick, root=options.repository
-    )
+    runs = planned_runs(plan, tasks, options.run_folder, seeds=options.seeds, quick=options.quick)
     jobs = [run.job for run in runs]
     missing = sum(not job.done for job in jobs)
     workers = options.workers

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
@@ -12,10 +11,12 @@ from pydantic import Field
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Count, load_experiment
 from algorithms.experiments.jobs import Job
+from algorithms.experiments.shipped import find_config
 from mo_deepdrive.config import Settings, nearest, parse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
 QUICK_EVALUATIONS = 5  # during training, in a quick reproduction
 
@@ -25,7 +26,7 @@ class Variant(Settings):
 
     Attributes:
         label: name in figures and tables.
-        config: YAML file of the experiment, relative to the root of the repository.
+        config: YAML file of the experiment, or the name of a shipped one.
         overrides: values of keys of the experiment.
     """
 
@@ -110,12 +111,12 @@ class PlannedRun:
 
 
 def load_plan(path: str | Path) -> Plan:
-    """Read a plan.
+    """Read a plan: a YAML file, or the name of a shipped one.
 
     Raises:
         ValueError: naming the file and every invalid key.
     """
-    return parse(Plan, read_mapping(path), f"plan {str(path)!r}")
+    return parse(Plan, read_mapping(find_config(path)), f"plan {str(path)!r}")
 
 
 def planned_runs(
@@ -125,7 +126,6 @@ def planned_runs(
     *,
     seeds: int | None = None,
     quick: bool = False,
-    root: Path = Path(),
 ) -> list[PlannedRun]:
     """The runs of some tasks; every config is resolved and checked.
 
@@ -135,7 +135,6 @@ def planned_runs(
         folder: of the run directories.
         seeds: number of runs of each variant, instead of the plan's; protocols with fewer keep their number.
         quick: fewer seeds and steps, without protocols that have no ``quick_timesteps``.
-        root: folder to which the paths of configs are relative.
 
     Raises:
         ValueError: for an unknown task, or naming the task, protocol and variant with an invalid config.
@@ -148,12 +147,12 @@ def planned_runs(
         for key in tasks
         for name, protocol in plan.tasks[key].protocols.items()
         if not (quick and protocol.quick_timesteps is None)
-        for run in _protocol_runs(plan, key, name, folder, seeds, quick, root)
+        for run in _protocol_runs(plan, key, name, folder, seeds, quick)
     ]
 
 
 def _protocol_runs(
-    plan: Plan, task: str, protocol_key: str, folder: Path, seeds: int | None, quick: bool, root: Path
+    plan: Plan, task: str, protocol_key: str, folder: Path, seeds: int | None, quick: bool
 ) -> Iterator[PlannedRun]:
     protocol = plan.tasks[task].protocols[protocol_key]
     count = min(protocol.seeds or plan.seeds, plan.quick_seeds if quick else protocol.seeds or plan.seeds)
@@ -172,7 +171,7 @@ def _protocol_runs(
         for seed in range(first, first + count):
             values = {**plan.overrides, **protocol.overrides, **variant.overrides, **shortened, "training.seed": seed}
             try:
-                experiment = load_experiment(root / variant.config, _as_overrides(values))
+                experiment = load_experiment(variant.config, _as_overrides(values))
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from None
             job = Job(f"{name}, seed {seed}", experiment, folder / task / protocol_key / key / f"seed{seed}")

@@ -112,8 +112,8 @@ class Collection:
         """
         if not any(log.rows for log in self.logs.values()):
             raise ValueError(
-                f"no run of sweep {str(self.sweep)!r} has any metrics yet: scripts/sweep.py with --output {self.sweep} "
-                "trains the runs"
+                f"no run of sweep {str(self.sweep)!r} has any metrics yet: "
+                f"mo-deepdrive sweep with --output {self.sweep} trains the runs"
             )
         return pl.scan_parquet(part_files(self.sweep / FOLDER / "metrics"), glob=False)
 
@@ -148,7 +148,9 @@ class Collection:
 
     def _altered_runs(self, altered: Mapping[str, Sequence[str]]) -> list[str]:
         named = [f"{row.directory}: {'; '.join(altered[row.id])}" for row in self.rows if row.id in altered]
-        many = f"{len(named)} runs differ from the record of their files, scripts/sweep.py --verify makes them again: "
+        many = (
+            f"{len(named)} runs differ from the record of their files, mo-deepdrive sweep --verify makes them again: "
+        )
         return [many + _shortened(named)] if named else []
 
     def curves(self, runs: Sequence[str], names: Sequence[str], points: int = MAX_POINTS) -> dict[str, Columns]:
@@ -228,7 +230,7 @@ def collect(sweep: Path) -> Collection:
     rows = tuple(read_manifest(sweep))
     if not rows:
         raise ValueError(
-            f"sweep {str(sweep)!r} is empty: its manifest has no runs; scripts/sweep.py writes the manifest"
+            f"sweep {str(sweep)!r} is empty: its manifest has no runs; mo-deepdrive sweep writes the manifest"
         )
     folder = sweep / FOLDER
     with _locked(folder):

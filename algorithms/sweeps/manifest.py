@@ -15,6 +15,7 @@ from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment, override
+from algorithms.experiments.shipped import find_config
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
     Raises:
         ValueError: naming each invalid cell and its problem, or two cells with the same run.
     """
-    bases = {path: read_mapping(path) for path in settings.config}
+    bases = {path: read_mapping(find_config(path)) for path in settings.config}
     names = _short_names(settings.config)
     rows: list[ManifestRow] = []
     problems: list[str] = []

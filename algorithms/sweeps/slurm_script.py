@@ -1,7 +1,7 @@
 """The Slurm batch script of a sweep: which options of sbatch it has, and its text.
 
 :func:`sbatch_options` is the place to change the script; submitit writes the text around the options. Print it with
-``python scripts/sweep.py --config FILE --on slurm --dry-run``. For configs/sweeps/one_waypoint.yaml it is::
+``mo-deepdrive sweep --config FILE --on slurm --dry-run``. For sweeps/one_waypoint it is::
 
     #!/bin/bash
 

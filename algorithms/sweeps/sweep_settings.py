@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import SHORT_FORMS, Count
+from algorithms.experiments.shipped import find_config
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:
@@ -152,8 +153,8 @@ class SweepSettings(Settings):
     """A sweep: a base experiment, what varies, and the resources of each run.
 
     Attributes:
-        config: YAML file of the base experiment, relative to the working directory; a list of files is the outermost
-            dimension of the grid.
+        config: YAML file of the base experiment, relative to the working directory, or the name of a shipped one; a
+            list is the outermost dimension of the grid.
         overrides: values of experiment keys, the same for all runs.
         grid: values of experiment keys; every combination is a cell. A mapping is merged into its section.
         search: a hyperparameter search, instead of a grid or within each cell of it.
@@ -175,13 +176,13 @@ class SweepSettings(Settings):
 
 
 def load_sweep(path: str | Path) -> SweepSettings:
-    """Read the settings of a sweep.
+    """Read the settings of a sweep: a YAML file, or the name of a shipped one.
 
     Raises:
         ValueError: naming the file and every invalid key.
     """
     what = f"sweep {str(path)!r}"
-    settings = parse(SweepSettings, read_mapping(path), what)
+    settings = parse(SweepSettings, read_mapping(find_config(path)), what)
     space = {} if settings.search is None else settings.search.space
     places: dict[str, dict[str, Any]] = {
         "overrides": settings.overrides,

@@ -62,7 +62,7 @@ def print_sweep(
         warn(warning)
     if not collection.scored:
         raise ValueError(
-            f"no run of sweep {str(sweep)!r} has a final evaluation yet; scripts/plot.py draws what runs have logged"
+            f"no run of sweep {str(sweep)!r} has a final evaluation yet; mo-deepdrive plot draws what runs have logged"
         )
     scores = collection.scores.collect()
     all_groups: list[ScoreGroup] = []

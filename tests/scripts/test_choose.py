@@ -223,7 +223,7 @@ def test_runs_without_a_front_are_refused(folder: Path, choose: Choose, tmp_path
     refused(choose("nowhere", "--weights", "jerk=1"), "'nowhere' is not a run directory")
     config = REPOSITORY / "configs" / "one_waypoint" / "a2c_linear.yaml"
     Run.create(load_experiment(config), tmp_path / "single").unlock()
-    refused(choose("single", "--weights", "jerk=1"), "'single' learnt one policy", "scripts/evaluate.py")
+    refused(choose("single", "--weights", "jerk=1"), "'single' learnt one policy", "mo-deepdrive evaluate")
     unfinished = tmp_path / "unfinished"
     unfinished.mkdir()
     (unfinished / "config.yaml").write_bytes((folder / "config.yaml").read_bytes())

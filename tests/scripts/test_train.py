@@ -348,7 +348,7 @@ def test_fronts_that_cannot_be_learnt_are_refused_before_anything_starts(tmp_pat
     refused(call("train", *config, "--environment.arguments.cost_sign=paper"), "a front needs 'maximise'")
     refused(call("train", *config, "--algorithm.objective_scales=[1.0]"), "objective_scales = [1.0] needs 4 numbers")
     peer = REPOSITORY / "configs" / "peers" / "pcn.yaml"
-    refused(call("train", "--config", peer), "'morl_baselines.pcn' is another library's; scripts/peers.py runs it")
+    refused(call("train", "--config", peer), "'morl_baselines.pcn' is another library's; mo-deepdrive peers runs it")
     assert [path.name for path in tmp_path.iterdir()] == ["front.yaml"]
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.experiments.cli import (
+    HEADLESS,
     add_evaluation_arguments,
     add_training_arguments,
     check_parent,
@@ -38,7 +39,7 @@ def test_a_process_renders_without_a_display_unless_the_user_chose_one(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     environment, path = {"SDL_VIDEODRIVER": "x11"}, ["first"]
-    prepare_process(environment, path)
+    prepare_process(environment, path, HEADLESS)
     assert environment == {"SDL_VIDEODRIVER": "x11", "SDL_AUDIODRIVER": "dummy"}
     assert path == ["first", str(tmp_path)]
 

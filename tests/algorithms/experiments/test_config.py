@@ -311,7 +311,7 @@ def test_peers_are_known_by_name_but_cannot_be_built(write: Write, name: str) ->
         assert experiment.evaluation.reference_point is None
     else:
         np.testing.assert_array_equal(experiment.evaluation.reference_point, reference)
-    with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's; scripts/peers.py runs it"):
+    with pytest.raises(ValueError, match=f"algorithm '{name}' is another library's; mo-deepdrive peers runs it"):
         build(experiment)
 
 

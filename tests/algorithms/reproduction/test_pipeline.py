@@ -14,7 +14,6 @@ from algorithms.reproduction import pipeline
 from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.report import QUICK, verdict_table
 from algorithms.reproduction.results import ReproductionResults, gather
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PLAN, TINY, make_results
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert "6 runs, 6 of them to train" in out
     results = tmp_path / "runs" / "reproduce" / "results"
     report = (results / "reproduction.md").read_text()
-    assert "python scripts/reproduce.py --claim 1" in report
+    assert "mo-deepdrive reproduce --claim 1" in report
     assert "no discount" in report
     assert "![Figure 4](figure_04.png)" in report
     assert (results / "figure_04.png").exists()
@@ -57,9 +56,7 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert " 0 of them to train" in out
     assert before == {path: path.stat().st_mtime_ns for path in before}
     found = ReproductionResults.read(results)
-    gathered = gather(
-        planned_runs(load_plan("plan.yaml"), ["one_waypoint_linear"], Path("runs/reproduce"), root=REPOSITORY)
-    )
+    gathered = gather(planned_runs(load_plan("plan.yaml"), ["one_waypoint_linear"], Path("runs/reproduce")))
     assert [row["seed"] for row in found.scores] == [row["seed"] for row in gathered.scores]
     assert {row["policy"] for row in found.scores} == {"greedy", "stochastic"}
     for row in found.scores:
@@ -82,7 +79,7 @@ def test_a_success_is_exported_beside_a_median_that_fails(
     plan = load_plan(PLAN)
     runs = [
         run
-        for run in planned_runs(plan, ["one_waypoint_linear"], tmp_path, root=REPOSITORY)
+        for run in planned_runs(plan, ["one_waypoint_linear"], tmp_path)
         if (run.protocol, run.variant) == ("best", "mo_a2c")
     ]
     utilities = [10.0 * rate + 0.001 * i for i, rate in enumerate(arrivals)]

@@ -9,7 +9,6 @@ import pytest
 from algorithms.reproduction.claims import CLAIMS
 from algorithms.reproduction.figures import CURVE_FIGURES, FIGURES
 from algorithms.reproduction.plan import load_plan, planned_runs
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PLAN, TINY
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 def test_every_run_of_the_plan_has_a_valid_config_and_a_unique_folder(tmp_path: Path) -> None:
     plan = load_plan(PLAN)
-    wanted = planned_runs(plan, list(plan.tasks), tmp_path, root=REPOSITORY)
+    wanted = planned_runs(plan, list(plan.tasks), tmp_path)
     assert len({run.job.path for run in wanted}) == len(wanted) > 100
     seeds = {run.seed for run in wanted}
     assert min(seeds) == plan.first_seed
@@ -48,9 +47,7 @@ def test_both_algorithms_of_a_protocol_have_the_same_budget_networks_and_environ
             if set(protocol.variants) != {"a2c", "mo_a2c"}:
                 continue
             mine = [
-                r.job.experiment
-                for r in planned_runs(plan, [key], tmp_path, seeds=1, root=REPOSITORY)
-                if r.protocol == protocol_key
+                r.job.experiment for r in planned_runs(plan, [key], tmp_path, seeds=1) if r.protocol == protocol_key
             ]
             for name in ("hidden", "steps", "learning_rate", "epochs", "minibatches"):
                 assert mine[0].algorithm.get(name) == mine[1].algorithm.get(name), (key, protocol_key, name)
@@ -63,10 +60,8 @@ def test_both_algorithms_of_a_protocol_have_the_same_budget_networks_and_environ
 
 def test_a_quick_reproduction_differs_only_in_length_and_seeds(tmp_path: Path) -> None:
     plan = load_plan(PLAN)
-    whole = {
-        (r.task, r.protocol, r.variant): r for r in planned_runs(plan, list(plan.tasks), tmp_path, root=REPOSITORY)
-    }
-    quick = planned_runs(plan, list(plan.tasks), tmp_path, quick=True, root=REPOSITORY)
+    whole = {(r.task, r.protocol, r.variant): r for r in planned_runs(plan, list(plan.tasks), tmp_path)}
+    quick = planned_runs(plan, list(plan.tasks), tmp_path, quick=True)
     seeds = {
         (r.task, r.protocol): {other.seed for other in quick if (other.task, other.protocol) == (r.task, r.protocol)}
         for r in quick
@@ -88,10 +83,10 @@ def test_an_invalid_plan_is_refused_with_the_place_of_the_error(tmp_path: Path) 
         load_plan(path)
     path.write_text(TINY.replace("algorithm.gamma", "algorithm.gama"))
     with pytest.raises(ValueError, match=r"one_waypoint_linear/ablation/gamma: .*gama.*gamma"):
-        planned_runs(load_plan(path), ["one_waypoint_linear"], tmp_path, root=REPOSITORY)
+        planned_runs(load_plan(path), ["one_waypoint_linear"], tmp_path)
     path.write_text(TINY)
     with pytest.raises(ValueError, match=r"task 'one_waypoint_lineal' is unknown.*one_waypoint_linear"):
-        planned_runs(load_plan(path), ["one_waypoint_lineal"], tmp_path, root=REPOSITORY)
+        planned_runs(load_plan(path), ["one_waypoint_lineal"], tmp_path)
 
 
 def test_keys_of_earlier_versions_are_refused_with_the_new_ones(tmp_path: Path) -> None:

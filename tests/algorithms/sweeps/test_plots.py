@@ -77,10 +77,10 @@ def test_a_directory_without_runs_is_refused(
 
     assert all("nor" in error and "manifest.jsonl" in error for error in errors(tmp_path))
     write_manifest(tmp_path, [])
-    assert all("is empty" in error and "scripts/sweep.py" in error for error in errors(tmp_path))
+    assert all("is empty" in error and "mo-deepdrive sweep" in error for error in errors(tmp_path))
     write_manifest(tmp_path, grid)
     curves, scores = errors(tmp_path)
-    assert "has any metrics yet: scripts/sweep.py" in curves
+    assert "has any metrics yet: mo-deepdrive sweep" in curves
     assert "has a final evaluation yet" in scores
     log(tmp_path, grid[0], [(0, {"train/utility": 1.0})])
     assert "to draw" in errors(tmp_path)[0]

@@ -1,0 +1,50 @@
+"""The command line: ``mo-deepdrive train ...``, or ``python -m algorithms train ...``."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+
+import mo_deepdrive
+from algorithms.commands import COMMANDS
+
+
+def main() -> int:
+    """``mo-deepdrive``; returns the exit code."""
+    return _run(sys.argv[1:], "mo-deepdrive {}")
+
+
+def run_script(name: str) -> int:
+    """``python scripts/NAME.py``; returns the exit code."""
+    return _run_command(name, sys.argv[1:], "python scripts/{}.py")
+
+
+def _run(arguments: list[str], program: str) -> int:
+    """Run a command line that begins with the name of the command."""
+    parser = argparse.ArgumentParser(
+        prog=program.format("").strip(),
+        usage="%(prog)s COMMAND ...",
+        description="Multi-objective driving environments, and trainers for them.",
+        epilog="\n".join(
+            ["commands:", *(f"  {name:12}{what}" for name, what in COMMANDS.items()), "", "COMMAND --help: its options"]
+        ),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"mo-deepdrive {mo_deepdrive.__version__}")
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
+    return _run_command(parser.parse_args(arguments[:1]).command, arguments[1:], program)
+
+
+def _run_command(name: str, arguments: list[str], program: str) -> int:
+    from algorithms.experiments.cli import HEADLESS, prepare_process
+
+    module = importlib.import_module(f"algorithms.commands.{name}")
+    prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", HEADLESS))
+    code: int = module.main(arguments, program)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(_run(sys.argv[1:], "python -m algorithms {}"))

@@ -1,0 +1,18 @@
+"""The commands: ``mo-deepdrive NAME``, ``python -m algorithms NAME``, and ``scripts/NAME.py`` in a checkout.
+
+Each module has ``main(arguments, program) -> int``, which runs a command line and returns the exit code. A module is
+imported when its command is called.
+"""
+
+COMMANDS = {
+    "train": "train an agent from a YAML file, or resume a run",
+    "evaluate": "scores of a trained policy or front, and videos of it",
+    "plot": "learning curves of runs or of a sweep",
+    "table": "final scores of runs or of a sweep, with intervals",
+    "choose": "choose a policy of a front by a preference",
+    "sweep": "train all runs of a grid or search: on this machine, Ray or Slurm",
+    "reproduce": "the paper's figures and claims, from scratch",
+    "peers": "train an algorithm of another library",
+    "play": "drive in a window, alone or against a trained policy",
+    "zoo": "list the trained policies that come with the package",
+}

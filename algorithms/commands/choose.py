@@ -1,0 +1,142 @@
+"""Choose a policy of a front by a preference, and show its returns in new episodes.
+
+    mo-deepdrive choose RUN --weights distance=1 jerk=0.01
+    mo-deepdrive choose RUN --utility one_waypoint_nonlinear --video drive.mp4
+    mo-deepdrive choose RUN --target distance=14 g_force=-6
+
+RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo. All of its policies are
+evaluated again. --weights chooses the greatest weighted sum of returns (objectives that are not named have weight 0),
+--utility the greatest expected utility, --target the policy whose mean returns fall short of the named returns by the
+smallest distance, in nominal scales of the objectives.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from algorithms.common.yaml_io import read_value
+from algorithms.evaluation.choice import Preference, distance_to_target, expected_utility, rank_policies, weighted_sum
+from algorithms.evaluation.front import Front
+from algorithms.evaluation.statistics import Estimate, mean, rate
+from algorithms.experiments.agent_report import film_policies_of_front
+from algorithms.experiments.build import load_policy
+from algorithms.experiments.cli import (
+    INSTALLED,
+    add_evaluation_arguments,
+    add_trust_argument,
+    evaluation_arguments,
+    exit_on_error,
+    make_parser,
+    named_numbers,
+    warn_of_changes,
+)
+from algorithms.experiments.policy_evaluation import evaluate_front_policies
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from mo_deepdrive.utilities import check_utility, make_utility
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.evaluate import Evaluation
+
+RUNNERS_UP = 4
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "choose")
+    parser.add_argument("run", metavar="RUN", help="directory of a finished run, or a name in the zoo")
+    preference = parser.add_mutually_exclusive_group(required=True)
+    preference.add_argument("--weights", nargs="+", metavar="OBJECTIVE=W", help="the weight of each return")
+    preference.add_argument("--utility", metavar="NAME", help="a utility by name, or package.module:function")
+    preference.add_argument("--target", nargs="+", metavar="OBJECTIVE=R", help="undiscounted returns to be reached")
+    parser.add_argument(
+        "--arguments", default="{}", metavar="YAML", help="arguments of the utility, such as '{weights: [1, 2]}'"
+    )
+    add_evaluation_arguments(
+        parser, default_episodes=20, default_split="validation", video="also film the chosen policy"
+    )
+    add_trust_argument(parser)
+    return parser.parse_args(arguments)
+
+
+def parse_preference(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> Preference:
+    """The preference of the command line.
+
+    Raises:
+        ValueError: for unknown objectives or utilities, or numbers that are not valid.
+    """
+    if options.arguments != "{}" and options.utility is None:
+        raise ValueError("--arguments can only be given with --utility")
+    if options.utility is not None:
+        arguments = read_value(options.arguments)
+        if not isinstance(arguments, dict):
+            raise ValueError(f"--arguments {options.arguments!r} must be a mapping")
+        utility = make_utility(options.utility, objectives, **arguments)
+        check_utility(utility, np.zeros)
+        return expected_utility(utility)
+    if options.weights is not None:
+        return weighted_sum(named_numbers("--weights", options.weights, objectives), objectives)
+    return distance_to_target(named_numbers("--target", options.target, objectives), objectives, scales)
+
+
+def choice_table(
+    front: Front, evaluations: list[Evaluation], preference: Preference, values: NDArray[Any], order: list[int]
+) -> Table:
+    """The chosen policy with intervals, and the next best policies next to it."""
+    chosen, *others = order[: RUNNERS_UP + 1]
+    episodes = len(evaluations[0].returns)
+    table = Table(
+        title=f"{len(front)} policies by {preference.name}; {episodes} episodes each, 95% intervals",
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+    )
+    table.add_column("", no_wrap=True)
+    table.add_column(f"policy {chosen}: chosen", justify="right", no_wrap=True)
+    for k in others:
+        table.add_column(f"policy {k}", justify="right", no_wrap=True)
+    shown = [evaluations[k] for k in (chosen, *others)]
+    rows = [(preference.name, [Estimate(float(values[k])) for k in (chosen, *others)])]
+    for i, objective in enumerate(front.objectives):
+        rows.append((objective, [mean(each.returns[:, 0, i]) for each in shown]))
+    if np.isfinite(front.success).all():
+        rows.append(("arrivals", [rate(each.succeeded[:, 0]) for each in shown]))
+    rows.append(("decisions", [mean(each.lengths[:, 0].astype(np.float64)) for each in shown]))
+    for name, (first, *rest) in rows:
+        table.add_row(name, first.text().replace("[", r"\["), *(f"{each.value:.4g}" for each in rest))
+    return table
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; returns the exit code."""
+    options = parse_arguments(arguments, program)
+    console = make_console()
+    with exit_on_error(ValueError, OSError, program=program):
+        run = Run.open(options.run, device="cpu", trust=options.trust)
+        experiment = run.experiment
+        if experiment.known_utility:
+            raise ValueError(f"{options.run!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
+        episodes, seed = evaluation_arguments(options, experiment)
+        warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
+        front = Front.read(run.path)
+        agent = load_policy(run)
+        scales = np.asarray(agent.scales, dtype=np.float64)
+        preference = parse_preference(options, front.objectives, scales)
+        evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
+        returns = np.stack([each.returns[:, 0] for each in evaluations])
+        values = preference.values(returns)
+        order = rank_policies(values, returns.mean(axis=1), scales).tolist()
+        console.print(choice_table(front, evaluations, preference, values, order))
+        console.print(f"policy {order[0]} of {run.path / 'front.csv'}")
+        filmed = not options.video or film_policies_of_front(
+            agent, front, experiment, options.video, console, seed=seed, policies=order[:1]
+        )
+    return 0 if filmed else 1

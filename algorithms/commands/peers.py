@@ -1,0 +1,91 @@
+"""Train another library's algorithm from a YAML file, into a run like those of train.
+
+    mo-deepdrive peers --list
+    mo-deepdrive peers --config peers/pcn --seed 3
+    mo-deepdrive peers --config FILE --algorithm.name=morl_baselines.lcn --training.total_timesteps=1e5
+
+Every key of the YAML file is an option: --section.key=value. Peers write no checkpoints: a run that is interrupted
+cannot be resumed.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from algorithms.experiments.cli import (
+    INSTALLED,
+    add_training_arguments,
+    exit_on_error,
+    make_parser,
+    new_run,
+    parse_training_arguments,
+)
+from algorithms.experiments.config import Experiment, load_experiment
+from algorithms.experiments.progress_bar import make_console
+from algorithms.peers import PEERS
+from algorithms.peers.listing import peers_table
+from algorithms.peers.running import prepare, run_peer
+from mo_deepdrive.config import nearest
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+
+def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
+    """The options, and the overrides of the experiment."""
+    parser = make_parser(__doc__, program, "peers")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
+    source.add_argument("--list", action="store_true", help="list the peers, their requirements and whether they run")
+    add_training_arguments(parser)
+    return parse_training_arguments(parser, arguments)
+
+
+def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
+    """The experiment of a YAML file, with everything checked that can be checked without training.
+
+    Raises:
+        ValueError: if it is not valid, or its algorithm is not another library's.
+    """
+    experiment = load_experiment(path, overrides)
+    name = experiment.algorithm["name"]
+    if name not in PEERS:
+        raise ValueError(
+            f"algorithm.name = {name!r} is not another library's; use mo-deepdrive train, or {nearest(name, PEERS)}"
+        )
+    prepare(experiment, lambda _step, _metrics: None)
+    return experiment
+
+
+def seed_everything(seed: int) -> None:
+    """Seed the global generators: the libraries draw from them whatever seed they are given."""
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
+    torch.manual_seed(seed)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; returns the exit code."""
+    options, overrides = parse_arguments(arguments, program)
+    console = make_console()
+    if options.list:
+        console.print(peers_table())
+        return 0
+    with exit_on_error(ValueError, program=program):
+        experiment = load_peer_experiment(options.config, overrides)
+        run = new_run(options, experiment)
+    print(f"run {run.path}", flush=True)
+    torch.set_num_threads(experiment.training.threads)
+    seed_everything(experiment.training.seed)
+    with exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
+        try:
+            run_peer(run, console)
+        except BaseException as error:
+            run.set_status("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", 0)
+            raise
+    print(f"finished: {run.path}")
+    return 0

@@ -1,0 +1,147 @@
+"""Drive in a window: alone, as two people at one keyboard, or against a trained policy.
+
+    mo-deepdrive play --env mo-deepdrive-one-waypoint-v0
+    mo-deepdrive play --env mo-deepdrive-intersection-v0
+    mo-deepdrive play --env mo-deepdrive-intersection-v0 --against RUN --vehicle 1 --record drive.mp4
+
+RUN is the directory of a run, or the name of a policy of the zoo (mo-deepdrive zoo lists them).
+
+Arrow keys: up accelerates, down brakes, left and right steer. With two people the arrow keys drive vehicle 0, and
+W A S D drives vehicle 1. R restarts the episode; Escape or closing the window quits. Hard braking and fast turns can
+exceed the harmful g-force, which ends the episode.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import nullcontext
+from typing import TYPE_CHECKING
+
+import torch
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from algorithms.evaluation.policy_driver import PolicyDriver
+from algorithms.experiments.build import load_policy
+from algorithms.experiments.cli import (
+    INSTALLED,
+    add_trust_argument,
+    check_parent,
+    exit_on_error,
+    make_parser,
+    warn_of_changes,
+)
+from algorithms.experiments.config import find_environment, is_ours
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_directory import Run
+from algorithms.reporting.videos import video_writer
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.play import (
+    EpisodeOutcome,
+    HumanPlayEnv,
+    describe_controls,
+    make_play_env,
+    open_display,
+    play_in_window,
+)
+from mo_deepdrive.quiet_pygame import pygame
+
+if TYPE_CHECKING:
+    import argparse
+
+    from rich.console import Console
+
+    from algorithms.agent import Agent
+    from mo_deepdrive.envs.vector import DrivingVectorEnv
+
+ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
+MAX_FPS = 1000
+MAX_SEED = 2**31 - 1
+
+
+def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
+    """Parse the command line.
+
+    Raises:
+        ValueError: for a value out of range, or a video in a directory that does not exist.
+    """
+    parser = make_parser(__doc__, program, "play")
+    parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
+    parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: random)")
+    parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: real time)")
+    parser.add_argument("--against", metavar="RUN", help="run or policy of the zoo that drives the other vehicle")
+    parser.add_argument("--vehicle", type=int, choices=(0, 1), help="the vehicle you drive against RUN (default: 0)")
+    parser.add_argument("--stochastic", action="store_true", help="sample RUN's actions instead of the greedy ones")
+    parser.add_argument("--record", metavar="FILE", help="write an MP4 of the session")
+    add_trust_argument(parser)
+    options = parser.parse_args(arguments)
+    if options.seed is not None and not 0 <= options.seed <= MAX_SEED:
+        raise ValueError(f"--seed {options.seed} must be between 0 and {MAX_SEED}")
+    if options.fps is not None and not 1 <= options.fps <= MAX_FPS:
+        raise ValueError(f"--fps {options.fps} must be between 1 and {MAX_FPS}")
+    check_parent("--record", options.record)
+    return options
+
+
+def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None]:
+    """The environment that the options ask for, and the agent that drives the other vehicle, if any.
+
+    Raises:
+        ValueError: for an unknown environment or run, or one that does not fit.
+    """
+    spec = find_environment(options.env)
+    if not is_ours(spec):
+        raise ValueError(f"--env {options.env}: only this package's environments can be driven")
+    if options.against is None:
+        for name, given in (("--vehicle", options.vehicle is not None), ("--stochastic", options.stochastic)):
+            if given:
+                raise ValueError(f"{name} requires --against RUN")
+        return make_play_env(options.env), None
+    run = Run.open(options.against, device="cpu", trust=options.trust)
+    theirs = run.experiment.environment
+    if find_environment(theirs.id).id != spec.id:
+        raise ValueError(f"--against {options.against}: the run drives in {theirs.id}, not in {spec.id}")
+    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
+    agent = load_policy(run)
+    if agent.env.vehicles == 1:
+        raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
+    return make_play_env(theirs.id, **theirs.arguments), agent
+
+
+def print_outcome(console: Console, objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
+    """Print how an episode ended."""
+    table = Table(title=f"episode {outcome.episode}, seed {outcome.seed}", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column()
+    table.add_column("end\n")
+    table.add_column("time\ns", justify="right")
+    for name in objectives:
+        unit = OBJECTIVES[INDEX[name]].unit
+        table.add_column(f"{name}\n{unit if unit != '1' else ''}", justify="right")
+    for v, (end, seconds, returns) in enumerate(zip(outcome.ends, outcome.seconds, outcome.returns, strict=True)):
+        table.add_row(f"vehicle_{v}", end, f"{seconds:.1f}", *(f"{value:.2f}" for value in returns))
+    console.print(table)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; the exit code."""
+    console = make_console()
+    with exit_on_error(ValueError, OSError, pygame.error, program=program):
+        options = parse_arguments(arguments, program)
+        env, agent = open_environment(options)
+        # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
+        open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
+        rate = env.config.decision_frequency
+        seats = list(range(env.vehicles)) if agent is None else [options.vehicle or 0]
+        generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
+        driver = None if agent is None else PolicyDriver(agent, generator)
+        with video_writer(options.record, rate) if options.record else nullcontext() as on_frame:
+            human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
+            human_env.reset(seed=options.seed)
+            console.print(describe_controls(seats), highlight=False)
+            try:
+                play_in_window(
+                    human_env, options.fps or rate, lambda outcome: print_outcome(console, env.objectives, outcome)
+                )
+            finally:
+                human_env.close()
+    return 0

@@ -1,0 +1,60 @@
+"""Draw learning curves: runs that differ in their seed alone become one curve with a 95% interval.
+
+    mo-deepdrive plot runs/mo_a2c_linear/* runs/a2c_linear/* --output comparison.png
+    mo-deepdrive plot SWEEP --output FILE.png
+
+Of a sweep (a directory with a manifest, made by mo-deepdrive sweep) the best cells are drawn, ranked by the utility or
+the hypervolume of their final evaluations; these scores of all runs are drawn against each key that varies into
+FILE-cells.png. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet
+files, which are updated here; algorithms/sweeps/collection.py describes them.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from algorithms.experiments.cli import INSTALLED, as_called, make_parser, warn_of_changes
+from algorithms.reporting.learning_curves import describe, load_groups, plot
+from algorithms.sweeps.manifest import is_sweep
+from algorithms.sweeps.plots import plot_sweep
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "plot")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run directories, or one sweep")
+    parser.add_argument(
+        "--output", default="curves.png", type=Path, metavar="FILE", help="the image file (default: curves.png)"
+    )
+    return parser.parse_args(arguments)
+
+
+def warn(message: str, program: str) -> None:
+    """Print a message to standard error."""
+    print(as_called(message, program), file=sys.stderr)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; the exit code."""
+    options = parse_arguments(arguments, program)
+    try:
+        if not any(is_sweep(run) for run in options.runs):
+            groups = load_groups(options.runs)
+            for run in options.runs:
+                warn_of_changes(run, ("config.yaml", "metrics.csv"))
+            plot(groups, options.output)
+            print(*describe(groups), options.output, sep="\n")
+        elif len(options.runs) > 1:
+            raise ValueError("a sweep has its own figures: give one sweep, or else runs")
+        else:
+            plot_sweep(options.runs[0], options.output, print, partial(warn, program=program))
+    except (ValueError, OSError) as error:
+        warn(f"error: {error}", program)
+        return 2
+    return 0

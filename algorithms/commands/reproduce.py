@@ -1,0 +1,100 @@
+"""Reproduce the paper's figures and claims: train the missing runs, judge the claims, draw the figures.
+
+    mo-deepdrive reproduce --all                 # everything; in a checkout into docs/results and the zoo
+    mo-deepdrive reproduce --figure 4            # figure 4
+    mo-deepdrive reproduce --claim 2 --seeds 3   # claim 2, with three seeds
+    mo-deepdrive reproduce --quick               # everything in minutes: fewer seeds, shorter training
+    mo-deepdrive reproduce --redraw              # judge and draw existing results, without training
+
+Run the same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from algorithms.experiments.cli import INSTALLED, as_called, make_parser
+from algorithms.experiments.interrupts import Stopped
+from algorithms.experiments.progress_bar import make_console
+from algorithms.reproduction.claims import CLAIMS
+from algorithms.reproduction.figures import FIGURES
+from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
+from algorithms.reproduction.plan import load_plan
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "reproduce")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--all", action="store_true", help="everything (the default)")
+    what.add_argument("--figure", type=int, choices=FIGURES, metavar="N", help="a figure of the paper: 4 to 10")
+    what.add_argument(
+        "--claim",
+        type=int,
+        choices=[claim.number for claim in CLAIMS],
+        metavar="N",
+        help="a claim of the paper: 1 to 6",
+    )
+    parser.add_argument("--seeds", type=int, metavar="N", help="number of runs of each variant (default: the plan's)")
+    parser.add_argument("--quick", action="store_true", help="use fewer seeds and shorter training")
+    parser.add_argument(
+        "--redraw", action="store_true", help="judge and draw the results in --output, without training"
+    )
+    parser.add_argument("--runs", type=Path, metavar="DIR", help="run directories (default: runs/reproduce[-quick])")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="output folder (default: RUNS/results; in a checkout docs/results for --all)",
+    )
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count(), metavar="N", help="maximum number of concurrent runs"
+    )
+    parser.add_argument("--plan", default="reproduce", metavar="FILE", help="what to train (default: the shipped plan)")
+    return parser.parse_args(arguments)
+
+
+def check_options(options: Namespace) -> None:
+    """Check the options before any work.
+
+    Raises:
+        ValueError: naming the invalid option.
+    """
+    for name in ("seeds", "workers"):
+        value = getattr(options, name)
+        if value is not None and value < 1:
+            raise ValueError(f"--{name} {value} must be at least 1")
+    if options.redraw and (options.quick or options.seeds is not None):
+        raise ValueError("--redraw does not train; it cannot be combined with --quick or --seeds")
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments`` and return the exit code."""
+    given = parse_arguments(arguments, program)
+    try:
+        check_options(given)
+        options = ReproductionOptions(
+            figure=given.figure,
+            claim=given.claim,
+            seeds=given.seeds,
+            quick=given.quick,
+            redraw=given.redraw,
+            runs=given.runs,
+            output=given.output,
+            workers=given.workers,
+        )
+        return reproduce(load_plan(given.plan), options, make_console())
+    except (ValueError, OSError) as error:
+        print(as_called(f"error: {error}", program), file=sys.stderr)
+        return 2
+    except Stopped as error:
+        print(as_called(f"error: {error}", program), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130

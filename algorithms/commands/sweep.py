@@ -1,0 +1,110 @@
+"""Train all runs of a sweep: on this machine, on Ray or on Slurm; or only list them.
+
+    mo-deepdrive sweep --config sweeps/one_waypoint             # on this machine, one run per core
+    mo-deepdrive sweep --config FILE --on ray --address auto            # on a running Ray cluster
+    mo-deepdrive sweep --config FILE --on slurm                         # as a Slurm job array
+    mo-deepdrive sweep --config FILE --on slurm --dry-run               # print the Slurm batch script
+    mo-deepdrive sweep --config FILE --on manifest                      # only write the list of runs
+    mo-deepdrive sweep --config FILE --verify                           # make again what is broken
+
+Run the same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints. The
+sweep's directory has manifest.jsonl, with one line per run, and the run directories; mo-deepdrive table and
+mo-deepdrive plot read it.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from algorithms.experiments.cli import HEADLESS, INSTALLED, as_called, make_parser
+from algorithms.experiments.interrupts import Stopped, no_space
+from algorithms.experiments.progress_bar import make_console
+from algorithms.sweeps.runner import BACKENDS, Backend, SweepRunner
+from algorithms.sweeps.sweep_settings import load_sweep
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+ENVIRONMENT = {
+    **HEADLESS,
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",  # this command handles signals itself
+    "RAY_CHDIR_TO_TRIAL_DIR": "0",
+    "RAY_NUM_REDIS_GET_RETRIES": "1",  # report an unreachable cluster within a minute
+    "RAY_AIR_NEW_OUTPUT": "0",  # this command prints the progress, for all backends
+}
+REQUIRED_MODULES = {"ray": "ray", "slurm": "submitit"}
+BACKENDS_OF_OPTIONS = {
+    "workers": ("local", "ray"),
+    "address": ("ray",),
+    "dry_run": ("slurm",),
+    "no_wait": ("slurm",),
+    "verify": ("local", "ray", "slurm"),
+}
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "sweep")
+    parser.add_argument(
+        "--config", required=True, metavar="FILE", help="YAML file of the sweep, or the name of a shipped one"
+    )
+    parser.add_argument("--on", choices=BACKENDS, default="local", help="where to train the runs (default: local)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="the sweep's directory (default: runs/sweeps/NAME)")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="maximum number of concurrent runs (default: limited by the cores)"
+    )
+    parser.add_argument(
+        "--address", metavar="A", help="address of a running Ray cluster, or auto (default: start Ray here)"
+    )
+    parser.add_argument("--no-wait", action="store_true", help="Slurm: submit the jobs and exit")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
+    instead.add_argument("--status", action="store_true", help="show the progress of the sweep and exit")
+    instead.add_argument(
+        "--verify",
+        action="store_true",
+        help="check the files of finished runs against their sizes and hashes, and make again what is broken",
+    )
+    return parser.parse_args(arguments)
+
+
+def check_options(options: Namespace) -> None:
+    """Check the options before any work.
+
+    Raises:
+        ValueError: naming the invalid option.
+    """
+    if options.workers is not None and options.workers < 1:
+        raise ValueError(f"--workers {options.workers} must be at least 1")
+    for name, backends in BACKENDS_OF_OPTIONS.items():
+        if getattr(options, name) and options.on not in backends:
+            raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")
+    module = REQUIRED_MODULES.get(options.on)
+    if module is not None and find_spec(module) is None:
+        raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments`` and return the exit code."""
+    options = parse_arguments(arguments, program)
+    directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
+    try:
+        check_options(options)
+        backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
+        runner = SweepRunner(load_sweep(options.config), directory, backend, make_console())
+        if options.status:
+            return runner.show_status()
+        if options.verify:
+            return runner.verify()
+        return runner.print_batch_script() if options.dry_run else runner.run()
+    except (ValueError, OSError) as error:
+        print(as_called(f"error: {error}", program), file=sys.stderr)
+        return 1 if isinstance(error, OSError) and no_space(error) else 2
+    except Stopped as error:
+        print(f"error: {error}\nrun the same command again to resume", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130

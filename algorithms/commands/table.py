@@ -1,0 +1,109 @@
+"""Final scores over seeds, of runs or of a sweep.
+
+    mo-deepdrive table RUN... [--output FILE.csv]
+    mo-deepdrive table SWEEP [--sort METRIC] [--top N] [--output FILE.csv]
+
+Runs (or folders that hold runs) that differ in their seed alone are in one row: the mean over seeds of the final
+evaluation with a 95% bootstrap interval, and the interquartile mean of the utility. With several vehicles there is a
+row for each and one for all together (success: all arrived). Fronts have their indicators instead. Rows that differ in
+the algorithm alone are compared: the difference of the mean utilities (hypervolumes) with its interval, and the p-value
+of a two-sided Mann-Whitney test.
+
+A sweep (a directory with a manifest, made by mo-deepdrive sweep) has a row per cell, or per trial of a search, the best
+first; cells with another environment or utility are in separate tables. The terminal shows the best cells, the policy
+by which they are sorted, and as many columns as fit; the CSV has everything. With several vehicles the row of all
+together has the sum of their utilities. Cells that differ in the algorithm alone are compared by the same policy. The
+collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet files, which are
+updated here; algorithms/sweeps/collection.py describes them.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.evaluation.front import EVALUATION_FILE
+from algorithms.experiments.cli import INSTALLED, as_called, make_parser
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.run_files import changed_files
+from algorithms.reporting.seed_tables import Rows, find_runs, print_runs
+from algorithms.sweeps.manifest import is_sweep
+from algorithms.sweeps.tables import print_sweep
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable
+
+TOP = 20
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "table")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
+    )
+    parser.add_argument("--output", type=Path, metavar="FILE", help="also write both tables as CSV")
+    parser.add_argument(
+        "--sort",
+        metavar="METRIC",
+        help="of a sweep: metric to sort by, such as greedy/success (default: the utility, or the hypervolume)",
+    )
+    parser.add_argument("--top", type=int, metavar="N", help=f"of a sweep: rows on the terminal (default: {TOP})")
+    return parser.parse_args(arguments)
+
+
+def warn(message: str, program: str) -> None:
+    """Print a message to standard error."""
+    print(as_called(message, program), file=sys.stderr)
+
+
+def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
+    """The runs among and below ``paths``, with a warning instead of those whose config or final evaluation has changed.
+
+    Raises:
+        ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
+    """
+    runs = []
+    for run in find_runs(paths):
+        problems = changed_files(run, ["config.yaml", EVALUATION_FILE])
+        if problems:
+            warn(f"left out: {run}: {'; '.join(problems)}")
+        else:
+            runs.append(run)
+    return runs
+
+
+def print_tables(options: Namespace, warn: Callable[[str], None]) -> list[Rows]:
+    """Print the tables that the options ask for; returns whole tables, for a sweep only if they are to be written.
+
+    Raises:
+        ValueError: for options that do not fit together, or if there is nothing to show.
+    """
+    console = make_console()
+    if not any(is_sweep(path) for path in options.runs):
+        if options.sort is not None or options.top is not None:
+            raise ValueError("--sort and --top are for a sweep, a directory with a manifest.jsonl")
+        return print_runs(intact_runs(options.runs, warn), console, warn)
+    if len(options.runs) > 1:
+        raise ValueError("a sweep has its own table: give one sweep, or else runs")
+    if options.top is not None and options.top < 1:
+        raise ValueError(f"--top {options.top} must be at least 1")
+    whole = options.output is not None
+    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=options.top or TOP, whole=whole)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; the exit code."""
+    options = parse_arguments(arguments, program)
+    try:
+        tables = print_tables(options, partial(warn, program=program))
+        if options.output is not None:
+            atomic_write(options.output, csv_bytes([*tables[0], [], *tables[1]]))
+    except (ValueError, OSError) as error:
+        warn(f"error: {error}", program)
+        return 2
+    return 0

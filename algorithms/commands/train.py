@@ -1,0 +1,85 @@
+"""Train an agent from a YAML file, or resume a run that was interrupted.
+
+    mo-deepdrive train --config configs/one_waypoint/mo_a2c_linear.yaml --seed 3
+    mo-deepdrive train --config FILE --algorithm.learning_rate=3e-4 --training.total_timesteps=1e6
+    mo-deepdrive train --resume runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000
+
+Every key of the YAML file is an option: --section.key=value.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from algorithms.experiments.build import build
+from algorithms.experiments.cli import (
+    INSTALLED,
+    add_training_arguments,
+    add_trust_argument,
+    as_called,
+    exit_on_error,
+    make_parser,
+    new_run,
+    parse_training_arguments,
+    warn_of_changes,
+)
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.training import reopen, train_and_finish
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from algorithms.experiments.run_directory import Run
+
+
+def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
+    """The options, and the overrides of the experiment."""
+    parser = make_parser(__doc__, program, "train")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--config", metavar="FILE", help="YAML file of the experiment, or the name of a shipped one")
+    source.add_argument("--resume", metavar="RUN", help="directory of a run to resume")
+    add_training_arguments(parser)
+    add_trust_argument(parser)
+    return parse_training_arguments(parser, arguments)
+
+
+def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
+    """The new or resumed run of the command line, and its agent.
+
+    Raises:
+        ValueError: if the options, the experiment, the directory or the checkpoint are not valid.
+        OSError: if the directory of a run to be resumed cannot be written.
+    """
+    if options.resume is None:
+        if options.trust:
+            raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
+        experiment = load_experiment(options.config, overrides)
+        agent = build(experiment)  # before the directory is created: it may fail
+        return new_run(options, experiment), agent
+    if overrides or options.output:
+        given = [*overrides, *(["--output"] if options.output else [])]
+        raise ValueError(f"--resume continues the run with its own settings; it cannot take {' '.join(given)}")
+    return reopen(options.resume, trust=options.trust)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; returns the exit code."""
+    options, overrides = parse_arguments(arguments, program)
+    with exit_on_error(ValueError, OSError, program=program):
+        run, agent = open_run(options, overrides)
+        if run.status.get("state") == "finished":
+            print(f"{run.path} is finished; there is nothing to resume")
+            return int(warn_of_changes(run.path))
+    resume_with = as_called(f"resume with: mo-deepdrive train --resume {run.path}", program)
+    with exit_on_error(hint=resume_with):
+        for change in run.changed_versions():
+            print(f"warning: since the run was started, {change}")
+        print(f"run {run.path}", flush=True)
+        received = train_and_finish(run, agent, make_console(), resumed=options.resume is not None)
+        if received is not None:
+            print(f"interrupted at step {agent.step:,}; {resume_with}")
+            return 128 + received
+    print(f"finished: {run.path}")
+    warn_of_changes(run.path)
+    return 0

@@ -1,0 +1,8 @@
+"""``mo-deepdrive zoo`` from a checkout; the code is in algorithms/commands/zoo.py."""
+
+import sys
+
+from algorithms.__main__ import run_script
+
+if __name__ == "__main__":
+    sys.exit(run_script("zoo"))
