@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 
 
-# `python -m submitit.core._submit`, which submitit itself calls, would look for packages in the working directory first.
+# submitit's own command, `python -m submitit.core._submit`, looks for packages in the working directory first.
 START = (
-    "import sys; sys.path = [*filter(None, sys.path), '']; "
+    "import sys; sys.path = [*filter(None, sys.path), str()]; "
     "from submitit.core.submission import submitit_main; submitit_main()"
 )
 
