@@ -200,7 +200,7 @@ def test_a_run_is_trained_evaluated_drawn_and_tabulated(everything: Installed) -
         path.name for path in run.iterdir()
     }
     assert "run is finished" in everything.command("train", "--resume", "run", "--trust").stdout
-    assert "arrivals" in everything.command("evaluate", "run", "--trust", "--episodes", "2").stdout
+    assert "success" in everything.command("evaluate", "run", "--trust", "--episodes", "2").stdout
     everything.command("plot", "run", "--output", "curves.png")
     assert (everything.folder / "curves.png").stat().st_size > 10_000
     assert (
