@@ -99,7 +99,7 @@ def choice_table(
         title_style="bold",
         box=SIMPLE_HEAD,
     )
-    table.add_column("", no_wrap=True)
+    table.add_column("", overflow="fold")
     table.add_column(f"policy {chosen}: chosen", justify="right", no_wrap=True)
     for k in others:
         table.add_column(f"policy {k}", justify="right", no_wrap=True)
