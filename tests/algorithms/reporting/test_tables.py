@@ -121,7 +121,6 @@ def test_every_metric_is_written_and_shown(tmp_path: Path) -> None:
 def test_a_table_with_two_vehicles_and_long_names_fits_the_terminal(width: int) -> None:
     held = evaluation(vehicles=2)
     held.objectives = ("distance", "minus_the_energy_drawn_from_the_battery_in_kilowatt_hours")
-    held.returns *= 1000.0
     console = Console(width=width, record=True)
     console.print(evaluation_table({"greedy": held, "stochastic": held}, "a title"))
     lines = console.export_text().splitlines()
