@@ -93,8 +93,9 @@ def choice_table(
     """The chosen policy with intervals, and the next best policies next to it."""
     chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
+    how = f"{episodes} episodes each, 95% intervals" if episodes > 1 else "1 episode each"
     table = Table(
-        title=f"{len(front)} policies by {preference.name}; {episodes} episodes each, 95% intervals",
+        title=f"{len(front)} policies by {preference.name}; {how}",
         title_justify="left",
         title_style="bold",
         box=SIMPLE_HEAD,

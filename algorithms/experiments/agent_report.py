@@ -56,6 +56,8 @@ def report_agent(
         directory.mkdir(exist_ok=True)
     if not experiment.known_utility:
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
+        if front.episodes < episodes:
+            console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
         report_front(
             front,
             console,

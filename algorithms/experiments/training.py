@@ -16,7 +16,7 @@ from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.interrupts import Interrupts, stopped_by
 from algorithms.experiments.loggers import Logger
-from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluation_env
+from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from algorithms.reporting.learning_curves import load_groups, plot
@@ -111,7 +111,10 @@ def train(
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
     saved = agent.step  # step of the last checkpoint
     known_utility = experiment.known_utility
-    eval_env = evaluation_env(experiment, evaluation.episodes if known_utility else FRONT_EPISODES)
+    episodes = evaluation.episodes
+    if not known_utility:
+        episodes = distinct_episodes(experiment.environment, episodes)
+    eval_env = evaluation_env(experiment, episodes if known_utility else FRONT_EPISODES)
     reference_front = None if known_utility else best_known_front(eval_env, evaluation.gamma)
     ours = is_ours(find_environment(experiment.environment.id))
     after = (saved if saved > 0 else -1) if resumed else None
@@ -171,7 +174,7 @@ def train(
                 training.total_timesteps,
                 eval_env,
                 eval_interval=evaluation.interval,
-                eval_episodes=evaluation.episodes,
+                eval_episodes=episodes,
                 eval_seed=SPLITS["validation"].start,
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
