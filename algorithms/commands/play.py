@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
@@ -34,7 +35,7 @@ from algorithms.experiments.cli import (
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.videos import video_writer
+from algorithms.reporting.videos import video_seconds, video_writer
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.play import (
     EpisodeOutcome,
@@ -144,4 +145,6 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
                 )
             finally:
                 human_env.close()
+        if options.record and Path(options.record).is_file():
+            print(f"video: {options.record}: {video_seconds(options.record):.1f} s")
     return 0

@@ -105,6 +105,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         tables = print_tables(options, partial(warn, program=program))
         if options.output is not None:
             atomic_write(options.output, csv_bytes([*tables[0], [], *tables[1]]))
+            print(f"written: {options.output}")
     except (ValueError, OSError) as error:
         warn(f"error: {error}", program)
         return 2

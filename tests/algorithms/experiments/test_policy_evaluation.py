@@ -38,7 +38,10 @@ def test_of_other_environments_all_episodes_are_driven() -> None:
 def test_one_episode_of_a_front_gives_the_numbers_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = make_experiment(
         {
-            "environment": {"id": OURS.format("one-waypoint"), "arguments": {"time_limit": 2, "fixed_destination": True}},
+            "environment": {
+                "id": OURS.format("one-waypoint"),
+                "arguments": {"time_limit": 2, "fixed_destination": True},
+            },
             "algorithm": {"name": "pcn", "hidden": [16, 16], "gradient_steps": 2, "warmup_episodes": 8},
             "training": {"total_timesteps": 300, "num_envs": 8},
         }
