@@ -100,7 +100,7 @@ class AshaSettings(Settings):
     """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung.
 
     Attributes:
-        metric: of the evaluations during training, named as in :class:`HyperparameterSearchSettings`.
+        metric: of the evaluations during training, named as the metric of a search.
         direction: whether to maximize or minimize it.
         grace_period: environment steps before a run may be pruned.
         reduction_factor: one in this many runs continues past each rung.
@@ -161,7 +161,7 @@ class SweepSettings(Settings):
         seeds: seeds of each cell; a number is short for that many from 0 on.
         resources: needed by each run.
         retries: how often to retry a run whose process died or could not write.
-        ray, slurm: settings of these backends.
+        ray, slurm: settings of the backend of this name.
     """
 
     config: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
