@@ -8,11 +8,12 @@ PEERS_VENV ?= .venv-peers
 MUTANTS_VENV ?= .venv-mutants
 PIP = $(VENV)/bin/python -m pip --disable-pip-version-check
 READY = $(VENV)/.ready
+TRAIN_READY = $(VENV)/.ready-train
 RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
 MUTANTS_READY = $(MUTANTS_VENV)/.ready
 
-.PHONY: install train test test-fast test-ray test-peers test-cluster mutants lint benchmark clean
+.PHONY: install train test test-fast test-ray test-peers test-cluster test-install mutants lint benchmark clean
 
 install: $(READY)
 
@@ -21,12 +22,18 @@ $(READY): pyproject.toml constraints.txt
 	$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
+# What training needs, without the development tools.
+$(TRAIN_READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install --quiet --constraint constraints.txt --editable ".[train]"
+	touch $@
+
 # RLlib pins an older Gymnasium, so its tests run in a separate environment.
 $(RAY_READY): pyproject.toml constraints.txt constraints-ray.txt
 	$(PYTHON) -m venv $(RAY_VENV)
 	grep --invert-match '^gymnasium==' constraints.txt > $(RAY_VENV)/constraints.txt
 	$(RAY_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
-		--constraint $(RAY_VENV)/constraints.txt --constraint constraints-ray.txt --editable ".[rllib]" pytest hypothesis
+		--constraint $(RAY_VENV)/constraints.txt --constraint constraints-ray.txt --editable ".[rllib,train]" pytest hypothesis
 	touch $@
 
 # morl-baselines compiles a solver (against Debian's libgmp-dev and libcdd-dev) and installs 24 further packages.
@@ -43,7 +50,7 @@ $(MUTANTS_READY): pyproject.toml constraints.txt constraints-mutants.txt
 		--constraint constraints.txt --constraint constraints-mutants.txt --editable ".[dev]" cosmic-ray
 	touch $@
 
-train: $(READY)
+train: $(TRAIN_READY)
 	$(VENV)/bin/python scripts/train.py --config $(CONFIG) --seed $(SEED)
 
 lint: $(READY)
@@ -53,16 +60,20 @@ lint: $(READY)
 	$(VENV)/bin/codespell
 
 test: lint
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster --ignore tests/install
 
 # For the inner loop: no lint, nothing that takes longer than a second, and few examples per property.
 test-fast: $(READY)
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster -m "not slow and not cluster" \
-		--hypothesis-profile fast
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster --ignore tests/install \
+		-m "not slow and not cluster" --hypothesis-profile fast
 
 # Starts and stops a temporary Slurm (Debian's slurm-wlm and munge, as root) and temporary Ray clusters.
 test-cluster: $(READY)
 	$(VENV)/bin/python -m pytest tests/cluster --numprocesses 2 --dist loadfile
+
+# Builds sdist and wheel, installs the wheel in a new environment, and runs every command there, outside the checkout.
+test-install: $(READY)
+	$(VENV)/bin/python -m pytest tests/install
 
 test-ray: $(RAY_READY)
 	$(RAY_VENV)/bin/python -m pytest tests/ray

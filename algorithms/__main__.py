@@ -9,11 +9,13 @@ import sys
 
 import mo_deepdrive
 from algorithms.commands import COMMANDS
+from algorithms.experiments.cli import HEADLESS, INSTALLED, INVALID_INPUT, prepare_process
+from mo_deepdrive.extras import MissingExtraError, needed_for
 
 
 def main() -> int:
     """``mo-deepdrive``; returns the exit code."""
-    return _run(sys.argv[1:], "mo-deepdrive {}")
+    return _run(sys.argv[1:], INSTALLED)
 
 
 def run_script(name: str) -> int:
@@ -38,11 +40,15 @@ def _run(arguments: list[str], program: str) -> int:
 
 
 def _run_command(name: str, arguments: list[str], program: str) -> int:
-    from algorithms.experiments.cli import HEADLESS, prepare_process
-
-    module = importlib.import_module(f"algorithms.commands.{name}")
-    prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", HEADLESS))
-    code: int = module.main(arguments, program)
+    """Import and run a command; a package that is not installed is an error of the user's input."""
+    try:
+        with needed_for(program.format(name)):
+            module = importlib.import_module(f"algorithms.commands.{name}")
+            prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", HEADLESS))
+            code: int = module.main(arguments, program)
+    except MissingExtraError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return INVALID_INPUT
     return code
 
 

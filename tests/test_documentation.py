@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 import yaml
 
+from algorithms.commands import COMMANDS
 from algorithms.experiments.config import load_experiment
+from algorithms.experiments.shipped import find_config
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
@@ -114,7 +116,7 @@ def test_the_readme_begins_with_a_short_example() -> None:
 STUBS = """
 PATH=
 emit() { printf '%s\\0' "$@"; printf '\\n'; }
-for name in python pip make wandb sudo git cd; do eval "$name() { emit $name \\"\\$@\\"; }"; done
+for name in python pip make wandb sudo git cd docker mo-deepdrive; do eval "$name() { emit $name \\"\\$@\\"; }"; done
 """
 
 
@@ -153,7 +155,7 @@ class Parsed(BaseException):
 
 
 def parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> Parsed:
-    """Start the script ``words[0]`` as a program and stop it when it has parsed its arguments."""
+    """Start the script or command ``words[0]`` as a program and stop it when it has parsed its arguments."""
     parse_known = argparse.ArgumentParser.parse_known_args
 
     def stop(parser: argparse.ArgumentParser, *arguments: Any) -> Any:
@@ -170,25 +172,32 @@ def parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> Parsed:
     monkeypatch.setattr(sys, "argv", words)
     monkeypatch.setattr(sys, "path", [str(REPOSITORY / "scripts"), *sys.path])
     with pytest.raises(Parsed) as caught:
-        runpy.run_path(str(REPOSITORY / words[0]), run_name="__main__")
+        if words[0] in COMMANDS:
+            importlib.import_module(f"algorithms.commands.{words[0]}").main(words[1:])
+        else:
+            runpy.run_path(str(REPOSITORY / words[0]), run_name="__main__")
     return caught.value
 
 
-@pytest.mark.parametrize("words", [words for _, words in of_program("python")], ids=" ".join)
-def test_a_command_is_understood_by_its_script(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    if words[:2] == ["-m", "venv"]:
+@pytest.mark.parametrize(
+    "words", [words for program in ("python", "mo-deepdrive") for _, words in of_program(program)], ids=" ".join
+)
+def test_a_command_is_understood_by_its_program(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if words[:2] == ["-m", "venv"] or words == ["--help"]:
         return
-    assert re.fullmatch(r"scripts/\w+\.py", words[0])
-    assert (REPOSITORY / words[0]).is_file()
+    assert words[0] in COMMANDS or (REPOSITORY / words[0]).is_file()
+    assert words[0] in COMMANDS or re.fullmatch(r"scripts/\w+\.py", words[0])
     parsed = parse(words, monkeypatch)
     config = getattr(parsed.options, "config", None)
     assert all(re.fullmatch(r"--\w+(\.\w+)+=.+", other) for other in parsed.others)
     if config is None:
         assert not parsed.others
         return
-    assert (REPOSITORY / config).is_file()
-    if words[0] == "scripts/train.py":
-        monkeypatch.chdir(REPOSITORY)
+    monkeypatch.chdir(REPOSITORY if words[0].startswith("scripts/") else tmp_path)
+    assert find_config(config).is_file()
+    if words[0] in ("scripts/train.py", "train"):
         load_experiment(config, parsed.others)
 
 
@@ -337,3 +346,19 @@ def test_pictures_of_the_readme_are_small() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len((REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()) <= 160
+
+
+def commands_in_text(text: str) -> set[str]:
+    """Names of commands after ``mo-deepdrive``, in prose and messages."""
+    return set(re.findall(r"(?<![\w'\"/-])mo-deepdrive ([a-z]+)\b", text))
+
+
+def test_commands_named_in_prose_and_in_messages_exist() -> None:
+    found = set().union(*(commands_in_text("".join(quoted(document))) for document in WITH_NAMES))
+    sources = [path for folder in ("algorithms", "mo_deepdrive") for path in (REPOSITORY / folder).rglob("*.py")]
+    found |= set().union(*(commands_in_text(path.read_text(encoding="utf-8")) for path in sources))
+    assert len(found) >= 8
+    assert found <= {*COMMANDS}
+    for name in COMMANDS:
+        assert (REPOSITORY / "algorithms" / "commands" / f"{name}.py").is_file()
+        assert (REPOSITORY / "scripts" / f"{name}.py").is_file()

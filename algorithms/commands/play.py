@@ -16,14 +16,8 @@ from __future__ import annotations
 import os
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import torch
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
-from algorithms.evaluation.policy_driver import PolicyDriver
-from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import (
     INSTALLED,
     add_trust_argument,
@@ -33,9 +27,8 @@ from algorithms.experiments.cli import (
     warn_of_changes,
 )
 from algorithms.experiments.config import find_environment, is_ours
-from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.videos import video_seconds, video_writer
+from mo_deepdrive.extras import needed_for
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.play import (
     EpisodeOutcome,
@@ -49,10 +42,11 @@ from mo_deepdrive.quiet_pygame import pygame
 
 if TYPE_CHECKING:
     import argparse
-
-    from rich.console import Console
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
     from algorithms.agent import Agent
+    from algorithms.evaluation.policy_driver import PolicyDriver
     from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
@@ -98,6 +92,8 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
             if given:
                 raise ValueError(f"{name} requires --against RUN")
         return make_play_env(options.env), None
+    with needed_for("--against"):
+        from algorithms.experiments.build import load_policy
     run = Run.open(options.against, device="cpu", trust=options.trust)
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
@@ -109,23 +105,41 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
     return make_play_env(theirs.id, **theirs.arguments), agent
 
 
-def print_outcome(console: Console, objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
+def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
     """Print how an episode ended."""
-    table = Table(title=f"episode {outcome.episode}, seed {outcome.seed}", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column()
-    table.add_column("end\n")
-    table.add_column("time\ns", justify="right")
-    for name in objectives:
-        unit = OBJECTIVES[INDEX[name]].unit
-        table.add_column(f"{name}\n{unit if unit != '1' else ''}", justify="right")
+    units = [OBJECTIVES[INDEX[name]].unit for name in objectives]
+    rows = [["", "end", "time", *objectives], ["", "", "s", *("" if unit == "1" else unit for unit in units)]]
     for v, (end, seconds, returns) in enumerate(zip(outcome.ends, outcome.seconds, outcome.returns, strict=True)):
-        table.add_row(f"vehicle_{v}", end, f"{seconds:.1f}", *(f"{value:.2f}" for value in returns))
-    console.print(table)
+        rows.append([f"vehicle_{v}", end, f"{seconds:.1f}", *(f"{value:.2f}" for value in returns)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    rows.insert(2, ["-" * width for width in widths])
+    print(f"\nepisode {outcome.episode}, seed {outcome.seed}")
+    for name, end, *numbers in rows:
+        cells = (number.rjust(width) for number, width in zip(numbers, widths[2:], strict=True))
+        print("  ".join((name.ljust(widths[0]), end.ljust(widths[1]), *cells)).rstrip())
+
+
+def make_driver(agent: Agent, options: argparse.Namespace) -> PolicyDriver:
+    """The trained policy as a driver."""
+    import torch
+
+    from algorithms.evaluation.policy_driver import PolicyDriver
+
+    generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
+    return PolicyDriver(agent, generator)
+
+
+def recorder(options: argparse.Namespace, rate: int) -> AbstractContextManager[Callable[[Any], None] | None]:
+    """What writes the frames of the session to ``--record``, if it is given."""
+    if not options.record:
+        return nullcontext()
+    with needed_for("--record"):
+        from algorithms.reporting.videos import video_writer
+    return video_writer(options.record, rate)
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
-    console = make_console()
     with exit_on_error(ValueError, OSError, pygame.error, program=program):
         options = parse_arguments(arguments, program)
         env, agent = open_environment(options)
@@ -133,18 +147,17 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
         rate = env.config.decision_frequency
         seats = list(range(env.vehicles)) if agent is None else [options.vehicle or 0]
-        generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
-        driver = None if agent is None else PolicyDriver(agent, generator)
-        with video_writer(options.record, rate) if options.record else nullcontext() as on_frame:
+        driver = None if agent is None else make_driver(agent, options)
+        with recorder(options, rate) as on_frame:
             human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)
             human_env.reset(seed=options.seed)
-            console.print(describe_controls(seats), highlight=False)
+            print(describe_controls(seats))
             try:
-                play_in_window(
-                    human_env, options.fps or rate, lambda outcome: print_outcome(console, env.objectives, outcome)
-                )
+                play_in_window(human_env, options.fps or rate, lambda outcome: print_outcome(env.objectives, outcome))
             finally:
                 human_env.close()
         if options.record and Path(options.record).is_file():
+            from algorithms.reporting.videos import video_seconds
+
             print(f"video: {options.record}: {video_seconds(options.record):.1f} s")
     return 0

@@ -14,6 +14,7 @@ from algorithms.common.metrics_file import MetricsFile
 from algorithms.evaluation.metrics import split_name
 from algorithms.reporting.animated_gif import video_as_gif
 from algorithms.reporting.seed_tables import TABLE_METRICS
+from mo_deepdrive.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -44,11 +45,14 @@ class WandbRun:
         self._run: Any = None
         try:
             self._run = self._start(directory, settings, config, name)
+        except MissingExtraError as error:
+            say(f"warning: Weights & Biases is disabled: {error}")
         except Exception as error:  # training does not depend on an external service
             say(f"warning: Weights & Biases is disabled: {type(error).__name__}: {error}")
 
     def _start(self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str) -> Any:
-        import wandb
+        with needed_for("logging.wandb"):
+            import wandb
 
         id_file, project_file = directory / "wandb_id", directory / "wandb_project"
         stored = id_file.read_text().strip() if id_file.exists() else None

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.peers import morl, sb3
 from algorithms.peers.peer_task import PeerConfig, PeerPolicies, PeerTask, ScalarConfig, WeightedConfig
+from mo_deepdrive.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,7 +49,10 @@ class Peer:
         """Why it cannot run here, which is the error of its import; None if it can."""
         module, _, name = self.path.partition(":")
         try:
-            getattr(importlib.import_module(module), name)
+            with needed_for("it"):
+                getattr(importlib.import_module(module), name)
+        except MissingExtraError as error:
+            return str(error)
         except Exception as error:  # other libraries may raise anything on import
             return f"{type(error).__name__}: {error}"
         return None

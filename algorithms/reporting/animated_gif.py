@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import imageio
 import numpy as np
@@ -90,7 +90,8 @@ def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 15
     Raises:
         OSError: if the video cannot be read.
     """
-    with imageio.get_reader(path, format="FFMPEG") as reader:
+    reader: Any = imageio.get_reader(path, format="FFMPEG")
+    with reader:
         about = reader.get_meta_data()
         stride = max(1, math.ceil(about["duration"] * about["fps"] / max_frames))
         width, height = about["size"]

@@ -100,7 +100,8 @@ def video_seconds(path: str | Path) -> float:
     Raises:
         OSError: if it cannot be read.
     """
-    with imageio.get_reader(path, format="FFMPEG") as reader:
+    reader: Any = imageio.get_reader(path, format="FFMPEG")
+    with reader:
         return float(reader.get_meta_data()["duration"])
 
 

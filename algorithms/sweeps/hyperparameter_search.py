@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mo_deepdrive.extras import needed_for
+
 if TYPE_CHECKING:
     import optuna
 
@@ -29,12 +31,11 @@ def propose_points(
         scores: of the runs that have ended.
 
     Raises:
-        ValueError: if Optuna is not installed, or naming the key whose range it rejects.
+        MissingExtraError: if Optuna is not installed.
+        ValueError: naming the key whose range Optuna rejects.
     """
-    try:
+    with needed_for("a search"):
         import optuna
-    except ImportError:
-        raise ValueError("a search needs Optuna: pip install 'mo-deepdrive[sweep]'") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(sampler=_sampler(search), direction=search.direction)
     space = {key: _distribution(key, values) for key, values in search.space.items()}

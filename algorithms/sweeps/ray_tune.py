@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import queue
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -45,7 +47,10 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
     """
 
     def setup(self, config: dict[str, Any]) -> None:
-        """Start the training thread."""
+        """Start the training thread, with the working directory and the modules of who started the sweep."""
+        os.chdir(config["folder"])
+        if config["folder"] not in sys.path:
+            sys.path.append(config["folder"])
         self._reports: queue.SimpleQueue[TuneReport | BaseException] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._last: TuneReport = {}
@@ -231,11 +236,12 @@ def run_on_ray(
     # Runs that have already started come first: early stopping compares the others with them.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
     progress = _ProgressCallback(wanted, monitor)
-    _connect(address)
+    _connect(address, sweep)
     try:
         tuner = tune.Tuner(
             tune.with_resources(RunTrainable, _resources(settings)),
             param_space={
+                "folder": str(Path.cwd()),
                 "sweep": str(sweep.resolve()),
                 "run": tune.grid_search([{"id": job.id, "name": job.name} for job in wanted]),
             },
@@ -288,13 +294,18 @@ def _resources(settings: SweepSettings) -> dict[str, float]:
     return {"cpu": needs.cpus, **({"gpu": needs.gpus} if needs.gpus else {}), **memory}
 
 
-def _connect(address: str | None) -> None:
+def _connect(address: str | None, sweep: Path) -> None:
     """Start Ray in this process, or connect to a running cluster.
+
+    Ray's workers look for packages first in the working directory of this moment, which may have an ``algorithms/`` of
+    its own; in that of the sweep they find none.
 
     Raises:
         Stopped: if the cluster cannot be reached.
     """
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+    folder = Path.cwd()
+    os.chdir(sweep)
     try:
         if address is None:
             ray.init(address="local", include_dashboard=False, **quiet)
@@ -304,6 +315,8 @@ def _connect(address: str | None) -> None:
     except (OSError, ValueError) as error:
         hint = "if the cluster asks for a token, set RAY_AUTH_MODE=token"
         raise Stopped(f"--address {address}: {' '.join(str(error).split())} ({hint})") from None
+    finally:
+        os.chdir(folder)
 
 
 def _check_reachable(address: str) -> None:

@@ -24,7 +24,7 @@ from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
-from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, sbatch_options, slurm_folder
+from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, TaskExecutor, sbatch_options, slurm_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -159,7 +159,7 @@ class SlurmQueue:
         Raises:
             Stopped: if Slurm rejects them.
         """
-        executor = submitit.SlurmExecutor(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
+        executor = TaskExecutor(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
         executor.update_parameters(**sbatch_options(settings, sweep.name))
         for first in range(0, len(tasks), MAX_ARRAY_TASKS):
             array = tasks[first : first + MAX_ARRAY_TASKS]

@@ -20,7 +20,7 @@
 
     # command
     export SUBMITIT_EXECUTOR=slurm
-    srun --unbuffered --output LOG --cpus-per-task=1 python -u -m submitit.core._submit SWEEP/slurm
+    srun --unbuffered --output LOG --cpus-per-task=1 python -u -c '...; submitit_main()' SWEEP/slurm
 
 Each task of the array unpickles and calls its :class:`algorithms.sweeps.slurm.ArrayTask`.
 """
@@ -28,6 +28,8 @@ Each task of the array unpickles and calls its :class:`algorithms.sweeps.slurm.A
 from __future__ import annotations
 
 import math
+import shlex
+import sys
 from typing import TYPE_CHECKING, Any
 
 import submitit
@@ -40,7 +42,22 @@ if TYPE_CHECKING:
 MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 
 
-class _ScriptWriter(submitit.SlurmExecutor):
+# submitit's own command, `python -m submitit.core._submit`, looks for packages in the working directory first.
+START = (
+    "import sys; sys.path = [*filter(None, sys.path), str()]; "
+    "from submitit.core.submission import submitit_main; submitit_main()"
+)
+
+
+class TaskExecutor(submitit.SlurmExecutor):
+    """Starts tasks that look for packages in the working directory last, like the commands."""
+
+    @property
+    def _submitit_command_str(self) -> str:
+        return shlex.join([sys.executable, "-u", "-c", START, str(self.folder)])
+
+
+class _ScriptWriter(TaskExecutor):
     """Writes the script on machines without Slurm, too."""
 
     @classmethod

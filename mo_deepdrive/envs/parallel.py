@@ -18,6 +18,7 @@ from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import option_names
 from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import RENDER_MODES, World
+from mo_deepdrive.extras import needed_for
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -256,8 +257,6 @@ def aec_env(parallel: DrivingParallelEnv) -> AECEnv[str, Array, Any]:
     Raises:
         ImportError: if MOMAland is not installed.
     """
-    try:
+    with needed_for("the AEC environment"):
         from momaland.utils.conversions import mo_parallel_to_aec
-    except ImportError as error:
-        raise ImportError('the AEC environment needs MOMAland: pip install "mo-deepdrive[momaland]"') from error
     return CheckedSteps(mo_parallel_to_aec(parallel))

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from mo_deepdrive.config import EnvConfig, UtilityChoice, nearest, parse
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.parallel import DrivingParallelEnv
+from mo_deepdrive.extras import needed_for
 from mo_deepdrive.utilities import Utility, make_utility
 
-try:
+with needed_for("mo_deepdrive.envs.rllib", extra="rllib"):
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
-except ImportError as error:
-    raise ImportError('mo_deepdrive.envs.rllib needs RLlib: pip install "mo-deepdrive[rllib]"') from error
 
 Array = NDArray[np.float32]
 KEYS = (*EnvConfig.model_fields, "utility", "render_mode")

@@ -284,7 +284,7 @@ def test_without_ray_the_import_names_the_extra(run_python: Callable[[str], str]
         "except ImportError as error:\n"
         "    print(error)\n"
     )
-    assert 'pip install "mo-deepdrive[rllib]"' in run_python(snippet)
+    assert "pip install 'mo-deepdrive[rllib]'" in run_python(snippet)
 
 
 def test_the_package_itself_does_not_import_ray(run_python: Callable[[str], str]) -> None:

@@ -19,7 +19,6 @@ from tests.helpers.sweep_files import write_sweep
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
 
-import submitit
 
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.sweeps import runner, slurm, slurm_script
@@ -87,7 +86,7 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
             return SimpleNamespace(job_id=f"{len(found.arrays)}_{len(found.arrays[-1]) - 1}")
 
     (tmp_path / "slurm").mkdir()
-    monkeypatch.setattr(submitit, "SlurmExecutor", Executor)
+    monkeypatch.setattr(slurm, "TaskExecutor", Executor)
     monkeypatch.setattr(shutil, "which", lambda program: f"/usr/bin/{program}")
     monkeypatch.setattr(subprocess, "run", found.run)
     monkeypatch.setattr(slurm, "POLL", 1e-3)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
+import subprocess
+import sys
+
 import pytest
 
 from algorithms.sweeps.sweep_settings import load_sweep
@@ -11,7 +15,7 @@ pytest.importorskip("submitit", reason="submitit is not installed: pip install '
 
 from typing import TYPE_CHECKING
 
-from algorithms.sweeps.slurm_script import batch_script, sbatch_options
+from algorithms.sweeps.slurm_script import START, batch_script, sbatch_options
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,3 +43,17 @@ def test_by_default_a_task_has_one_run_and_the_memory_that_slurm_chooses(tmp_pat
     settings = load_sweep(write_sweep(tmp_path))
     assert (settings.slurm.runs_per_job, settings.slurm.side_by_side) == (1, 1)
     assert "mem" not in sbatch_options(settings, "name")
+
+
+def test_a_task_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
+    (tmp_path / "algorithms").mkdir()
+    (tmp_path / "algorithms" / "__init__.py").write_text("raise SystemExit('the wrong package')")
+    (tmp_path / "own.py").write_text("VALUE = 3")
+    script = batch_script(1, load_sweep(write_sweep(tmp_path)), tmp_path / "sweep")
+    *_, _, start, folder = shlex.split(script.splitlines()[-1])
+    assert (start, folder) == (START, str(tmp_path / "sweep" / "slurm"))
+    look = START.replace(
+        "submitit_main()", "import algorithms, own; print(algorithms.ALGORITHMS['pcn'].name, own.VALUE)"
+    )
+    done = subprocess.run([sys.executable, "-c", look], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == "pcn 3\n", done.stderr

@@ -61,7 +61,7 @@ def call(
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     for module in scripts.values():
-        monkeypatch.setattr(module, "make_console", lambda: Console(width=250))
+        monkeypatch.setattr(module, "make_console", lambda: Console(width=250), raising=False)
 
     def call(script: str, *arguments: Any) -> Done:
         capfd.readouterr()

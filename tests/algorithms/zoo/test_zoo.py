@@ -11,6 +11,7 @@ import pytest
 
 from algorithms import zoo
 from algorithms.common.atomic_io import write_json
+from algorithms.experiments.cli import INSTALLED
 from algorithms.experiments.run_directory import Run
 from algorithms.zoo.exporting import export
 from tests.helpers.agents import INTERSECTION, SEA
@@ -125,7 +126,9 @@ def test_a_human_can_play_against_a_policy_by_name(
     export(run, "intersection-mo_ppo")
     before = contents(home)
     play = scripts["play"]
-    options = play.parse_arguments(["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"])
+    options = play.parse_arguments(
+        ["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"], INSTALLED
+    )
     env, agent = play.open_environment(options)
     assert env.config.time_limit == 3
     assert_same_episodes(whole_agent(run), agent, run.experiment)

@@ -503,7 +503,7 @@ def test_only_the_aec_environment_needs_momaland(run_python: Any) -> None:
         "except ImportError as error:\n"
         "    print(error)"
     )
-    assert printed.strip() == 'the AEC environment needs MOMAland: pip install "mo-deepdrive[momaland]"'
+    assert printed.strip() == "the AEC environment needs momaland: pip install 'mo-deepdrive[momaland]'"
 
 
 def test_the_environments_render() -> None:
