@@ -6,6 +6,7 @@ imported when its command is called.
 
 COMMANDS = {
     "train": "train an agent from a YAML file, or resume a run",
+    "keys": "the keys of YAML files, with type, default and description",
     "evaluate": "scores of a trained policy or front, and videos of it",
     "plot": "learning curves of runs or of a sweep",
     "table": "final scores of runs or of a sweep, with intervals",

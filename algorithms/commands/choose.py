@@ -93,13 +93,14 @@ def choice_table(
     """The chosen policy with intervals, and the next best policies next to it."""
     chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
+    how = f"{episodes} episodes each, 95% intervals" if episodes > 1 else "1 episode each"
     table = Table(
-        title=f"{len(front)} policies by {preference.name}; {episodes} episodes each, 95% intervals",
+        title=f"{len(front)} policies by {preference.name}; {how}",
         title_justify="left",
         title_style="bold",
         box=SIMPLE_HEAD,
     )
-    table.add_column("", no_wrap=True)
+    table.add_column("", overflow="fold")
     table.add_column(f"policy {chosen}: chosen", justify="right", no_wrap=True)
     for k in others:
         table.add_column(f"policy {k}", justify="right", no_wrap=True)

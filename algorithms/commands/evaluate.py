@@ -70,6 +70,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             video=Path(options.video) if options.video else None,
             greedy=not options.stochastic,
         )
-        if options.output and Path(options.output).resolve() == run.path.resolve():
-            run.record_results()
+        if options.output:
+            print(f"written: {options.output}")
+            if Path(options.output).resolve() == run.path.resolve():
+                run.record_results()
     return 0 if filmed else 1

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.cli import (
@@ -155,4 +156,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
                 play_in_window(human_env, options.fps or rate, lambda outcome: print_outcome(env.objectives, outcome))
             finally:
                 human_env.close()
+        if options.record and Path(options.record).is_file():
+            from algorithms.reporting.videos import video_seconds
+
+            print(f"video: {options.record}: {video_seconds(options.record):.1f} s")
     return 0

@@ -29,13 +29,15 @@ from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.experiments.cli import INSTALLED, as_called, make_parser
 from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_files import changed_files
-from algorithms.reporting.seed_tables import Rows, find_runs, print_runs
+from algorithms.reporting.seed_tables import find_runs, print_runs
 from algorithms.sweeps.manifest import is_sweep
 from algorithms.sweeps.tables import print_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
+
+    from algorithms.reporting.wide_tables import Rows
 
 TOP = 20
 
@@ -103,6 +105,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         tables = print_tables(options, partial(warn, program=program))
         if options.output is not None:
             atomic_write(options.output, csv_bytes([*tables[0], [], *tables[1]]))
+            print(f"written: {options.output}")
     except (ValueError, OSError) as error:
         warn(f"error: {error}", program)
         return 2

@@ -4,7 +4,7 @@
     mo-deepdrive train --config FILE --algorithm.learning_rate=3e-4 --training.total_timesteps=1e6
     mo-deepdrive train --resume runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000
 
-Every key of the YAML file is an option: --section.key=value.
+Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them.
 """
 
 from __future__ import annotations

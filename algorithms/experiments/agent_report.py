@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.evaluation.splits import describe_episodes
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
-from algorithms.reporting.front_report import film_front, report_front
+from algorithms.reporting.front_report import FILMED_POLICIES, covering_policies, film_front, report_front
 from algorithms.reporting.tables import evaluation_table, write_evaluation
-from algorithms.reporting.videos import record
+from algorithms.reporting.videos import record, video_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     from rich.console import Console
 
@@ -56,6 +57,8 @@ def report_agent(
         directory.mkdir(exist_ok=True)
     if not experiment.known_utility:
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
+        if front.episodes < episodes:
+            console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
         report_front(
             front,
             console,
@@ -78,7 +81,7 @@ def report_agent(
 def film(
     policy: Policy, experiment: Experiment, path: str | Path, console: Console, *, seed: int, greedy: bool = True
 ) -> bool:
-    """Record a video of a policy, or print why there is none.
+    """Record a video of a policy and print what it shows, or why there is none.
 
     Args:
         policy: an agent, or anything that acts like one.
@@ -92,7 +95,10 @@ def film(
         Whether there is a video.
     """
     env = experiment.environment
-    return attempt_film(lambda: record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy), console)
+    what = f"the {GREEDY if greedy else STOCHASTIC} policy from seed {seed} on"
+    return attempt_film(
+        lambda: record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy), path, what, console
+    )
 
 
 def film_policies_of_front(
@@ -105,7 +111,7 @@ def film_policies_of_front(
     seed: int,
     policies: Sequence[int] | None = None,
 ) -> bool:
-    """Record a video of policies of a front side by side, or print why there is none.
+    """Record a video of policies of a front side by side and print what it shows, or why there is none.
 
     Args:
         agent: the agent that learnt the front.
@@ -120,16 +126,31 @@ def film_policies_of_front(
         Whether there is a video.
     """
     env = experiment.environment
+    chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
+    what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
     return attempt_film(
-        lambda: film_front(agent, front, env.id, env.arguments, path, seed=seed, policies=policies), console
+        lambda: film_front(agent, front, env.id, env.arguments, path, seed=seed, policies=chosen), path, what, console
     )
 
 
-def attempt_film(recording: Callable[[], object], console: Console) -> bool:
-    """Call a function that records a video, or print why it failed; returns whether there is a video."""
+def attempt_film(recording: Callable[[], object], path: str | Path, what: str, console: Console) -> bool:
+    """Record a video and print the file, what it shows and its length, or why there is none.
+
+    Args:
+        recording: writes the file.
+        path: of the file.
+        what: it shows.
+        console: where to print.
+
+    Returns:
+        Whether there is a video.
+    """
     try:
         recording()
+        seconds = video_seconds(path) if Path(path).is_file() else None
     except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
         console.print(f"no video: {type(error).__name__}: {error}", markup=False, highlight=False, soft_wrap=True)
         return False
+    if seconds is not None:
+        console.print(f"video: {path}: {what}, {seconds:.1f} s", markup=False, highlight=False, soft_wrap=True)
     return True

@@ -31,7 +31,7 @@ def _integer(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Count = Annotated[int, BeforeValidator(_integer), Field(ge=1)]
+Count = Annotated[int, Field(ge=1), BeforeValidator(_integer)]
 
 
 class EnvironmentSettings(Settings):
@@ -50,7 +50,8 @@ class UtilitySettings(UtilityChoice):
     """The utility that is maximised.
 
     Attributes:
-        name, arguments: the utility of every vehicle.
+        name: of the utility of every vehicle: a registered one, or "package.module:callable".
+        arguments: keyword arguments of that utility.
         vehicles: utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1".
     """
 

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import MetricsFile
+from algorithms.evaluation.metrics import split_name
+from algorithms.reporting.animated_gif import video_as_gif
+from algorithms.reporting.seed_tables import TABLE_METRICS
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
 
     from algorithms.experiments.config import WandbSettings
 
+TENSORBOARD = "tensorboard"  # folder in a run's directory
+RESULTS_SUFFIX = ".results"  # of TensorBoard's file with the results at the end
 CONNECTION_TIMEOUT = 20.0  # s after which W&B is used offline
 
 
@@ -165,11 +170,8 @@ class Logger:
         directory = Path(directory)
         self._file = MetricsFile(directory / "metrics.csv", after, noted)
         self.gap = self._file.gap
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # from TensorBoard's dependencies
-            from torch.utils.tensorboard import SummaryWriter
         purge = None if after is None else after + 1
-        self._board = SummaryWriter(str(directory / "tensorboard"), purge_step=purge)
+        self._board = _summary_writer(directory, purge_step=purge)
         self._wandb = None if wandb is None else WandbRun(directory, wandb, config or {}, name, say)
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
@@ -206,3 +208,63 @@ class Logger:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close(failed=kind is not None)
+
+
+def log_results(
+    directory: Path, step: int, config: Mapping[str, Any], metrics: Mapping[str, float], video: Path | None = None
+) -> None:
+    """Show the results of a finished run in TensorBoard: hyperparameters, final scores and the video.
+
+    They are in a file of their own, which replaces that of an earlier call: a run has one entry in the HParams tab.
+
+    Args:
+        directory: the run's directory.
+        step: of the trained policy.
+        config: the experiment; its keys are hyperparameters, except those of logging.
+        metrics: of the final evaluation, such as greedy/utility_esr; those of tables are shown, as final/...
+        video: an MP4, which becomes a GIF in the Images tab; left out if there is no such file.
+
+    Raises:
+        OSError: if something cannot be read or written.
+    """
+    for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
+        earlier.unlink()
+    scores = {
+        f"final/{name}": value
+        for name, value in metrics.items()
+        if split_name(name).metric in TABLE_METRICS and math.isfinite(value)
+    }
+    board = _summary_writer(directory, filename_suffix=RESULTS_SUFFIX)
+    try:
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from torch.utils.tensorboard.summary import hparams
+
+        for name, value in scores.items():
+            board.add_scalar(name, value, step)
+        for summary in hparams(_flattened({key: value for key, value in config.items() if key != "logging"}), scores):
+            board.file_writer.add_summary(summary)
+        if video is not None and video.is_file():
+            gif, height, width = video_as_gif(video)
+            image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
+            board.file_writer.add_summary(Summary(value=[Summary.Value(tag="video", image=image)]), step)
+    finally:
+        board.close()
+
+
+def _summary_writer(directory: Path, **options: Any) -> Any:
+    """TensorBoard's writer for a run."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # from TensorBoard's dependencies
+        from torch.utils.tensorboard import SummaryWriter
+    return SummaryWriter(str(directory / TENSORBOARD), **options)
+
+
+def _flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested keys as dotted ones with the values that HParams takes; without those that are None."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        if isinstance(value, dict):
+            flat |= _flattened(value, f"{prefix}{key}.")
+        elif value is not None:
+            flat[prefix + key] = value if isinstance(value, (bool, int, float, str)) else str(value)
+    return flat

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from algorithms.evaluation.evaluate import Evaluation, Policy, evaluate
 from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.experiments.build import make_environment
-from algorithms.experiments.config import Experiment, find_environment, is_ours
+from algorithms.experiments.config import EnvironmentSettings, Experiment, find_environment, is_ours
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -25,6 +27,31 @@ def evaluation_env(experiment: Experiment, episodes: int) -> VectorEnv:
     """A raw environment for evaluations of ``episodes`` episodes; the caller closes it."""
     ours = is_ours(find_environment(experiment.environment.id))
     return make_environment(experiment.environment, min(episodes, OUR_ENVS if ours else OTHER_ENVS))
+
+
+def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
+    """How many of ``episodes`` episodes of a deterministic policy are worth driving: 1 if all are the same, else all.
+
+    They are the same if two seeds place the same world bit for bit, as with a fixed destination on OneWaypoint: this
+    package's environments draw random numbers for nothing but the start of an episode. Of other environments this is
+    not known, and all episodes are driven.
+
+    Args:
+        settings: the environment.
+        episodes: number of episodes of each policy.
+    """
+    if episodes == 1 or not is_ours(find_environment(settings.id)):
+        return episodes
+    env: Any = make_environment(settings, 2)
+    try:
+        env.reset(seed=[0, 1])
+        batch = env.unwrapped.batch
+        # A scenario without an obstacle has the coordinates of one that nothing reads.
+        names = [name for name in batch.state.dtype.names if name != "obstacle" or batch.params["has_obstacle"].any()]
+        first, second = batch.state[names]
+        return 1 if all(np.array_equal(first[name], second[name]) for name in names) else episodes
+    finally:
+        env.close()
 
 
 def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
@@ -62,9 +89,10 @@ def evaluate_front(agent: PCN, experiment: Experiment, *, episodes: int, seed: i
     Args:
         agent: trained.
         experiment: its environment and the discount of the evaluation.
-        episodes: number of episodes of each policy.
+        episodes: number of episodes of each policy, of which :func:`distinct_episodes` are driven.
         seed: seed of the first episode.
     """
+    episodes = distinct_episodes(experiment.environment, episodes)
     env = evaluation_env(experiment, FRONT_EPISODES)
     try:
         return agent.front(env, episodes=episodes, seed=seed, gamma=experiment.evaluation.gamma)
@@ -81,12 +109,13 @@ def evaluate_front_policies(
         agent: the agent that learnt the front.
         front: K policies.
         experiment: its environment and the discount of the evaluation.
-        episodes: number of episodes of each policy.
+        episodes: number of episodes of each policy, of which :func:`distinct_episodes` are driven.
         seed: seed of the first episode.
 
     Returns:
         K evaluations, in the order of the front.
     """
+    episodes = distinct_episodes(experiment.environment, episodes)
     env = evaluation_env(experiment, FRONT_EPISODES)
     try:
         gamma = experiment.evaluation.gamma

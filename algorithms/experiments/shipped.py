@@ -24,7 +24,7 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
         beside: a file that names the other one: ``name`` may be relative to its folder, too.
 
     Raises:
-        ValueError: if there is neither, with the nearest shipped names.
+        ValueError: if there is neither, with the places and the nearest shipped names.
     """
     path = Path(name)
     candidates = [path] if beside is None else [path, Path(beside).parent / path]
@@ -37,4 +37,8 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
     if path.exists():
         return path  # what is wrong with it is said by who reads it
     near = ", ".join(difflib.get_close_matches(wanted, names, n=3, cutoff=0.0))
-    raise ValueError(f"config file {str(name)!r} does not exist; the nearest names of shipped ones: {near}")
+    places = ", ".join(str(candidate) for candidate in dict.fromkeys(candidates))
+    raise ValueError(
+        f"config file {str(name)!r} does not exist: looked for {places} and among the shipped ones, whose nearest "
+        f"names are {near}"
+    )

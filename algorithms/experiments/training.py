@@ -15,11 +15,12 @@ from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.interrupts import Interrupts, stopped_by
-from algorithms.experiments.loggers import Logger
-from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluation_env
+from algorithms.experiments.loggers import Logger, log_results
+from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from algorithms.reporting.learning_curves import load_groups, plot
+from algorithms.reporting.seed_tables import final_metrics
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -111,7 +112,10 @@ def train(
     checkpoint_interval = logging.checkpoint_interval or training.total_timesteps
     saved = agent.step  # step of the last checkpoint
     known_utility = experiment.known_utility
-    eval_env = evaluation_env(experiment, evaluation.episodes if known_utility else FRONT_EPISODES)
+    episodes = evaluation.episodes
+    if not known_utility:
+        episodes = distinct_episodes(experiment.environment, episodes)
+    eval_env = evaluation_env(experiment, episodes if known_utility else FRONT_EPISODES)
     reference_front = None if known_utility else best_known_front(eval_env, evaluation.gamma)
     ours = is_ours(find_environment(experiment.environment.id))
     after = (saved if saved > 0 else -1) if resumed else None
@@ -171,7 +175,7 @@ def train(
                 training.total_timesteps,
                 eval_env,
                 eval_interval=evaluation.interval,
-                eval_episodes=evaluation.episodes,
+                eval_episodes=episodes,
                 eval_seed=SPLITS["validation"].start,
                 eval_gamma=evaluation.gamma,
                 reference_point=evaluation.reference_point,
@@ -204,6 +208,8 @@ def _set_failed(run: Run, step: int, reason: str) -> None:
 def finish(run: Run, agent: Any, console: Console) -> None:
     """Evaluate the trained agent of a run; print and write the numbers, draw the learning curves and record a video.
 
+    TensorBoard gets the hyperparameters with the final scores, and the video.
+
     An agent that learnt a front has the front evaluated and drawn, and four of its policies filmed. Without
     ``logging.save_figures`` there are neither curves nor videos.
 
@@ -211,6 +217,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
         Stopped: if the numbers or the curves could not be written; the trained policy is saved.
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
+    video = run.path / "video.mp4" if figures else None
     try:
         report_agent(
             agent,
@@ -219,10 +226,11 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             episodes=settings.final_episodes,
             seed=settings.final_seed,
             directory=run.path,
-            video=run.path / "video.mp4" if figures else None,
+            video=video,
         )
         if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
             plot(load_groups([run.path]), run.path / "curves.png")
+        log_results(run.path, agent.step, run.experiment.to_dict(), final_metrics(run.path), video)
         run.set_status("finished", agent.step)
     except OSError as error:
         raise stopped_by(error, f"the run is trained, but its results could not be written: {error}") from error

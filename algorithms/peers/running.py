@@ -17,15 +17,16 @@ from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.evaluation.metrics import FRONT, evaluation_prefix
 from algorithms.evaluation.splits import describe_episodes
-from algorithms.experiments.agent_report import attempt_film, film
+from algorithms.experiments.agent_report import film, film_policies_of_front
 from algorithms.experiments.build import make_environment
-from algorithms.experiments.loggers import Logger
+from algorithms.experiments.loggers import Logger, log_results
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
-from algorithms.reporting.front_report import film_front, report_front
+from algorithms.reporting.front_report import report_front
 from algorithms.reporting.learning_curves import load_groups, plot
+from algorithms.reporting.seed_tables import final_metrics
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.utilities import check_utility, make_utility
@@ -114,6 +115,7 @@ def run_peer(run: Run, console: Console) -> None:
         }
         finish = _finish_policy if peer.known_utility else _finish_front
         logger.log(steps, finish(run, policies, steps, about, console))
+    log_results(run.path, steps, experiment.to_dict(), final_metrics(run.path), run.path / "video.mp4")
     plot(load_groups([run.path]), run.path / "curves.png")
     run.set_status("finished", steps)
 
@@ -153,11 +155,7 @@ def _finish_front(
         directory=run.path,
         about={"step": steps, **about, "evaluated_policies": len(policies)},
     )
-    path = run.path / "video.mp4"
-    attempt_film(
-        lambda: film_front(policies, front, environment.id, environment.arguments, path, seed=settings.final_seed),
-        console,
-    )
+    film_policies_of_front(policies, front, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed)
     return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+import math
+from itertools import islice
+from typing import TYPE_CHECKING, Any
 
+import imageio
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -58,10 +61,43 @@ def write_gif(
     for t in range(count):
         row = [tiles[min(t, len(tiles) - 1)] for tiles in columns]
         sheets.append(np.hstack([part for tile in row for part in (tile, gap)][:-1]))
-    samples = np.vstack(sheets[:: max(1, count // 8)])
+    content = _encode(sheets, 1000 // fps)
+    atomic_write(path, content)
+    return count, len(content)
+
+
+def _encode(frames: Sequence[Frame], milliseconds: float) -> bytes:
+    """A looping GIF of frames of one size, each shown for so long."""
+    samples = np.vstack(frames[:: max(1, len(frames) // 8)])
     palette = Image.fromarray(samples).quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
-    images = [Image.fromarray(sheet).quantize(palette=palette, dither=Image.Dither.NONE) for sheet in sheets]
+    images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     buffer = io.BytesIO()
-    images[0].save(buffer, format="GIF", save_all=True, append_images=images[1:], duration=1000 // fps, loop=0)
-    atomic_write(path, buffer.getvalue())
-    return count, len(buffer.getvalue())
+    images[0].save(buffer, format="GIF", save_all=True, append_images=images[1:], duration=milliseconds, loop=0)
+    return buffer.getvalue()
+
+
+def video_as_gif(path: str | Path, *, max_width: int = 480, max_frames: int = 150) -> tuple[bytes, int, int]:
+    """A video file as a looping GIF of the same length.
+
+    Args:
+        path: the file.
+        max_width: pixels; a wider video is scaled down.
+        max_frames: of a longer video as many are taken at equal distances.
+
+    Returns:
+        The GIF, its height and its width.
+
+    Raises:
+        OSError: if the video cannot be read.
+    """
+    reader: Any = imageio.get_reader(path, format="FFMPEG")
+    with reader:
+        about = reader.get_meta_data()
+        stride = max(1, math.ceil(about["duration"] * about["fps"] / max_frames))
+        width, height = about["size"]
+        scale = min(1.0, max_width / width)
+        width, height = round(scale * width), round(scale * height)
+        frames = [
+            np.asarray(Image.fromarray(frame).resize((width, height))) for frame in islice(reader, 0, None, stride)
+        ]
+    return _encode(frames, 1000 * stride / about["fps"]), height, width

@@ -7,9 +7,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
-from rich.table import Table
 from rich.text import Text
 
 from algorithms.common.env_adapter import EnvAdapter, make_env
@@ -20,6 +18,7 @@ from algorithms.evaluation.statistics import Estimate
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reporting.video_grid import write_video_grid
 from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
+from algorithms.reporting.wide_tables import fitted_tables
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -79,7 +78,7 @@ def report_front(
         env.close()
     measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
     title = f"{algorithm} on {env_id}"
-    console.print(front_table(front, measured, f"{title}: {len(front)} policies"))
+    console.print(front_table(front, measured, f"{title}: {len(front)} policies", console.width))
     if directory is not None:
         policies = {FRONT: {name: asdict(Estimate(value)) for name, value in measured.items()}}
         front.write(directory, {**about, "reference_point": reference_point, "policies": policies})
@@ -95,17 +94,17 @@ def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
     return chosen[np.argsort(front.returns[chosen, 0], kind="stable")]
 
 
-def front_table(front: Front, measured: Mapping[str, float], title: str) -> Group:
-    """A table of some policies of a front with the intervals of their returns, and the front's indicators below it."""
+def front_table(front: Front, measured: Mapping[str, float], title: str, width: int) -> Group:
+    """A table of some policies of a front with the intervals of their returns, and the front's indicators below it.
+
+    It takes ``width`` columns: objectives that do not fit are in a further table.
+    """
     numbers = [
         f"{name.replace('_', ' ')} {f'{value:,.0f}' if value >= 1e4 else f'{value:.4g}'}"
         for name, value in measured.items()
     ]
-    table = Table(box=SIMPLE_HEAD)
     arrivals = bool(np.isfinite(front.success).all())
-    table.add_column("policy", justify="right")
-    for name in (*front.objectives, *(["arrivals"] if arrivals else []), "decisions"):
-        table.add_column(name, justify="right", no_wrap=True)
+    rows = [["policy", *front.objectives, *(["arrivals"] if arrivals else []), "decisions"]]
     for k in covering_policies(front, TABLE_ROWS).tolist():
         cells = [
             Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
@@ -114,11 +113,10 @@ def front_table(front: Front, measured: Mapping[str, float], title: str) -> Grou
             for i in range(len(front.objectives))
         ]
         share = [f"{front.success[k]:.0%}"] if arrivals else []
-        row = [str(k), *cells, *share, f"{front.length[k]:.0f}"]
-        table.add_row(*(cell.replace("[", r"\[") for cell in row))
+        rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
     how = "1 episode each" if front.episodes == 1 else f"{front.episodes} episodes each, 95% intervals"
     heading = Text(f"{title}; undiscounted returns, {how}", style="bold")
-    return Group(heading, table, Text(", ".join(numbers)))
+    return Group(heading, *fitted_tables(rows, 1, width), Text(", ".join(numbers)))
 
 
 def caption(front: Front, k: int) -> str:

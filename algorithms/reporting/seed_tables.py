@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import registry
-from rich.table import Table
 
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.front import EVALUATION_FILE
@@ -35,15 +34,14 @@ from algorithms.evaluation.metrics import (
 )
 from algorithms.evaluation.seed_groups import group_by_experiment
 from algorithms.evaluation.statistics import Estimate, interquartile_mean, mann_whitney_p, mean_difference, means
+from algorithms.reporting.wide_tables import Rows, print_rows
 from mo_deepdrive.config import EnvConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from rich.console import Console
-
-Rows = list[list[str]]  # of a table, header first
 
 TABLE_METRICS = (
     *(UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), return_of("lane_violation")),
@@ -265,16 +263,8 @@ def without_empty_columns(rows: Rows) -> Rows:
     return [[row[i] for i in kept] for row in rows]
 
 
-def print_rows(console: Console, rows: Rows, title: str | None = None) -> None:
-    """Print a table."""
-    table = Table(*(name.replace("[", r"\[") for name in rows[0]), title=title, title_justify="left")
-    for row in rows[1:]:
-        table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    console.print(table)
-
-
 def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], None]) -> list[Rows]:
-    """Print the scores of runs over seeds and the comparisons of their algorithms; returns both tables.
+    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns both tables.
 
     Args:
         paths: run directories, or folders that hold some.
@@ -287,8 +277,20 @@ def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], No
     groups = group_runs(paths, warn)
     if not groups:
         raise ValueError("no run has a final evaluation")
-    tables = [scores_table(groups), comparison_table(groups)]
-    for rows in tables:
-        if len(rows) > 1:
-            print_rows(console, rows)
-    return tables
+    scores, compared = scores_table(groups), comparison_table(groups)
+    for task, rows in _by_task(scores, groups[0].task).items():
+        print_rows(console, rows, task, rows[0].index("seeds") + 1)
+    for task, rows in _by_task(compared, groups[0].task).items():
+        print_rows(console, rows, f"{task}: differences of the algorithms", rows[0].index("value"))
+    return [scores, compared]
+
+
+def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:
+    """The rows of each task without the columns that name it, which become its title."""
+    header, *body = rows
+    rest = [i for i, name in enumerate(header) if name not in task]
+    tables: dict[str, Rows] = {}
+    for row in body:
+        title = ", ".join(cell for i, cell in enumerate(row) if i not in rest and cell)
+        tables.setdefault(title, [[header[i] for i in rest]]).append([row[i] for i in rest])
+    return {title: without_empty_columns(table) for title, table in tables.items()}

@@ -97,9 +97,9 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
                 names.insert(place, name)
             place = names.index(name) + 1
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    result.add_column("", no_wrap=True, min_width=max(map(len, names)))
+    result.add_column("", overflow="fold")
     for policy in columns:
-        result.add_column(policy, justify="right", no_wrap=True)
+        result.add_column(policy, justify="right", overflow="fold")
     for name in names:
         cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))

@@ -94,6 +94,17 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.ui
             part.replace(path)
 
 
+def video_seconds(path: str | Path) -> float:
+    """The length of an MP4 in seconds.
+
+    Raises:
+        OSError: if it cannot be read.
+    """
+    reader: Any = imageio.get_reader(path, format="FFMPEG")
+    with reader:
+        return float(reader.get_meta_data()["duration"])
+
+
 def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> VectorEnv:
     """A vector environment with one environment that renders RGB arrays and, if it is ours, does not reset itself.
 

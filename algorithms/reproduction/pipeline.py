@@ -20,7 +20,7 @@ from algorithms.reproduction.report import (
     is_ablation,
     keep_fronts,
     median_run,
-    verdict_table,
+    print_verdicts,
     write_report,
 )
 from algorithms.reproduction.results import ReproductionResults, gather
@@ -184,7 +184,7 @@ def _write(
 ) -> None:
     """Write the report, and print the verdicts."""
     paths = write_report(plan, results, options.output_folder, figures, how=options.command, quick=options.quick)
-    console.print(verdict_table(plan, results, quick=options.quick), markup=False, highlight=False, soft_wrap=True)
+    print_verdicts(plan, results, console, quick=options.quick)
     if options.quick:
         console.print(QUICK)
     console.print(f"written: {', '.join(str(path) for path in paths)}", soft_wrap=True)

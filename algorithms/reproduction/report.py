@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Column, Table
+from rich.text import Text
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.front import Front
@@ -47,10 +50,13 @@ from algorithms.reproduction.results import ReproductionResults
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from rich.console import Console
+
     from algorithms.reproduction.plan import Plan, PlannedRun, Protocol
 
 REPORT_FILE = "reproduction.md"
 QUICK = "A quick reproduction checks the pipeline. It trains too little for verdicts."
+VERDICT_COLUMNS = ("protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict")
 COLLAPSED = 0.5  # a run of PCN has collapsed if its hypervolume is below this part of the median
 
 
@@ -152,16 +158,36 @@ def verdict_table(plan: Plan, results: ReproductionResults, *, quick: bool = Fal
         results: of its runs.
         quick: whether the runs are too short for verdicts; they are then not judged.
     """
-    rows = [["claim", "protocol", "A2C", "MO-A2C", "difference", "P(MO-A2C higher)", "verdict"]]
+    rows = [["claim", *VERDICT_COLUMNS]]
     for claim in CLAIMS:
-        for protocol, verdict in verdicts(claim, results).items():
-            title = plan.tasks[claim.tasks[0]].protocols[protocol].title
-            for i, task in enumerate(claim.tasks):
-                which = f" ({utility_kind(task)})" if len(claim.tasks) > 1 else ""
-                name = f"{claim.number}. {claim.statement}" if i == 0 else ""
-                conclusion = "" if i > 0 else "not judged" if quick else f"**{verdict.text}**"
-                rows.append([name, title + which, *_effect_columns(results, task, protocol), conclusion])
+        for *row, conclusion in _verdict_rows(claim, plan, results, quick=quick):
+            name = f"{claim.number}. {claim.statement}" if conclusion else ""
+            bold = f"**{conclusion}**" if conclusion and not quick else conclusion
+            rows.append([name, *row, bold])
     return markdown_table(rows)
+
+
+def print_verdicts(plan: Plan, results: ReproductionResults, console: Console, *, quick: bool = False) -> None:
+    """Print the verdicts: a table per claim; arguments as of :func:`verdict_table`."""
+    for claim in CLAIMS:
+        rows = _verdict_rows(claim, plan, results, quick=quick)
+        if rows:
+            table = Table(*(Column(name, overflow="fold") for name in VERDICT_COLUMNS), box=SIMPLE_HEAD)
+            for row in rows:
+                table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))  # intervals below their values
+            console.print(Text(f"{claim.number}. {claim.statement}", style="bold"), table)
+
+
+def _verdict_rows(claim: Claim, plan: Plan, results: ReproductionResults, *, quick: bool) -> list[list[str]]:
+    """The rows of a claim in :data:`VERDICT_COLUMNS`; of the tasks of a protocol, only the first has the verdict."""
+    rows = []
+    for protocol, verdict in verdicts(claim, results).items():
+        title = plan.tasks[claim.tasks[0]].protocols[protocol].title
+        for i, task in enumerate(claim.tasks):
+            which = f" ({utility_kind(task)})" if len(claim.tasks) > 1 else ""
+            conclusion = "" if i > 0 else "not judged" if quick else verdict.text
+            rows.append([title + which, *_effect_columns(results, task, protocol), conclusion])
+    return rows
 
 
 def _effect_columns(results: ReproductionResults, task: str, protocol: str) -> list[str]:

@@ -100,7 +100,7 @@ class AshaSettings(Settings):
     """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung.
 
     Attributes:
-        metric: of the evaluations during training, named as in :class:`HyperparameterSearchSettings`.
+        metric: of the evaluations during training, named as the metric of a search.
         direction: whether to maximize or minimize it.
         grace_period: environment steps before a run may be pruned.
         reduction_factor: one in this many runs continues past each rung.
@@ -153,15 +153,15 @@ class SweepSettings(Settings):
     """A sweep: a base experiment, what varies, and the resources of each run.
 
     Attributes:
-        config: YAML file of the base experiment, relative to the working directory, or the name of a shipped one; a
-            list is the outermost dimension of the grid.
+        config: YAML file of the base experiment, relative to the working directory or to the folder of the sweep's own
+            file, or the name of a shipped one; a list is the outermost dimension of the grid.
         overrides: values of experiment keys, the same for all runs.
         grid: values of experiment keys; every combination is a cell. A mapping is merged into its section.
         search: a hyperparameter search, instead of a grid or within each cell of it.
         seeds: seeds of each cell; a number is short for that many from 0 on.
         resources: needed by each run.
         retries: how often to retry a run whose process died or could not write.
-        ray, slurm: settings of these backends.
+        ray, slurm: settings of the backend of this name.
     """
 
     config: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
@@ -179,10 +179,10 @@ def load_sweep(path: str | Path) -> SweepSettings:
     """Read the settings of a sweep: a YAML file, or the name of a shipped one.
 
     Raises:
-        ValueError: naming the file and every invalid key.
+        ValueError: naming the file and every invalid key; or a config that does not exist, with the places.
     """
-    what = f"sweep {str(path)!r}"
-    settings = parse(SweepSettings, read_mapping(find_config(path)), what)
+    what, path = f"sweep {str(path)!r}", find_config(path)
+    settings = parse(SweepSettings, read_mapping(path), what)
     space = {} if settings.search is None else settings.search.space
     places: dict[str, dict[str, Any]] = {
         "overrides": settings.overrides,
@@ -208,7 +208,17 @@ def load_sweep(path: str | Path) -> SweepSettings:
         problems.append(f"seeds = {settings.seeds} has a duplicate seed")
     if problems:
         raise ValueError(f"invalid {what}: {'; '.join(problems)}")
-    return settings
+    return settings.model_copy(update={"config": [_found(name, path) for name in settings.config]})
+
+
+def _found(name: str, sweep: Path) -> str:
+    """``name``, or the path of the file that it names beside the file of the sweep.
+
+    Raises:
+        ValueError: if there is no such config.
+    """
+    beside = sweep.parent / name
+    return str(beside) if find_config(name, beside=sweep) == beside else name
 
 
 def _problems(values: SearchRange) -> list[str]:

@@ -6,18 +6,16 @@ from collections import defaultdict
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import polars as pl
 
 from algorithms.evaluation.metrics import MetricName
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
-    Rows,
     ScoreGroup,
     comparison_table,
-    print_rows,
     scores_table,
 )
+from algorithms.reporting.wide_tables import Rows, print_rows
 from algorithms.sweeps.collection import SCORE_KEYS, Collection, collect
 from algorithms.sweeps.ranking import TOTAL, Ranking, rank, short_names, totals, value_labels, value_text, varying_keys
 
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+REST = "--output FILE.csv writes every column"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 
 
@@ -74,14 +73,15 @@ def print_sweep(
         if ranking.ranked:
             shown = min(top, len(ranking.ranked))
             title = f"{ranking.title}: {shown} of {len(ranking.cells)} cells, by {ranking.score_name}"
-            print_rows(console, best_cells(ranking, groups, top, console.width), title)
+            rows = best_cells(ranking, groups, top)
+            print_rows(console, rows, title, rows[0].index(ranking.metric), rest=REST)
         elif groups:
             warn(f"left out: no run has {metric or 'a utility or an indicator of a front'} in {ranking.title}")
     compared = comparison_table(to_compare)
     if len(compared) > 1:
         count = len(compared) - 1
         title = f"algorithms where nothing else differs: {min(top, count)} of {count} comparisons"
-        print_rows(console, compared[: 1 + top], title)
+        print_rows(console, compared[: 1 + top], title, compared[0].index("value"))
     return [scores_table(all_groups), compared] if whole else []
 
 
@@ -115,14 +115,13 @@ def _ranked_scores(ranking: Ranking, group: ScoreGroup) -> ScoreGroup:
     return replace(group, scores={name: values for name, values in group.scores.items() if name[:2] == place})
 
 
-def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int, width: int) -> Rows:
+def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int) -> Rows:
     """The best cells of a ranking for the terminal: short names of their keys, and the scores of one policy.
 
     Args:
         ranking: the cells.
         groups: their scores, in the same order.
         top: cells at most.
-        width: columns of the terminal.
     """
     cells = ranking.ranked[:top]
     keys = varying_keys([cell.keys for cell in ranking.cells])
@@ -133,12 +132,4 @@ def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int, width: 
         names = {name: texts[i] for name, texts in columns.items()}
         brief.append(replace(_ranked_scores(ranking, group), about={**trial, **names}))
     rows = scores_table(brief, [ranking.metric, *(name for name in TABLE_METRICS if name != ranking.metric)])
-    rows = [[cell for name, cell in zip(rows[0], row, strict=True) if name not in SCORE_KEYS] for row in rows]
-    return _fitting(rows, rows[0].index(ranking.metric) + 1, width)
-
-
-def _fitting(rows: Rows, least: int, width: int) -> Rows:
-    """The rows with as many of the first columns as fit into ``width``, and always ``least``."""
-    widths = [max(len(row[i]) for row in rows) + len("│  ") for i in range(len(rows[0]))]
-    count = max(least, int((np.cumsum(widths) < width).sum()))
-    return [row[:count] for row in rows]
+    return [[cell for name, cell in zip(rows[0], row, strict=True) if name not in SCORE_KEYS] for row in rows]

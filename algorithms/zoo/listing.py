@@ -27,27 +27,30 @@ if TYPE_CHECKING:
 
     from algorithms.experiments.config import Experiment
 
-CAPTION = """\
-Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split.
-Names end in -printed for the paper's hyperparameters, in -together where the first vehicle to end ends the episode
-for both, and in -solved where the median run fails and another one is added. All policies: docs/reproduction.md.
-"""
+CAPTION = (
+    "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split. "
+    "Names end in -printed for the paper's hyperparameters, in -together where the first vehicle to end ends the "
+    "episode for both, and in -solved where the median run fails and another one is added. "
+    "All policies: docs/reproduction.md."
+)
 
 
 def zoo_table() -> Table:
-    """One row per policy: its name, the task and algorithm of its training, and its scores.
+    """One row per policy: its name, which has the algorithm, the task of its training, and its scores.
 
     Raises:
         ValueError: if a file of a policy is not valid.
     """
-    table = Table(title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    table = Table(
+        title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
     table.caption, table.caption_justify = CAPTION, "left"
     table.add_column("name", no_wrap=True)
-    for column in ("task", "algorithm", "arrivals (%)", "utility (ESR)"):
-        table.add_column(column)
+    for column in ("task", "arrivals (%)", "utility (ESR)"):
+        table.add_column(column, overflow="fold")
     for name in names():
         experiment = Run.open(find(name), device="cpu").experiment
-        table.add_row(name, _task(experiment), experiment.algorithm["name"], *_score_columns(find(name) / ABOUT))
+        table.add_row(name, _task(experiment), *_score_columns(find(name) / ABOUT))
     return table
 
 

@@ -234,7 +234,9 @@ def test_runs_without_a_front_are_refused(folder: Path, choose: Choose, tmp_path
 
 
 def test_the_chosen_policy_is_filmed(folder: Path, choose: Choose, tmp_path: Path) -> None:
-    chosen(choose(folder, *SETTINGS, "--weights", "distance=1", "--video", "drive.mp4"), folder)
+    done = choose(folder, *SETTINGS, "--weights", "distance=1", "--video", "drive.mp4")
+    shown = rf"video: drive\.mp4: policy {chosen(done, folder)} of the front, seed {SEED}, [1-9]\d*\.\d s\n"
+    assert re.search(shown, done[1])
     content = (tmp_path / "drive.mp4").read_bytes()
     assert content[4:8] == b"ftyp"
     assert len(content) > 1000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,8 @@ def test_evaluate_prints_and_writes_its_numbers(finished: Path, tmp_path: Path, 
     ):
         assert name in out
     assert (tmp_path / "drive.mp4").stat().st_size > 1000
+    assert re.search(r"video: drive\.mp4: the stochastic policy from seed 9 on, [1-9]\d*\.\d s\n", out)
+    assert "written: numbers\n" in out
     numbers = json.loads((tmp_path / "numbers" / "evaluation.json").read_text())
     assert (numbers["episodes"], numbers["seed"], numbers["step"]) == (5, 9, 2016)
     refused(call("evaluate", finished, "--episodes", 0), "--episodes 0")
@@ -73,7 +76,10 @@ def test_evaluate_shows_a_front_on_other_episodes_and_films_it(
     code, out, error = call("evaluate", finished_front, *options)
     assert code == 0, out + error
     front = Front.read(tmp_path / "numbers")
-    assert (front.episodes, front.seed) == (3, 9)
+    assert (front.episodes, front.seed) == (1, 9)
+    assert "every episode is the same: 1 of 3 is driven" in out
+    assert re.search(r"video: drive\.mp4: policies \d+(, \d+){0,3} of the front, seed 9, [1-9]\d*\.\d s\n", out)
+    assert "written: numbers\n" in out
     np.testing.assert_array_equal(front.low, front.returns)  # every episode is the same
     assert (tmp_path / "drive.mp4").stat().st_size > 1000
     assert sorted((path.name, path.stat().st_mtime_ns) for path in finished_front.iterdir()) == before

@@ -124,8 +124,10 @@ def test_an_episode_against_a_run_is_recorded(
     typing({decisions * FRAMES_PER_DECISION: [(PRESS, pygame.K_ESCAPE)]})
     options = ["--against", str(run), "--vehicle", "1", "--stochastic", "--record", str(tmp_path / "drive.mp4")]
     assert play.main(["--env", TWO, "--fps", "1000", *options]) == 0
-    rows = [line.split()[:3] for line in capsys.readouterr().out.splitlines() if "vehicle_" in line]
+    out = capsys.readouterr().out
+    rows = [line.split()[:3] for line in out.splitlines() if "vehicle_" in line]
     assert rows == [["vehicle_0", "time_limit", "3.0"], ["vehicle_1", "time_limit", "3.0"]]
+    assert f"video: {tmp_path / 'drive.mp4'}: 3.5 s\n" in out
     assert len(iio.imread(tmp_path / "drive.mp4")) == decisions
 
 

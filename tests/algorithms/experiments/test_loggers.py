@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import errno
+import io
+import math
 import sys
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.config import WandbSettings
-from algorithms.experiments.loggers import Logger
+from algorithms.experiments.loggers import Logger, log_results
+from algorithms.reporting.videos import video_writer
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,6 +66,38 @@ def test_a_resumed_run_writes_rows_after_the_checkpoint_again(tmp_path: Path) ->
     np.testing.assert_array_equal(columns["step"], [0, 10, 20])
     np.testing.assert_array_equal(columns["a"], [0, 10, -20])
     assert scalars(tmp_path)["a"] == [(0, 0.0), (10, 10.0), (20, -20.0)]
+
+
+def test_tensorboard_shows_hyperparameters_final_scores_and_the_video_of_a_finished_run_once(tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    from tensorboard.plugins.hparams import metadata
+
+    config = {
+        "algorithm": {"name": "a2c", "learning_rate": 0.001, "hidden": [8, 4], "clip": None},
+        "logging": {"interval": 10},
+    }
+    with video_writer(tmp_path / "video.mp4", fps=10) as write:
+        for shade in range(40):
+            write(np.full((64, 96, 3), 5 * shade, dtype=np.uint8))
+    with Logger(tmp_path) as logger:
+        logger.log(100, {"a": 1.0})
+    scores = {"greedy/utility_esr": 2.5, "greedy/success": math.nan, "greedy/end/time_limit": 1.0}
+    for _ in range(2):  # the end of a run may be repeated
+        log_results(tmp_path, 100, config, scores, tmp_path / "video.mp4")
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert len(list((tmp_path / "tensorboard").glob("*.results"))) == 1
+    assert scalars(tmp_path) == {"a": [(100, 1.0)], "final/greedy/utility_esr": [(100, 2.5)]}
+    content = events.PluginTagToContent("hparams")
+    started = metadata.parse_session_start_info_plugin_data(content[metadata.SESSION_START_INFO_TAG])
+    values = {name: getattr(value, value.WhichOneof("kind")) for name, value in started.hparams.items()}
+    assert values == {"algorithm.name": "a2c", "algorithm.learning_rate": 0.001, "algorithm.hidden": "[8, 4]"}
+    experiment = metadata.parse_experiment_plugin_data(content[metadata.EXPERIMENT_TAG])
+    assert [info.name.tag for info in experiment.metric_infos] == ["final/greedy/utility_esr"]
+    (image,) = events.Images("video")
+    assert (image.step, image.height, image.width) == (100, 64, 96)
+    with Image.open(io.BytesIO(image.encoded_image_string)) as gif:
+        assert gif.format == "GIF"
+        assert 2 <= gif.n_frames <= 40  # type: ignore[attr-defined]
 
 
 def test_a_run_without_checkpoint_starts_its_metrics_again(tmp_path: Path) -> None:

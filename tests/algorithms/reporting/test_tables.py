@@ -115,3 +115,17 @@ def test_every_metric_is_written_and_shown(tmp_path: Path) -> None:
     text = console.export_text()
     assert "end/circling" in text
     assert expected.text() in text
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_a_table_with_two_vehicles_and_long_names_fits_the_terminal(width: int) -> None:
+    held = evaluation(vehicles=2)
+    held.objectives = ("distance", "minus_the_energy_drawn_from_the_battery_in_kilowatt_hours")
+    console = Console(width=width, record=True)
+    console.print(evaluation_table({"greedy": held, "stochastic": held}, "a title"))
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= width
+    assert not any("…" in line for line in lines)
+    text = "".join("".join(lines).split())
+    for name, estimate in estimate_metrics(held).items() if width >= 80 else ():
+        assert "".join(estimate.text().split()) in text, name

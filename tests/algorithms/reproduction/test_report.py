@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from rich.console import Console
 
 from algorithms.reproduction.plan import Plan, load_plan
-from algorithms.reproduction.report import is_ablation, verdict_table, write_report
+from algorithms.reproduction.report import is_ablation, print_verdicts, verdict_table, write_report
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
 
@@ -47,6 +48,21 @@ def test_utilities_have_the_digits_that_the_wider_interval_supports() -> None:
     assert "| 10.0 [10.0, 10.0] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
     scores = dict.fromkeys(("a2c", "mo_a2c"), SOLVED)
     assert "| 10.000 [9.993, 10.008] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_the_verdicts_fit_the_terminal(width: int) -> None:
+    plan = load_plan(PLAN)
+    scores = {each: {**SOLVED, "utility_esr_width": evenly_spread(2.0)} for each in ("a2c", "mo_a2c")}
+    console = Console(width=width, record=True)
+    print_verdicts(plan, make_results("one_waypoint_linear", scores), console)
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= width
+    assert not any("…" in line for line in lines)
+    text = " ".join(" ".join(lines).split())
+    assert text.startswith("1. OneWaypoint, linear utility: A2C and MO-A2C both solve it")
+    assert "reproduced" in text
+    assert width < 100 or "best effort 10.0 10.0 0.0 0.50 reproduced [10.0, 10.0] [10.0, 10.0]" in text
 
 
 def test_the_report_says_which_protocols_were_evaluated_in_which_episodes(tmp_path: Path) -> None:

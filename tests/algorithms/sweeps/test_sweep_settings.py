@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from algorithms.sweeps.manifest import expand
 from algorithms.sweeps.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
@@ -162,3 +163,32 @@ def test_a_file_that_is_missing_or_not_a_mapping_is_refused_with_its_name(tmp_pa
     (tmp_path / "list.yaml").write_text("- 1\n")
     with pytest.raises(ValueError, match=r"list\.yaml' holds a list"):
         load_sweep(tmp_path / "list.yaml")
+
+
+def test_a_config_may_be_beside_the_file_of_the_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
+    for each in (folder, elsewhere):
+        each.mkdir()
+    write_sweep(folder)
+    (folder / "sweep.yaml").write_text("config: base.yaml\nseeds: 2\n")
+    monkeypatch.chdir(elsewhere)
+    settings = load_sweep("../study/sweep.yaml")
+    assert settings.config == ["../study/base.yaml"]
+    assert [row.seed for row in expand(settings, {})] == [0, 1]
+    write_sweep(elsewhere)
+    assert load_sweep("../study/sweep.yaml").config == ["base.yaml"]  # the working directory comes first
+    monkeypatch.chdir(folder)
+    assert load_sweep("sweep.yaml").config == ["base.yaml"]
+
+
+def test_a_config_that_does_not_exist_is_refused_with_the_places_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sweep.yaml").write_text("config: one_waypoint/mo_a2c_linera.yaml\n")
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    with pytest.raises(ValueError, match="does not exist") as refusal:
+        load_sweep("../sweep.yaml")
+    message = str(refusal.value)
+    assert "looked for one_waypoint/mo_a2c_linera.yaml, ../one_waypoint/mo_a2c_linera.yaml and among the" in message
+    assert "one_waypoint/mo_a2c_linear" in message

@@ -1,0 +1,81 @@
+"""List the keys of YAML files: type, default and what they do.
+
+    mo-deepdrive keys                                          # of every algorithm, and of sweeps
+    mo-deepdrive keys --algorithm mo_ppo                       # of an experiment with this algorithm
+    mo-deepdrive keys --config one_waypoint/mo_ppo_nonlinear   # and what the file sets
+
+On the command line of train every key of an experiment is an option: --section.key=value.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.key_listing import Key, differing_values, experiment_keys, model_keys
+from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.registry import algorithm_names, find_algorithm
+from algorithms.sweeps.sweep_settings import SweepSettings
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "keys")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--config", metavar="FILE", help="YAML file of an experiment, or the name of a shipped one")
+    source.add_argument(
+        "--algorithm", metavar="NAME", help="an algorithm, another library's, or your own: package.module:Class"
+    )
+    return parser.parse_args(arguments)
+
+
+def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dict[str, list[Key]]:
+    """The keys to list, by title.
+
+    Args:
+        algorithm: of the experiment; None for those of every algorithm, and of sweeps.
+        env_id: of the experiment; None for one of this package's environments.
+
+    Raises:
+        ValueError: for an unknown algorithm.
+    """
+    keys = {name: experiment_keys(name, env_id) for name in ([algorithm] if algorithm else algorithm_names())}
+    first = next(iter(keys.values()))
+    sections = {"experiment": [key for key in first if not _is_hyperparameter(key)]}
+    for name, found in keys.items():
+        entry = find_algorithm(name)
+        equations = "" if entry.is_peer else f"; equations: help({entry.config_class.__module__!r})"
+        sections[f"hyperparameters of {name}{equations}"] = [key for key in found if _is_hyperparameter(key)]
+    return sections if algorithm else {**sections, "sweep": model_keys(SweepSettings)}
+
+
+def _is_hyperparameter(key: Key) -> bool:
+    return key.name.startswith("algorithm.") and key.name != "algorithm.name"
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; returns the exit code."""
+    options = parse_arguments(arguments, program)
+    console = make_console()
+    with exit_on_error(ValueError, program=program):
+        values: dict[str, Any] = {}
+        name, env_id = options.algorithm, None
+        if options.config is not None:
+            experiment = load_experiment(options.config)
+            values, name, env_id = experiment.to_dict(), experiment.algorithm["name"], experiment.environment.id
+        for title, keys in key_sections(name, env_id).items():
+            console.print(f"{title}\n", style="bold", markup=False, highlight=False)
+            set_here = differing_values(values, keys)
+            for key in keys:
+                line, description = key.text().splitlines()
+                here = f"; here {set_here[key.name]}" if key.name in set_here else ""
+                for each in (line + here, description):
+                    text = textwrap.fill(each, console.width, subsequent_indent="    ", break_on_hyphens=False)
+                    console.print(text, markup=False, highlight=False, soft_wrap=True)
+            console.print()
+    return 0

@@ -1,0 +1,8 @@
+"""``mo-deepdrive keys`` from a checkout; the code is in algorithms/commands/keys.py."""
+
+import sys
+
+from algorithms.__main__ import run_script
+
+if __name__ == "__main__":
+    sys.exit(run_script("keys"))

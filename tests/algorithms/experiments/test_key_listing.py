@@ -1,0 +1,105 @@
+"""The keys of YAML files: each has a description, and types and defaults are those of the settings models."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import Field
+
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.key_listing import (
+    Key,
+    attribute_descriptions,
+    differing_values,
+    experiment_keys,
+    model_keys,
+)
+from algorithms.experiments.registry import algorithm_names
+from algorithms.peers import PEERS
+from algorithms.sweeps.sweep_settings import SweepSettings
+from mo_deepdrive.config import Settings
+
+
+class Shared(Settings):
+    """What several algorithms have in common.
+
+    Attributes:
+        gamma: discount of :func:`algorithms.evaluate`, which is ``g``
+            in the equations; None for 1.
+    """
+
+    gamma: float | None = Field(default=None, gt=0.0, le=1.0)
+
+
+class Own(Shared):
+    """Hyperparameters of somebody's algorithm.
+
+    Attributes:
+        low, high (int): bounds.
+
+    Raises:
+        ValueError: this is no attribute.
+    """
+
+    low: int
+    high: int = 3
+    names: tuple[str, ...] = ("a",)
+    rate: float = Field(default=0.5, description="described in the field.")
+
+
+@pytest.mark.parametrize("algorithm", [*algorithm_names(), *PEERS])
+def test_every_key_of_an_experiment_has_a_description(algorithm: str) -> None:
+    keys = experiment_keys(algorithm)
+    assert [key.name for key in keys if not key.description] == []
+    assert len({key.name for key in keys}) == len(keys)
+    assert {"environment.arguments.time_limit", "algorithm.gamma", "logging.wandb.project"} <= {
+        key.name for key in keys
+    }
+
+
+def test_every_key_of_a_sweep_has_a_description() -> None:
+    keys = model_keys(SweepSettings)
+    assert [key.name for key in keys if not key.description] == []
+    assert {"search.space.NAME.low", "resources.cpus", "slurm.runs_per_job"} <= {key.name for key in keys}
+
+
+def test_own_settings_are_described_by_their_docstrings_and_those_of_their_bases() -> None:
+    assert model_keys(Own, "algorithm.") == [
+        Key(
+            "algorithm.gamma",
+            "float > 0, <= 1 or null",
+            "null",
+            "discount of algorithms.evaluate, which is g in the equations; null for 1.",
+        ),
+        Key("algorithm.low", "int", "required", "bounds."),
+        Key("algorithm.high", "int", "3", "bounds."),
+        Key("algorithm.names", "list of str", '["a"]', ""),
+        Key("algorithm.rate", "float", "0.5", "described in the field."),
+    ]
+    assert set(attribute_descriptions(Own)) >= {"gamma", "low", "high"}
+    assert "ValueError" not in attribute_descriptions(Own)
+
+
+def test_types_and_defaults_are_those_that_are_checked() -> None:
+    keys = {key.name: key for key in experiment_keys("mo_ppo")}
+    assert keys["training.total_timesteps"].text() == (
+        "training.total_timesteps: int >= 1, required\n    environment steps, summed over the parallel environments."
+    )
+    assert keys["environment.arguments.cost_sign"].type == '"maximise" or "paper"'
+    assert (keys["logging.wandb"].type, keys["logging.wandb"].default) == ("section", "null")
+    assert keys["algorithm.hidden"].default == "[64, 32]"
+    assert "environment.arguments.scenario" not in keys  # the id chooses it
+    assert not any(name.startswith("environment.arguments.") for name in _names("pcn", "deep-sea-treasure-v0"))
+
+
+def _names(algorithm: str, env_id: str) -> list[str]:
+    return [key.name for key in experiment_keys(algorithm, env_id)]
+
+
+def test_the_values_of_a_file_are_those_that_differ_from_the_defaults() -> None:
+    keys = experiment_keys("mo_ppo")
+    experiment = load_experiment("one_waypoint/mo_ppo_nonlinear", ["--environment.arguments.time_limit=30"])
+    found = differing_values(experiment.to_dict(), keys)
+    assert found["environment.arguments.time_limit"] == "30.0"
+    assert found["utility.name"] == '"one_waypoint_nonlinear"'
+    assert "environment.arguments.lane_margin" not in found
+    assert "evaluation.gamma" not in found

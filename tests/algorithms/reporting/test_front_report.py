@@ -1,0 +1,28 @@
+"""The report of a front on a terminal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from algorithms.evaluation.statistics import Estimate
+from algorithms.reporting.front_report import front_table
+from tests.helpers.fronts import front_of
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_a_front_with_many_objectives_fits_the_terminal(width: int) -> None:
+    names = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
+    front = front_of([[-1234.5 + i, 1.0, -5.25, -0.5, 100.0 * i, 3.0] for i in range(9)], names)
+    front = replace(front, low=front.low - 12.5, high=front.high + 12.5, episodes=1000)
+    console = Console(width=width, record=True)
+    console.print(front_table(front, {"hypervolume": 12.5}, "pcn on an environment: 9 policies", width))
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= width
+    headers = [line.split() for line in lines if line.strip().startswith("policy")]
+    assert [name for header in headers for name in header[1:]] == [*names, "decisions"]
+    assert not any("…" in line for line in lines)
+    first = Estimate(*(float(array[0, 0]) for array in (front.returns, front.low, front.high)))
+    assert sum(first.text() in line for line in lines) == 1
