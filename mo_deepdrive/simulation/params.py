@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mo_deepdrive.config import EnvConfig, nearest
-from mo_deepdrive.objectives import INDEX, signs
+from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
 from mo_deepdrive.scenarios import MAP_CENTRE, SCENARIOS, Scenario
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
@@ -15,6 +16,9 @@ from mo_deepdrive.simulation.state import (
     SPEED_FRICTION,
     YAW_FRICTION,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 ORIGINAL_FREQUENCY = 60  # Hz; the frictions are per physics step at this frequency
 OPEN_ROAD_ONLY = ("fixed_destination",)
@@ -31,16 +35,22 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     scenario = SCENARIOS[config.scenario]
     if config.objectives is None:
         return scenario.objectives
+    measured = (objective.name for objective in OBJECTIVES if objective.measure is not None)
+    known = {*scenario.objectives, *measured}
     for name in config.objectives:
-        if name not in scenario.objectives:
-            raise ValueError(
-                f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, scenario.objectives)}"
-            )
+        if name not in known:
+            raise ValueError(f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, known)}")
     return config.objectives
 
 
+def reward_signs(config: EnvConfig) -> NDArray[np.float64]:
+    """By what the magnitudes of the chosen objectives are multiplied, shape (d,)."""
+    names = chosen_objectives(config)
+    return signs(names) if config.cost_sign == "maximise" else np.ones(len(names))
+
+
 def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
-    absent = (*(OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY), *(() if scenario.obstacle else OBSTACLE_ONLY))
+    absent = (*(OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY), *(() if scenario.obstacles else OBSTACLE_ONLY))
     for name in absent:
         if getattr(config, name) != type(config).model_fields[name].default:
             raise ValueError(f"{name} = {getattr(config, name)!r} has no effect in {scenario.title}; omit it")
@@ -68,11 +78,13 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
     for name in ("constrain_controls", "ignore_brake", *OPEN_ROAD_ONLY, *OBSTACLE_ONLY, *LANES_ONLY):
         row[name] = getattr(config, name)
-    row.has_obstacle = scenario.obstacle
+    row.has_obstacle = scenario.obstacles > 0
     row.has_lanes = scenario.lanes
-    row.n_objectives = len(names)
-    row.objective_index[: len(names)] = [INDEX[name] for name in names]
-    row.objective_sign[: len(names)] = signs(names) if config.cost_sign == "maximise" else 1.0
+    columns = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
+    row.n_objectives = len(columns)
+    row.objective_index[: len(columns)] = [INDEX[names[column]] for column in columns]
+    row.objective_column[: len(columns)] = columns
+    row.objective_sign[: len(columns)] = reward_signs(config)[columns]
     for v, route in enumerate(scenario.routes):
         row.n_waypoints[v] = len(route.waypoints)
         row.starts[v] = route.start
@@ -80,5 +92,6 @@ def make_params(config: EnvConfig) -> np.ndarray:
         row.start_span[v] = route.start_span
         row.waypoints[v, : len(route.waypoints)] = route.waypoints
     row.destination_span[:] = scenario.destination_span
+    row.destination_draw = scenario.destination_draw
     row.map_centre = MAP_CENTRE
     return params
