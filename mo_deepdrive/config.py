@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
-from mo_deepdrive.names import nearest as nearest  # noqa: PLC0414  (a part of this module's interface)
+from mo_deepdrive.names import nearest as nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.scenarios import SCENARIOS
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,8 @@ import numpy as np
 from mo_deepdrive.names import check_name
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 MEASURE_ARGUMENTS = ("vehicles", "v", "params")
@@ -36,11 +37,11 @@ class Objective:
         bound: largest magnitude of one decision, which bounds the reward space: a number, a function of the
             :class:`mo_deepdrive.config.EnvConfig`, or a key of :func:`mo_deepdrive.limits.limits`.
         signed: whether the magnitude may be negative, down to minus the bound.
-        measure: ``measure(vehicles, v, params)`` returns the magnitude of the decision that vehicle ``v`` has just made,
-            from the world after it: ``vehicles`` (vehicles,) of ``mo_deepdrive.simulation.state.VEHICLE`` and ``params``
-            of ``PARAMS``, both read only. A plain function, which is compiled on its first use, or one compiled with
-            ``numba.njit``. It is not called for vehicles that had ended before, whose magnitude is zero. Every scenario
-            can have such an objective. None if the kernel measures it, in the scenarios that list it.
+        measure: ``measure(vehicles, v, params)`` returns the magnitude of the decision that vehicle ``v`` has just
+            made, from the world after it: ``vehicles`` (vehicles,) of ``mo_deepdrive.simulation.state.VEHICLE`` and
+            ``params`` of ``PARAMS``, both to be read only. A plain function, which Numba compiles on its first use, or
+            one with ``numba.njit``. It is not called for vehicles that had ended before; their magnitude is zero.
+            Every scenario can have such an objective. None if the kernel measures it, where the scenario lists it.
         reference: coordinate of the reference point for hypervolumes, maximised, for every discount factor; None where
             ``data/reference_points.yaml`` has it, or for none.
     """

@@ -1,5 +1,4 @@
-"""What a vehicle observes: :func:`layout` has the name, unit, bounds and scale of every entry, :func:`write` computes
-them.
+"""What a vehicle observes: :func:`layout` describes the entries, :func:`write` computes them.
 
 Observations are float32 and in SI units. Learners divide by ``scale``.
 """

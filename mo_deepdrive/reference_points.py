@@ -78,8 +78,13 @@ def reference_point(
         values |= found["values"]
         reasons |= table["reasons"]
     for name in names:
-        if values.setdefault(name, OBJECTIVES[INDEX[name]].reference) is None:
-            raise ValueError(f"objective {name!r} has no reference value in scenario {scenario!r}; register it with one")
+        own = OBJECTIVES[INDEX[name]].reference
+        if own is not None:
+            values.setdefault(name, own)
+        if name not in values:
+            raise ValueError(
+                f"objective {name!r} has no reference value in {scenario!r}; register it with one"
+            )
     return ReferencePoint(
         objectives=names,
         values=np.array([values[name] for name in names], dtype=np.float64),

@@ -9,9 +9,8 @@ bicycle j. A scenario that does not use a draw has a span of zero. ``simulation/
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -19,6 +18,9 @@ import numpy as np
 from mo_deepdrive.names import check_name, nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_VEHICLES, MAX_WAYPOINTS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 FARTHEST = 250.0  # m; largest coordinate of a start or waypoint, so that observations stay in their space
 

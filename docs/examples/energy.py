@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive import Objective, register_objective
-from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.limits import limits
+
+if TYPE_CHECKING:
+    from mo_deepdrive.config import EnvConfig
 
 
 def energy(vehicles: Any, v: int, params: Any) -> float:
@@ -32,6 +34,6 @@ register_objective(
         description="work of the engine per mass in the decision",
         bound=largest_energy,
         measure=energy,
-        reference=-100.0,
+        reference=-50.0,
     )
 )

@@ -70,10 +70,10 @@ def hits_obstacle(vehicle: Record, k: int, moved: float, params: Record, path: N
 @jit
 def hits_any_obstacle(vehicle: Record, moved: float, params: Record, path: NDArray[np.float64]) -> bool:
     """Whether the vehicle touches one of its obstacles anywhere on its path of length ``moved`` (m)."""
+    hit = False
     for k in range(0, len(vehicle.obstacle), 2):
-        if hits_obstacle(vehicle, k, moved, params, path):
-            return True
-    return False
+        hit = hit or hits_obstacle(vehicle, k, moved, params, path)
+    return hit
 
 
 @jit

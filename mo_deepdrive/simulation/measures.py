@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
@@ -17,6 +16,8 @@ from mo_deepdrive.simulation.params import chosen_objectives, make_params, rewar
 from mo_deepdrive.simulation.state import VEHICLE, Records, with_obstacles
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from mo_deepdrive.config import EnvConfig
