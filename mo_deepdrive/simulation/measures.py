@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
 import numpy as np
-from numba.core.errors import NumbaError
 
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import SCENARIOS
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mo_deepdrive.config import EnvConfig
+
+REASON_LENGTH = 300  # of a message of Numba, which may have hundreds of lines
 
 
 class Measure(NamedTuple):
@@ -84,11 +85,8 @@ def make_measures(config: EnvConfig) -> tuple[Measure, ...]:
         flags, rewards = np.zeros(nothing.shape, dtype=np.bool_), np.zeros((*nothing.shape, 1), dtype=np.float32)
         try:
             measure_batch(measure.function, nothing, make_params(config), flags, column, measure.sign, rewards)
-        except NumbaError as error:
-            raise ValueError(f"objective {name!r}: its measure cannot be compiled: {_reason(error)}") from None
+        except Exception as error:  # Numba raises KeyError for a field that does not exist
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
+            raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason}") from None
         measures.append(measure)
     return tuple(measures)
-
-
-def _reason(error: NumbaError) -> str:
-    return " ".join(str(error).split())[:300]
