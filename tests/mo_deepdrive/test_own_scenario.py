@@ -12,7 +12,7 @@ import mo_gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from mo_gymnasium.wrappers import LinearReward, MORecordEpisodeStatistics, NormalizeReward
+from mo_gymnasium.wrappers import MORecordEpisodeStatistics, MONormalizeReward
 from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
@@ -20,6 +20,7 @@ from mo_deepdrive import Route, Scenario, register_scenario
 from mo_deepdrive.observation import layout
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.wrappers import UtilityReward
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -213,12 +214,12 @@ def test_both_bicycles_are_on_the_frame(two_bicycles: ModuleType, make_single: A
 
 
 def test_it_passes_gymnasiums_and_pettingzoos_checks(two_bicycles: ModuleType, make_single: Any) -> None:
-    check_env(LinearReward(make_single("two_bicycles")), skip_render_check=True)
+    check_env(UtilityReward(make_single("two_bicycles"), "static_obstacle_linear"), skip_render_check=True)
     parallel_api_test(mo_deepdrive.parallel_env(scenario="two_bicycles"), num_cycles=30)
 
 
 def test_mo_gymnasiums_wrappers_work(two_bicycles: ModuleType) -> None:
-    env = MORecordEpisodeStatistics(NormalizeReward(mo_gymnasium.make(ID, time_limit=1.0), idx=4), gamma=0.97)
+    env = MORecordEpisodeStatistics(MONormalizeReward(mo_gymnasium.make(ID, time_limit=1.0), idx=4), gamma=0.97)
     env.reset(seed=0)
     done = False
     while not done:
