@@ -82,9 +82,7 @@ def reference_point(
         if own is not None:
             values.setdefault(name, own)
         if name not in values:
-            raise ValueError(
-                f"objective {name!r} has no reference value in {scenario!r}; register it with one"
-            )
+            raise ValueError(f"objective {name!r} has no reference value in {scenario!r}; register it with one")
     return ReferencePoint(
         objectives=names,
         values=np.array([values[name] for name in names], dtype=np.float64),

@@ -12,7 +12,7 @@ import mo_gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from mo_gymnasium.wrappers import MORecordEpisodeStatistics, MONormalizeReward
+from mo_gymnasium.wrappers import MONormalizeReward, MORecordEpisodeStatistics
 from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
