@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 def energy(vehicles: Any, v: int, params: Any) -> float:
     """Work per mass in the last decision (J/kg): acceleration by the engine times distance."""
     vehicle = vehicles[v]
-    seconds: float = params.dt * params.physics_steps
-    mean_speed: float = abs(vehicle.speed + vehicle.previous_speed) / 2
-    return abs(vehicle.throttle) * mean_speed * seconds
+    seconds = params.dt * params.physics_steps
+    distance = abs(vehicle.speed + vehicle.previous_speed) / 2 * seconds
+    return float(abs(vehicle.throttle) * distance)
 
 
 def largest_energy(config: EnvConfig) -> float:

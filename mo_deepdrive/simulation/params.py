@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 ORIGINAL_FREQUENCY = 60  # Hz; the frictions are per physics step at this frequency
-OPEN_ROAD_ONLY = ("fixed_destination",)
-OBSTACLE_ONLY = ("fixed_obstacle",)
-LANES_ONLY = ("lane_margin", "end_on_lane_violation", "yield_to_oncoming", "end_together")
 
 
 def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
@@ -49,11 +46,16 @@ def reward_signs(config: EnvConfig) -> NDArray[np.float64]:
     return signs(names) if config.cost_sign == "maximise" else np.ones(len(names))
 
 
-def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
-    absent = (*(OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY), *(() if scenario.obstacles else OBSTACLE_ONLY))
-    for name in absent:
-        if getattr(config, name) != type(config).model_fields[name].default:
-            raise ValueError(f"{name} = {getattr(config, name)!r} has no effect in {scenario.title}; omit it")
+def _has_effect(scenario: Scenario) -> dict[str, bool]:
+    """Whether a setting that not every scenario has makes a difference in this one."""
+    return {
+        "fixed_destination": any(scenario.destination_span),
+        "fixed_obstacle": scenario.obstacles > 0,
+        "lane_margin": scenario.lanes,
+        "end_on_lane_violation": scenario.lanes,
+        "yield_to_oncoming": scenario.lanes and scenario.vehicles > 1,
+        "end_together": scenario.vehicles > 1,
+    }
 
 
 def make_params(config: EnvConfig) -> np.ndarray:
@@ -63,7 +65,10 @@ def make_params(config: EnvConfig) -> np.ndarray:
         ValueError: if a setting has no effect in the scenario.
     """
     scenario = SCENARIOS[config.scenario]
-    _check_scenario(config, scenario)
+    settings = _has_effect(scenario)
+    for name, effect in settings.items():
+        if not effect and getattr(config, name) != type(config).model_fields[name].default:
+            raise ValueError(f"{name} = {getattr(config, name)!r} has no effect in {scenario.title}; omit it")
     names = chosen_objectives(config)
     params = np.zeros(1, dtype=PARAMS)
     row = params[0]
@@ -76,7 +81,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.max_decisions = config.max_decisions
     row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
-    for name in ("constrain_controls", "ignore_brake", *OPEN_ROAD_ONLY, *OBSTACLE_ONLY, *LANES_ONLY):
+    for name in ("constrain_controls", "ignore_brake", *settings):
         row[name] = getattr(config, name)
     row.has_obstacle = scenario.obstacles > 0
     row.has_lanes = scenario.lanes

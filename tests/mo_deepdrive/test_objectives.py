@@ -43,8 +43,8 @@ def row(**changes: Any) -> Objective:
 
 def spent(vehicle: Any, seconds: float = 0.1) -> float:
     """The energy of the last decision, from the dtype's fields."""
-    mean_speed = abs(vehicle["speed"] + vehicle["previous_speed"]) / 2
-    return float(abs(vehicle["throttle"]) * mean_speed * seconds)
+    distance = abs(vehicle["speed"] + vehicle["previous_speed"]) / 2 * seconds
+    return float(abs(vehicle["throttle"]) * distance)
 
 
 def actions(env: Any, steps: int, seed: int = 0) -> list[np.ndarray]:

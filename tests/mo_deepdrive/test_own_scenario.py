@@ -313,6 +313,24 @@ def test_two_vehicles_take_turns(registries: None) -> None:
         mo_deepdrive.envs.single.DrivingEnv("own")
 
 
+@pytest.mark.parametrize(
+    ("changes", "allowed", "refused"),
+    [
+        ({}, {}, {"fixed_destination": True}),
+        ({"destination_span": (1.0, 0.0)}, {"fixed_destination": True}, {"fixed_obstacle": True}),
+        ({"routes": LANE[:1], "lanes": True}, {"lane_margin": 0.5}, {"yield_to_oncoming": False}),
+        ({"routes": LANE}, {"end_together": True}, {"end_on_lane_violation": True}),
+    ],
+)
+def test_a_setting_without_effect_in_the_scenario_is_refused(
+    registries: None, changes: dict[str, Any], allowed: dict[str, Any], refused: dict[str, Any]
+) -> None:
+    register_scenario(row(**changes))
+    mo_deepdrive.parallel_env(scenario="own", **allowed)
+    with pytest.raises(ValueError, match=f"{next(iter(refused))} = .* has no effect in Own; omit it"):
+        mo_deepdrive.parallel_env(scenario="own", **refused)
+
+
 # -------------------------------------------------------------------------------------------------------- registration
 
 
