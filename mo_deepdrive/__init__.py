@@ -2,7 +2,8 @@
 
 Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0`` and
 ``mo-deepdrive-intersection-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments,
-:func:`reference_point` and :func:`reference_front` are what returns are compared with.
+:func:`reference_point` and :func:`reference_front` are what returns are compared with. :func:`register_objective` and
+:func:`register_scenario` add one's own.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
+from mo_deepdrive.objectives import Objective, register_objective
+from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario, register_id, register_scenario
 
 if TYPE_CHECKING:
     from pettingzoo import AECEnv
@@ -19,36 +21,29 @@ if TYPE_CHECKING:
     from mo_deepdrive.reference_fronts import reference_front
     from mo_deepdrive.reference_points import reference_point
 
-__all__ = ["env", "parallel_env", "raw_env", "reference_front", "reference_point"]
+__all__ = [
+    "Objective",
+    "Route",
+    "Scenario",
+    "env",
+    "parallel_env",
+    "raw_env",
+    "reference_front",
+    "reference_point",
+    "register_objective",
+    "register_scenario",
+]
 
 __version__ = "0.2.0"
 
-_VECTOR = "mo_deepdrive.envs.vector:DrivingVectorEnv"
-_SINGLE = "mo_deepdrive.envs.single:DrivingEnv"
 # Attributes that are imported on first use, and their modules.
 _LAZY = {
     "reference_front": "mo_deepdrive.reference_fronts",
     "reference_point": "mo_deepdrive.reference_points",
 }
 
-gymnasium.register(
-    "mo-deepdrive-one-waypoint-v0",
-    entry_point=_SINGLE,
-    vector_entry_point=_VECTOR,
-    kwargs={"scenario": "one_waypoint"},
-)
-gymnasium.register(
-    "mo-deepdrive-static-obstacle-v0",
-    entry_point=_SINGLE,
-    vector_entry_point=_VECTOR,
-    kwargs={"scenario": "static_obstacle"},
-)
-gymnasium.register(
-    "mo-deepdrive-intersection-v0",
-    entry_point="mo_deepdrive.envs.turn_based:TurnBasedEnv",
-    vector_entry_point=_VECTOR,
-    kwargs={"scenario": "intersection"},
-)
+for _scenario in SCENARIOS.values():
+    register_id(_scenario)
 
 
 def __getattr__(name: str) -> Any:

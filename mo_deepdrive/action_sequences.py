@@ -14,7 +14,6 @@ import numpy as np
 
 from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.scenarios import DRAWS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -99,7 +98,7 @@ def replay(config: EnvConfig, sequences: Iterable[NDArray[Any]]) -> NDArray[np.f
     actions[:] = nothing
     for row, sequence in enumerate(listed):
         actions[: len(sequence), row, 0] = sequence[: config.max_decisions]
-    batch.place(np.arange(len(listed)), lambda rows: np.zeros((len(rows), DRAWS)))
+    batch.place(np.arange(len(listed)), lambda rows: np.zeros((len(rows), batch.scenario.draws)))
     rewards: list[NDArray[np.float32]] = []
     while not batch.over().all():
         batch.step(actions[len(rewards)])

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
 from mo_deepdrive.limits import check_state
-from mo_deepdrive.scenarios import SCENARIOS, pin_nothing
+from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
+from mo_deepdrive.simulation.measures import make_measures, measure_batch
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
-from mo_deepdrive.simulation.state import ENDS, SPAWN, VEHICLE
+from mo_deepdrive.simulation.placing import pin_nothing
+from mo_deepdrive.simulation.state import ENDS, RUNNING, SPAWN, VEHICLE, with_obstacles
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
@@ -60,6 +62,7 @@ class _Part:
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
+    acting: NDArray[np.bool_]
 
 
 class WorldBatch:
@@ -73,7 +76,7 @@ class WorldBatch:
         threads: how many threads share a step.
 
     Attributes:
-        state: (worlds, vehicles) of VEHICLE.
+        state: (worlds, vehicles) of VEHICLE, with room for the scenario's obstacles.
         observations: (worlds, vehicles, size), overwritten by every call.
         rewards: (worlds, vehicles, d), overwritten by every step.
         terminated: (worlds, vehicles), overwritten by every call.
@@ -89,15 +92,17 @@ class WorldBatch:
         self.params = make_params(config)
         vehicles = self.scenario.vehicles
         size = len(observation.layout(self.scenario))
-        self.state = np.zeros((worlds, vehicles), dtype=VEHICLE)
+        self.state = np.zeros((worlds, vehicles), dtype=with_obstacles(VEHICLE, self.scenario.obstacles))
         self.state["end"] = ENDS.index("time_limit")
         self.observations = np.zeros((worlds, vehicles, size), dtype=np.float32)
         self.rewards = np.zeros((worlds, vehicles, len(self.objectives)), dtype=np.float32)
         self.terminated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.truncated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._controls = np.zeros((worlds, vehicles, 3))
-        self._spawn = np.zeros(1, dtype=SPAWN)
-        self._no_pins = np.zeros(1, dtype=SPAWN)
+        self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
+        self._measures = make_measures(config)
+        self._spawn = np.zeros(1, dtype=with_obstacles(SPAWN, self.scenario.obstacles))
+        self._no_pins = np.zeros_like(self._spawn)
         pin_nothing(self._no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
         self._table = np.zeros((0, 4)) if self.continuous else action_sets.action_table(config.action_type)
@@ -128,6 +133,7 @@ class WorldBatch:
             rewards=self.rewards[part],
             terminated=self.terminated[part],
             truncated=self.truncated[part],
+            acting=self._acting[part],
         )
 
     def place(self, rows: NDArray[np.int64], draw: Draw, pins: NDArray[Any] | None = None) -> None:
@@ -135,11 +141,11 @@ class WorldBatch:
 
         Args:
             rows: (k,) indices of worlds.
-            draw: returns uniforms in [0, 1) of shape (len(rows), DRAWS) for the rows it is called with.
+            draw: returns uniforms in [0, 1) of shape (len(rows), scenario.draws) for the rows it is called with.
             pins: (1,) of SPAWN; entries that are not NaN are used instead of drawn ones.
 
         Raises:
-            ValueError: if no valid scenario is found, because the pins allow none.
+            ValueError: if no valid scenario is found, because the pins or the scenario's routes allow none.
         """
         for _ in range(MAX_REDRAWS):
             fair = np.zeros(len(rows), dtype=np.bool_)
@@ -159,7 +165,7 @@ class WorldBatch:
             if not len(rows):
                 return
         raise ValueError(
-            f"no valid scenario in {MAX_REDRAWS} draws with these reset options: the bicycle touches the vehicle at "
+            f"no valid scenario in {MAX_REDRAWS} draws with these reset options: a bicycle touches the vehicle at "
             "its start or is within 1 m of the destination"
         )
 
@@ -220,6 +226,8 @@ class WorldBatch:
             action_sets.decode_continuous(actions[part.rows], part.controls)
         else:
             action_sets.decode_discrete(part.worlds, actions[part.rows], self._table, part.controls)
+        if self._measures:
+            np.equal(part.worlds["end"], RUNNING, out=part.acting)
         step_batch(
             part.worlds,
             part.controls,
@@ -230,6 +238,10 @@ class WorldBatch:
             part.terminated,
             part.truncated,
         )
+        for measure in self._measures:
+            measure_batch(
+                measure.function, part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards
+            )
 
     def over(self) -> NDArray[np.bool_]:
         """The worlds without a vehicle on the road, shape (worlds,)."""

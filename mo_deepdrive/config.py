@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
-from mo_deepdrive.objectives import NAMES
+from mo_deepdrive.names import nearest as nearest
+from mo_deepdrive.objectives import INDEX
+from mo_deepdrive.scenarios import SCENARIOS
 
-ScenarioName = Literal["one_waypoint", "static_obstacle", "intersection"]
 ActionType = Literal["discrete", "discrete-16", "continuous"]
 CostSign = Literal["maximise", "paper"]
 
@@ -28,14 +28,6 @@ class Settings(BaseModel):
 
 
 S = TypeVar("S", bound=Settings)
-
-
-def nearest(name: object, known: Iterable[str]) -> str:
-    """A hint with the known name nearest to ``name``, and all known names."""
-    names = sorted(known)
-    close = difflib.get_close_matches(str(name), names, n=1)
-    guess = f"did you mean {close[0]!r}? " if close else ""
-    return f"{guess}known: {', '.join(names)}"
 
 
 def _settings_in(annotation: Any) -> Any:
@@ -106,10 +98,10 @@ class EnvConfig(Settings):
     """Everything that determines an environment, apart from its seed.
 
     Attributes:
-        scenario: which scenario.
+        scenario: its name, a key of :data:`mo_deepdrive.scenarios.SCENARIOS`.
         action_type: "discrete" (the paper's 22 actions), "discrete-16" or "continuous".
         fixed_destination: the same destination in every episode (OneWaypoint, StaticObstacle).
-        fixed_obstacle: the same bicycle in every episode: place along the route, length and angle (StaticObstacle).
+        fixed_obstacle: the same bicycles in every episode: place along the route, length and angle (StaticObstacle).
         time_limit: seconds after which an episode is truncated.
         objectives: names of the reward's objectives, in order; None for all of the scenario's.
         cost_sign: "maximise" negates every cost; with "paper" rewards are magnitudes.
@@ -125,7 +117,7 @@ class EnvConfig(Settings):
         end_together: both vehicles end when the first one ends, as in the published code (Intersection).
     """
 
-    scenario: ScenarioName
+    scenario: str
     action_type: ActionType = "discrete"
     fixed_destination: bool = False
     fixed_obstacle: bool = False
@@ -142,6 +134,13 @@ class EnvConfig(Settings):
     end_on_lane_violation: bool = False
     yield_to_oncoming: bool = True
     end_together: bool = False
+
+    @pydantic.field_validator("scenario")
+    @classmethod
+    def _known_scenario(cls, value: str) -> str:
+        if value not in SCENARIOS:
+            raise ValueError(f"is unknown; {nearest(value, SCENARIOS)}")
+        return value
 
     @pydantic.field_validator("objectives", mode="before")
     @classmethod
@@ -163,8 +162,8 @@ class EnvConfig(Settings):
             if not self.objectives or len(set(self.objectives)) != len(self.objectives):
                 raise ValueError(f"objectives = {list(self.objectives)} must be one or more distinct names")
             for name in self.objectives:
-                if name not in NAMES:
-                    raise ValueError(f"objectives has {name!r}; {nearest(name, NAMES)}")
+                if name not in INDEX:
+                    raise ValueError(f"objectives has {name!r}; {nearest(name, INDEX)}")
         return self
 
     @property

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import FAR
 from mo_deepdrive.simulation.state import (
     ENDS,
@@ -19,7 +20,6 @@ from mo_deepdrive.simulation.state import (
     RUNNING,
     STEER_RANGE,
     TOP_SPEED,
-    VEHICLE,
 )
 
 if TYPE_CHECKING:
@@ -75,6 +75,21 @@ def limits(config: EnvConfig) -> dict[str, float]:
     }
 
 
+def objective_bound(name: str, config: EnvConfig) -> float:
+    """Largest magnitude of an objective in one decision.
+
+    Raises:
+        ValueError: if the function of a registered objective gives no positive number.
+    """
+    bound = OBJECTIVES[INDEX[name]].bound
+    if isinstance(bound, str):
+        return limits(config)[bound]
+    value = bound(config) if callable(bound) else bound
+    if not (isinstance(value, (int, float)) and 0 < value < np.inf):
+        raise ValueError(f"objective {name!r}: its bound is {value!r}; it must be a positive number")
+    return float(value)
+
+
 def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str, tuple[Any, Any]]:
     """The lowest and the highest value of every field of VEHICLE, for vehicles with ``n_waypoints`` (vehicles,)."""
     most = limits(config)
@@ -114,7 +129,7 @@ def check_state(state: NDArray[Any], config: EnvConfig, n_waypoints: NDArray[np.
     unplaced = (state["n_waypoints"] == 0) & (state["end"] != RUNNING)
     for name, (low, high) in _state_ranges(config, n_waypoints).items():
         values = state[name]
-        if VEHICLE[name] == np.bool_:
+        if values.dtype == np.bool_:
             values = values.view(np.uint8)
         wrong = ~((values >= low) & (values <= high))
         if name == "n_waypoints":

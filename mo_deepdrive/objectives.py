@@ -1,18 +1,27 @@
-"""The objectives: unit, sign and nominal scale of each.
+"""The objectives: unit, sign, scale and bounds of each, and how it is measured.
 
-The kernel measures *magnitudes* (a g-force of 0.2, a collision of 1). The environments return rewards to be
-maximised: magnitude times sign. ``cost_sign="paper"`` returns the magnitudes themselves.
+An objective is one row of OBJECTIVES. Its *magnitude* (a g-force of 0.2, a collision of 1) is measured after every
+decision, by the kernel or by a function of the row. The environments return rewards to be maximised: magnitude times
+sign. ``cost_sign="paper"`` returns the magnitudes themselves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import inspect
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mo_deepdrive.names import check_name
+
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
+
+MEASURE_ARGUMENTS = ("vehicles", "v", "params")
 
 
 @dataclass(frozen=True)
@@ -21,10 +30,20 @@ class Objective:
 
     Attributes:
         name: the name in configurations and logs.
-        unit: SI unit of the magnitude per decision.
+        unit: SI unit of the magnitude per decision; "1" for none.
         sign: +1 if more is better, -1 for a cost.
         scale: nominal magnitude of the *return* of an episode, by which learners divide.
         description: what the magnitude measures.
+        bound: largest magnitude of one decision, which bounds the reward space: a number, a function of the
+            :class:`mo_deepdrive.config.EnvConfig`, or a key of :func:`mo_deepdrive.limits.limits`.
+        signed: whether the magnitude may be negative, down to minus the bound.
+        measure: ``measure(vehicles, v, params)`` returns the magnitude of the decision that vehicle ``v`` has just
+            made, from the world after it: ``vehicles`` (vehicles,) of ``mo_deepdrive.simulation.state.VEHICLE`` and
+            ``params`` of ``PARAMS``, both to be read only. A plain function, which Numba compiles on its first use, or
+            one with ``numba.njit``. It is not called for vehicles that had ended before; their magnitude is zero.
+            Every scenario can have such an objective. None if the kernel measures it, where the scenario lists it.
+        reference: coordinate of the reference point for hypervolumes, maximised, for every discount factor; None where
+            ``data/reference_points.yaml`` has it, or for none.
     """
 
     name: str
@@ -32,18 +51,23 @@ class Objective:
     sign: int
     scale: float
     description: str
+    bound: float | str | Callable[[Any], float]
+    signed: bool = False
+    measure: Callable[[Any, int, Any], float] | None = None
+    reference: float | None = None
 
 
-OBJECTIVES: tuple[Objective, ...] = (
-    Objective("distance", "m", +1, 10.0, "route distance gained in the decision"),
-    Objective("destination", "1", +1, 1.0, "1 on the decision that arrives"),
-    Objective("g_force", "g", -1, 5.0, "acceleration at the end of the decision"),
-    Objective("collision", "1", -1, 1.0, "1 on the decision that collides"),
-    Objective("jerk", "m/s^3", -1, 500.0, "jerk at the end of the decision"),
-    Objective("lane_violation", "m", -1, 10.0, "metres outside the lane at the end of the decision"),
-)
-NAMES: tuple[str, ...] = tuple(objective.name for objective in OBJECTIVES)
-INDEX: dict[str, int] = {name: index for index, name in enumerate(NAMES)}
+OBJECTIVES: list[Objective] = [
+    Objective("distance", "m", +1, 10.0, "route distance gained in the decision", bound="distance", signed=True),
+    Objective("destination", "1", +1, 1.0, "1 on the decision that arrives", bound=1.0),
+    Objective("g_force", "g", -1, 5.0, "acceleration at the end of the decision", bound="g"),
+    Objective("collision", "1", -1, 1.0, "1 on the decision that collides", bound=1.0),
+    Objective("jerk", "m/s^3", -1, 500.0, "jerk at the end of the decision", bound="m/s^3"),
+    Objective("lane_violation", "m", -1, 10.0, "metres outside the lane at the end of the decision", "lane_violation"),
+]
+INDEX: dict[str, int] = {objective.name: index for index, objective in enumerate(OBJECTIVES)}
+# The magnitudes in the state of a vehicle, in order.
+KERNEL_NAMES: tuple[str, ...] = tuple(objective.name for objective in OBJECTIVES if objective.measure is None)
 
 
 def signs(names: tuple[str, ...]) -> NDArray[np.float64]:
@@ -54,3 +78,53 @@ def signs(names: tuple[str, ...]) -> NDArray[np.float64]:
 def scales(names: tuple[str, ...]) -> NDArray[np.float64]:
     """Nominal scale of the return of each named objective, shape (d,)."""
     return np.array([OBJECTIVES[INDEX[name]].scale for name in names], dtype=np.float64)
+
+
+def register_objective(objective: Objective) -> None:
+    """Add an objective, which every scenario can then have: ``objectives=["distance", "energy"]``.
+
+    Call it in the module that defines the objective: ``make("module:id")``, and ``environment.id: "module:id"`` in
+    YAML, import the module first, in worker processes too. Registering the same objective again changes nothing.
+
+    Args:
+        objective: the row; it needs a ``measure``.
+
+    Raises:
+        ValueError: for an invalid field, or another objective of the same name.
+    """
+    check_name(objective.name, "objective")
+    for field, fine, allowed in (
+        ("sign", objective.sign in (-1, 1), "+1 (more is better) or -1 (a cost)"),
+        ("scale", _is_positive(objective.scale), "a positive number"),
+        ("bound", callable(objective.bound) or _is_positive(objective.bound), "a positive number or a function"),
+        ("measure", _is_measure(objective.measure), "a function of (vehicles, v, params)"),
+        ("reference", objective.reference is None or _is_finite(objective.reference), "a finite number or None"),
+    ):
+        if not fine:
+            raise ValueError(f"objective {objective.name!r}: {field} = {getattr(objective, field)!r} must be {allowed}")
+    if objective.name not in INDEX:
+        INDEX[objective.name] = len(OBJECTIVES)
+        OBJECTIVES.append(objective)
+    elif _content(objective) != _content(OBJECTIVES[INDEX[objective.name]]):
+        raise ValueError(f"objective {objective.name!r} is registered already, with other fields; choose another name")
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, (int, float)) and math.isfinite(value)
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, (int, float)) and 0 < value < math.inf
+
+
+def _is_measure(value: object) -> bool:
+    """Whether ``value`` is a function of three arguments, compiled or not."""
+    function = getattr(value, "py_func", value)
+    return inspect.isfunction(function) and len(inspect.signature(function).parameters) == len(MEASURE_ARGUMENTS)
+
+
+def _content(objective: Objective) -> list[Any]:
+    """The fields, with the code of functions: a module that is imported twice makes two of each."""
+    values = (getattr(objective, field.name) for field in fields(objective))
+    functions = (getattr(value, "py_func", value) for value in values)
+    return [getattr(function, "__code__", function) for function in functions]

@@ -1,4 +1,4 @@
-"""What a vehicle observes: LAYOUT has the name, unit, bounds and scale of every entry; :func:`write` computes them.
+"""What a vehicle observes: :func:`layout` describes the entries, :func:`write` computes them.
 
 Observations are float32 and in SI units. Learners divide by ``scale``.
 """
@@ -6,7 +6,7 @@ Observations are float32 and in SI units. Learners divide by ``scale``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,12 +33,11 @@ class Entry:
     """One observed quantity.
 
     Attributes:
-        name: unique within LAYOUT.
+        name: unique within a layout.
         unit: SI.
         low: lower bound of the observation space; None if it follows from the configuration (see :func:`bounds`).
         high: upper bound, likewise.
         scale: nominal magnitude, by which learners divide.
-        needs: the scenarios that have it: "" (all), "obstacle" or "lanes".
     """
 
     name: str
@@ -46,7 +45,6 @@ class Entry:
     low: float | None
     high: float | None
     scale: float
-    needs: str = ""
 
 
 def _corner_entries() -> tuple[Entry, ...]:
@@ -55,13 +53,14 @@ def _corner_entries() -> tuple[Entry, ...]:
         entry
         for corner in corners
         for entry in (
-            Entry(f"other_{corner}_angle", "rad", -_TURN, _TURN, 1.0, "lanes"),
-            Entry(f"other_{corner}_distance", "m", 0.0, FAR, 20.0, "lanes"),
+            Entry(f"other_{corner}_angle", "rad", -_TURN, _TURN, 1.0),
+            Entry(f"other_{corner}_distance", "m", 0.0, FAR, 20.0),
         )
     )
 
 
-LAYOUT: tuple[Entry, ...] = (
+# Of every vehicle.
+OWN: tuple[Entry, ...] = (
     Entry("next_angle", "rad", -_TURN, _TURN, 1.0),
     Entry("after_angle", "rad", -_TURN, _TURN, 1.0),
     Entry("next_distance", "m", 0.0, FAR, 20.0),
@@ -77,24 +76,34 @@ LAYOUT: tuple[Entry, ...] = (
     Entry("left_lane_distance", "m", -FAR, FAR, 1.5),
     Entry("right_lane_distance", "m", -FAR, FAR, 1.5),
     Entry("crossing", "1", 0.0, 1.0, 1.0),
-    Entry("obstacle_a_distance", "m", 0.0, FAR, 20.0, "obstacle"),
-    Entry("obstacle_b_distance", "m", 0.0, FAR, 20.0, "obstacle"),
-    Entry("obstacle_a_angle", "rad", -_TURN, _TURN, 1.0, "obstacle"),
-    Entry("obstacle_b_angle", "rad", -_TURN, _TURN, 1.0, "obstacle"),
-    Entry("other_relative_vx", "m/s", None, None, 5.0, "lanes"),
-    Entry("other_relative_vy", "m/s", None, None, 5.0, "lanes"),
-    Entry("other_vx", "m/s", None, None, 5.0, "lanes"),
-    Entry("other_vy", "m/s", None, None, 5.0, "lanes"),
-    Entry("other_ax", "m/s^2", None, None, 5.0, "lanes"),
-    Entry("other_ay", "m/s^2", None, None, 5.0, "lanes"),
+)
+# Of every obstacle; the names of the second one begin with obstacle_2.
+OBSTACLE: tuple[Entry, ...] = (
+    Entry("obstacle_a_distance", "m", 0.0, FAR, 20.0),
+    Entry("obstacle_b_distance", "m", 0.0, FAR, 20.0),
+    Entry("obstacle_a_angle", "rad", -_TURN, _TURN, 1.0),
+    Entry("obstacle_b_angle", "rad", -_TURN, _TURN, 1.0),
+)
+# Of the other vehicle, if there is one.
+OTHER: tuple[Entry, ...] = (
+    Entry("other_relative_vx", "m/s", None, None, 5.0),
+    Entry("other_relative_vy", "m/s", None, None, 5.0),
+    Entry("other_vx", "m/s", None, None, 5.0),
+    Entry("other_vy", "m/s", None, None, 5.0),
+    Entry("other_ax", "m/s^2", None, None, 5.0),
+    Entry("other_ay", "m/s^2", None, None, 5.0),
     *_corner_entries(),
 )
 
 
 def layout(scenario: Scenario) -> tuple[Entry, ...]:
     """The entries that are observed in ``scenario``, in order."""
-    has = {"": True, "obstacle": scenario.obstacle, "lanes": scenario.lanes}
-    return tuple(entry for entry in LAYOUT if has[entry.needs])
+    further = [
+        replace(entry, name=entry.name.replace("obstacle", f"obstacle_{number}"))
+        for number in range(2, scenario.obstacles + 1)
+        for entry in OBSTACLE
+    ]
+    return (*OWN, *(OBSTACLE if scenario.obstacles else ()), *further, *(OTHER if scenario.vehicles > 1 else ()))
 
 
 def scales(scenario: Scenario) -> NDArray[np.float64]:
@@ -139,13 +148,14 @@ def write(worlds: Records, i: int, v: int, params: Record, out: NDArray[np.float
     out[i, v, 14] = 1.0 if vehicle.crossing else 0.0
     position = 15
     if params.has_obstacle:
-        for end in range(2):
-            px = vehicle.obstacle[end, 0]
-            py = vehicle.obstacle[end, 1]
-            out[i, v, position + end] = geometry.distance(front_x, front_y, px, py)
-            out[i, v, position + 2 + end] = geometry.angle_to(front_x, front_y, cos, sin, px, py)
-        position += 4
-    if params.has_lanes:
+        for k in range(0, len(vehicle.obstacle), 2):
+            for end in range(2):
+                px = vehicle.obstacle[k + end, 0]
+                py = vehicle.obstacle[k + end, 1]
+                out[i, v, position + end] = geometry.distance(front_x, front_y, px, py)
+                out[i, v, position + 2 + end] = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+            position += 4
+    if worlds.shape[1] > 1:
         other = worlds[i, 1 - v]
         if other.end == RUNNING:
             out[i, v, position] = other.vx - vehicle.vx

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import moocore
 
 from mo_deepdrive.action_sequences import decode, discounted_sum, replay
-from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.config import EnvConfig, nearest
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.reference_points import select_objectives
 from mo_deepdrive.scenarios import SCENARIOS
@@ -76,7 +76,10 @@ def reference_front(
     if not 0.0 <= gamma <= 1.0:
         raise ValueError(f"gamma = {gamma!r} must lie in [0, 1]")
     rewards = _rewards(scenario, action_type)
-    columns = [SCENARIOS[scenario].objectives.index(name) for name in names]
+    known = SCENARIOS[scenario].objectives
+    if absent := [name for name in names if name not in known]:
+        raise ValueError(f"the best-known front has no {absent[0]!r}; {nearest(absent[0], known)}")
+    columns = [known.index(name) for name in names]
     returns = discounted_sum(rewards, gamma)[:, columns]
     kept: NDArray[np.float64] = returns[moocore.is_nondominated(returns, maximise=True)]
     return kept
@@ -115,10 +118,10 @@ def pareto_front(config: EnvConfig, gamma: float) -> list[NDArray[np.float64]]:
 def front_config(scenario: str, action_type: str) -> EnvConfig:
     """The configuration of a best-known front: the same scenario in every episode, everything else at its default."""
     return EnvConfig(
-        scenario=scenario,  # type: ignore[arg-type]
+        scenario=scenario,
         action_type=action_type,  # type: ignore[arg-type]
         fixed_destination=True,
-        fixed_obstacle=SCENARIOS[scenario].obstacle,
+        fixed_obstacle=SCENARIOS[scenario].obstacles > 0,
     )
 
 

@@ -1,7 +1,8 @@
 """Reference points, from which hypervolumes are measured.
 
 A reference point is part of a published result: hypervolumes that were measured from different points cannot be
-compared. The points are in ``data/reference_points.yaml``; ``docs/fronts.md`` has the measurements behind them.
+compared. The points are in ``data/reference_points.yaml``; ``docs/fronts.md`` has the measurements behind them. A
+registered objective or scenario gives its own.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 import yaml
 
-from mo_deepdrive.config import ActionType, EnvConfig, ScenarioName, nearest
+from mo_deepdrive.config import ActionType, EnvConfig, nearest
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 
 if TYPE_CHECKING:
@@ -52,29 +55,40 @@ def reference_point(
     """The agreed reference point for hypervolumes.
 
     Args:
-        scenario: "one_waypoint", "static_obstacle" or "intersection" (where it holds for each vehicle).
+        scenario: "one_waypoint", "static_obstacle", "intersection" or a registered one; it holds for each vehicle.
         action_type: "discrete", "discrete-16" or "continuous".
-        gamma: discount factor of the returns: 0.99 or 1.0.
+        gamma: discount factor of the returns: 0.99 or 1.0; any for a registered scenario.
         objectives: names, to select and order; None for all of the scenario's.
 
     Raises:
-        ValueError: for an unknown scenario, action type or objective, or a gamma without a reference point.
+        ValueError: for an unknown scenario, action type or objective, a gamma without a reference point, or an
+            objective that is registered without a reference value.
     """
     names = select_objectives(scenario, action_type, objectives)
     table = _table()
+    values, reasons = dict(SCENARIOS[scenario].reference), dict.fromkeys(names, "as registered")
     known = [
         point for point in table["points"] if scenario in point["scenarios"] and action_type in point["action_types"]
     ]
-    for point in known:
-        if point["gamma"] == gamma:
-            return ReferencePoint(
-                objectives=names,
-                values=np.array([point["values"][name] for name in names], dtype=np.float64),
-                version=table["version"],
-                reason="; ".join(f"{name}: {table['reasons'][name]}" for name in names),
-            )
-    gammas = ", ".join(str(point["gamma"]) for point in known)
-    raise ValueError(f"gamma = {gamma!r} has no reference point; known: {gammas}")
+    if known:
+        found = next((point for point in known if point["gamma"] == gamma), None)
+        if found is None:
+            gammas = ", ".join(str(point["gamma"]) for point in known)
+            raise ValueError(f"gamma = {gamma!r} has no reference point; known: {gammas}")
+        values |= found["values"]
+        reasons |= table["reasons"]
+    for name in names:
+        own = OBJECTIVES[INDEX[name]].reference
+        if own is not None:
+            values.setdefault(name, own)
+        if name not in values:
+            raise ValueError(f"objective {name!r} has no reference value in {scenario!r}; register it with one")
+    return ReferencePoint(
+        objectives=names,
+        values=np.array([values[name] for name in names], dtype=np.float64),
+        version=table["version"],
+        reason="; ".join(f"{name}: {reasons[name]}" for name in names),
+    )
 
 
 @functools.cache
@@ -90,10 +104,10 @@ def select_objectives(scenario: str, action_type: str, objectives: Sequence[str]
         ValueError: for an unknown scenario, action type or objective.
     """
     for name, value, allowed in (
-        ("scenario", scenario, get_args(ScenarioName)),
+        ("scenario", scenario, SCENARIOS),
         ("action_type", action_type, get_args(ActionType)),
     ):
         if value not in allowed:
             raise ValueError(f"{name} = {value!r} is unknown; {nearest(value, allowed)}")
     chosen = None if objectives is None else tuple(objectives)
-    return chosen_objectives(EnvConfig(scenario=scenario, objectives=chosen))  # type: ignore[arg-type]  # checked above
+    return chosen_objectives(EnvConfig(scenario=scenario, objectives=chosen))

@@ -22,10 +22,11 @@ from mo_deepdrive.drawing import (
     Canvas,
     Colour,
 )
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES
 from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
-from mo_deepdrive.simulation.params import chosen_objectives
+from mo_deepdrive.simulation.measures import make_measures, measure_batch
+from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ class Panel:
         self._decision_frequency = decision_frequency
         self._alone = vehicles == 1
         self._pitch = 1.6 if self._alone else 1.0  # factor of vertical distances
+        self._row = min(22.0, (230.0 if self._alone else 158.0) / len(objectives))  # height of an objective
         self._fonts: dict[int, pygame.font.Font] = {}
         self._surface = pygame.Surface((PANEL_PIXELS, MAP_PIXELS), 0, 32)
         self._labels: pygame.Surface | None = None
@@ -114,7 +116,7 @@ class Panel:
             for text, x in (("Objective", 20), ("this decision", -226), ("episode", -316)):
                 self._write(text, x, self._height(v, 142), 18, DIM)
             for k, name in enumerate(self._objectives):
-                row = self._height(v, 164 + 22 * k)
+                row = self._height(v, 164 + self._row * k)
                 unit = OBJECTIVES[INDEX[name]].unit.replace("^3", "³")
                 self._rectangle(20, row - 11 * self._pitch, 296, 1, RULE)
                 name_end = self._write(titled(name), 20, row, 21, TEXT)
@@ -129,10 +131,10 @@ class Panel:
         for k, (field, _) in enumerate(READINGS):
             left, upper = self._tile(v, k)
             self._write(f"{vehicle[field]:,.2f}", left + 10, upper + 29 * self._pitch, 26, TEXT)
-        for k, name in enumerate(self._objectives):
-            row = self._height(v, 164 + 22 * k)
-            self._write(f"{vehicle.objectives[INDEX[name]]:,.2f}", -226, row, 21, TEXT)
-            total = f"{trace.sums[v, INDEX[name]]:,.2f}" if trace.complete[v] else "—"
+        for k in range(len(self._objectives)):
+            row = self._height(v, 164 + self._row * k)
+            self._write(f"{trace.magnitudes[v, k]:,.2f}", -226, row, 21, TEXT)
+            total = f"{trace.sums[v, k]:,.2f}" if trace.complete[v] else "—"
             self._write(total, -316, row, 21, TEXT)
 
     def _rectangle(self, left: float, top: float, width: float, height: float, colour: Colour, radius: int = 0) -> None:
@@ -171,15 +173,19 @@ class Panel:
 class EpisodeTrace:
     """The part of an episode that a viewer was shown, per vehicle."""
 
-    def __init__(self, vehicles: int, trail_length: int):
+    def __init__(self, vehicles: int, objectives: int, trail_length: int):
         self.trails = [deque[tuple[float, float]](maxlen=trail_length) for _ in range(vehicles)]  # m, oldest first
-        self.sums = np.zeros((vehicles, len(INDEX)))  # of the magnitudes of the decisions shown
+        self.magnitudes = np.zeros((vehicles, objectives))  # of the last decision shown
+        self.sums = np.zeros((vehicles, objectives))  # of the magnitudes of the decisions shown
         self.complete = np.ones(vehicles, dtype=np.bool_)  # whether these are all decisions so far
         self._decisions = np.zeros(vehicles, dtype=np.int64)
         self._along = np.full((vehicles, MAX_WAYPOINTS), np.nan)
 
-    def follow(self, world: NDArray[Any]) -> None:
-        """Add the state ``world`` (vehicles,); adding the same state again changes nothing."""
+    def follow(self, world: NDArray[Any], magnitudes: NDArray[np.float64]) -> None:
+        """Add the state ``world`` (vehicles,) and its ``magnitudes`` (vehicles, objectives).
+
+        Adding the same state again changes nothing.
+        """
         decisions, along = world["decisions"].copy(), world["along"].copy()
         begins = not decisions.any()
         # If only some decisions are shown, those of a new episode may begin later than the previous one ended.
@@ -191,7 +197,8 @@ class EpisodeTrace:
                 trail.clear()
         new = decisions - self._decisions
         self.complete &= new <= 1
-        self.sums[new > 0] += world["objectives"][new > 0]
+        self.magnitudes = magnitudes
+        self.sums[new > 0] += magnitudes[new > 0]
         for v in np.flatnonzero(new):
             self.trails[v].append((float(world[v].x), float(world[v].y)))
         self._decisions, self._along = decisions, along
@@ -215,7 +222,10 @@ class Viewer:
         self.render_mode = render_mode
         self.scenario = SCENARIOS[config.scenario]
         self.objectives = chosen_objectives(config)
-        self._trace = EpisodeTrace(self.scenario.vehicles, 1 + round(TRAIL_SECONDS * config.decision_frequency))
+        self._measures = make_measures(config)
+        self._params = make_params(config)
+        trail_length = 1 + round(TRAIL_SECONDS * config.decision_frequency)
+        self._trace = EpisodeTrace(self.scenario.vehicles, len(self.objectives), trail_length)
         self._panel = Panel(self.scenario.title, self.objectives, self.scenario.vehicles, config.decision_frequency)
         large = (MAP_PIXELS * SUPERSAMPLING, MAP_PIXELS * SUPERSAMPLING)
         self._ground = Canvas(pygame.Surface(large, 0, 32), math.inf)
@@ -231,13 +241,27 @@ class Viewer:
 
         With "human" it is also shown in the window, unless the user has closed it.
         """
-        self._trace.follow(world)
+        self._trace.follow(world, self._magnitudes(world))
         self._draw_map(world)
         self._frame.blit(self._panel.draw(world, self._trace), (MAP_PIXELS, 0))
         if self.render_mode == "human" and not self._dismissed:
             self._show()
         pixels = np.frombuffer(bytearray(pygame.image.tobytes(self._frame, "RGB")), dtype=np.uint8)
         return pixels.reshape(FRAME_SIZE[1], FRAME_SIZE[0], 3)
+
+    def _magnitudes(self, world: NDArray[Any]) -> NDArray[np.float64]:
+        """The magnitudes (vehicles, objectives) of the last decision; zero for vehicles that had ended before."""
+        magnitudes = np.zeros((len(world), len(self.objectives)))
+        for k, name in enumerate(self.objectives):
+            if name in KERNEL_NAMES:
+                magnitudes[:, k] = world["objectives"][:, INDEX[name]]
+        decisions = world["decisions"]
+        acted = (decisions > 0) & (decisions == decisions.max())
+        measured = np.zeros((1, *magnitudes.shape), dtype=np.float32)
+        for measure in self._measures:
+            measure_batch(measure.function, world[None], self._params, acted[None], measure.column, 1.0, measured)
+            magnitudes[:, measure.column] = measured[0, :, measure.column]
+        return magnitudes
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -266,8 +290,8 @@ class Viewer:
             canvas.route(vehicle, colour)
             if len(positions) > 1:
                 canvas.trail(np.array(positions), colour, self._sheet)
-        if self.scenario.obstacle:
-            canvas.bicycle(world[0].obstacle)
+        for k in range(self.scenario.obstacles):
+            canvas.bicycle(world[0].obstacle[2 * k : 2 * k + 2])
         # A vehicle that has ended is off the road, so the other one is drawn on top of it.
         for v in np.argsort(world["end"] == RUNNING, kind="stable"):
             canvas.vehicle(world[v], VEHICLE_COLOURS[v], int(v) if len(world) > 1 else None)

@@ -1,38 +1,28 @@
-"""The three scenarios as data, and the functions that draw and place one.
+"""The scenarios as data.
 
-A scenario is one row of SCENARIOS. All random numbers of an episode are DRAWS uniforms in [0, 1) that the caller
-passes in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
-moves by ``draws[:2] * destination_span``; ``draws[2:5]`` place the obstacle. A scenario that does not use
-a draw has a span of zero.
+A scenario is one row of SCENARIOS. All random numbers of an episode are ``scenario.draws`` uniforms in [0, 1) that the
+caller passes in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
+moves by ``draws[k : k + 2] * destination_span`` with k = ``destination_draw``; ``draws[2 + 3 j : 5 + 3 j]`` place the
+bicycle j. A scenario that does not use a draw has a span of zero. ``simulation/placing.py`` does all this.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import numpy as np
 
-from mo_deepdrive.simulation import geometry, progress
-from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import (
-    ARRIVAL_RADIUS,
-    LANE_WIDTH,
-    LENGTH,
-    MAX_WAYPOINTS,
-    RUNNING,
-    Record,
-    Records,
-)
+from mo_deepdrive.names import check_name, nearest
+from mo_deepdrive.objectives import INDEX
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_VEHICLES, MAX_WAYPOINTS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Mapping
 
-DRAWS = 5
-FIXED_DRAW = 0.2
-# Half-way to the fixed destination, 3.45 m long, and within two degrees of perpendicular to the direct line.
-FIXED_OBSTACLE_DRAWS = (0.4, 0.5, 0.2)
+FARTHEST = 250.0  # m; largest coordinate of a start or waypoint, so that observations stay in their space
 
 # The original draws on a 1000 px square with a 50 px margin.
 PIXELS_PER_METRE = 405 / LENGTH / 4
@@ -40,11 +30,6 @@ MAP_UNIT = 900 / PIXELS_PER_METRE
 MAP_ORIGIN = 50 / PIXELS_PER_METRE
 MAP_CENTRE = MAP_ORIGIN + MAP_UNIT / 2
 MAP_SIZE = 1000 / PIXELS_PER_METRE
-
-OBSTACLE_NEAREST = 0.1 * MAP_UNIT
-OBSTACLE_REACH = 0.6
-OBSTACLE_SHORTEST = 0.025 * MAP_UNIT
-OBSTACLE_STRETCH = 0.1 * MAP_UNIT
 
 HALF_LANE = LANE_WIDTH / 2
 
@@ -56,7 +41,13 @@ def metres(p: float) -> float:
 
 @dataclass(frozen=True)
 class Route:
-    """Where a vehicle starts (x, y, heading) and its waypoints (x, y), in m and rad."""
+    """Where a vehicle starts, and where it drives.
+
+    Attributes:
+        start: x, y (m) and heading (rad).
+        waypoints: (x, y) of one to three points (m), the last of which is the destination.
+        start_span: range of the start along y (m).
+    """
 
     start: tuple[float, float, float]
     waypoints: tuple[tuple[float, float], ...]
@@ -69,12 +60,14 @@ class Scenario:
 
     Attributes:
         name: the name in ids and configurations.
-        routes: one per vehicle.
+        routes: one per vehicle: one or two.
         objectives: names of the objectives, in order.
-        destination_span: range of the destination along x and y (m).
-        obstacle: whether there is a bicycle on the way.
-        lanes: whether there are lanes (and with them lane distances and another vehicle).
         title: the name in titles and messages.
+        destination_span: range of the first vehicle's destination along x and y (m).
+        obstacles: how many bicycles are on the way of the vehicle; only where it is alone.
+        lanes: whether the roads of the crossing are there, and with them lane distances.
+        reference: coordinates of the reference point for hypervolumes by objective, maximised, for every discount
+            factor; ``data/reference_points.yaml`` has those of the package's own scenarios.
     """
 
     name: str
@@ -82,13 +75,34 @@ class Scenario:
     objectives: tuple[str, ...]
     title: str
     destination_span: tuple[float, float] = (0.0, 0.0)
-    obstacle: bool = False
+    obstacles: int = 0
     lanes: bool = False
+    reference: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        """The id of the environment."""
+        return f"mo-deepdrive-{self.name.replace('_', '-')}-v0"
 
     @property
     def vehicles(self) -> int:
         """How many vehicles there are."""
         return len(self.routes)
+
+    @property
+    def _own_destination_draws(self) -> bool:
+        """Whether both starts and the destination are random, so that they cannot share their draws."""
+        return any(self.destination_span) and any(route.start_span for route in self.routes)
+
+    @property
+    def destination_draw(self) -> int:
+        """The first of the two draws of the destination."""
+        return 2 + 3 * max(1, self.obstacles) if self._own_destination_draws else 0
+
+    @property
+    def draws(self) -> int:
+        """How many random numbers an episode takes."""
+        return 2 + 3 * max(1, self.obstacles) + (2 if self._own_destination_draws else 0)
 
 
 _OPEN_ROUTE = Route(start=(metres(0.1), metres(0.5), -math.pi / 2), waypoints=((metres(0.2), metres(0.0)),))
@@ -110,7 +124,7 @@ SCENARIOS: dict[str, Scenario] = {
             routes=(_OPEN_ROUTE,),
             destination_span=_OPEN_SPAN,
             objectives=("distance", "destination", "g_force", "collision", "jerk"),
-            obstacle=True,
+            obstacles=1,
         ),
         Scenario(
             name="intersection",
@@ -138,139 +152,79 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
-@jit
-def given(pinned: float, drawn: float) -> float:
-    """The pinned value, or the drawn one where it is NaN."""
-    return drawn if math.isnan(pinned) else pinned
-
-
-@jit
-def draw_spawn(draws: NDArray[np.float64], j: int, params: Record, pins: Record, spawn: Record) -> None:
-    """Fill ``spawn`` (record SPAWN) from ``pins``, or where they are NaN from the uniforms ``draws[j]`` (DRAWS,)."""
-    vehicles = len(spawn.starts)
-    for v in range(vehicles):
-        spawn.starts[v, 0] = given(pins.starts[v, 0], params.starts[v, 0])
-        spawn.starts[v, 1] = given(pins.starts[v, 1], params.starts[v, 1] + draws[j, v] * params.start_span[v])
-        spawn.starts[v, 2] = given(pins.starts[v, 2], params.starts[v, 2])
-        for k in range(MAX_WAYPOINTS):
-            for axis in range(2):
-                spawn.waypoints[v, k, axis] = params.waypoints[v, k, axis]
-    last = params.n_waypoints[0] - 1
-    for axis in range(2):
-        draw = FIXED_DRAW if params.fixed_destination else draws[j, axis]
-        spawn.waypoints[0, last, axis] = given(
-            pins.waypoints[0, last, axis], params.waypoints[0, last, axis] + draw * params.destination_span[axis]
-        )
-    start_x = spawn.starts[0, 0]
-    start_y = spawn.starts[0, 1]
-    route_x = spawn.waypoints[0, last, 0] - start_x
-    route_y = spawn.waypoints[0, last, 1] - start_y
-    route = math.sqrt(route_x * route_x + route_y * route_y)
-    place_draw = FIXED_OBSTACLE_DRAWS[0] if params.fixed_obstacle else draws[j, 2]
-    length_draw = FIXED_OBSTACLE_DRAWS[1] if params.fixed_obstacle else draws[j, 3]
-    angle_draw = FIXED_OBSTACLE_DRAWS[2] if params.fixed_obstacle else draws[j, 4]
-    ratio = (OBSTACLE_REACH * place_draw * route + OBSTACLE_NEAREST) / route if route > 0.0 else 0.0
-    half = (OBSTACLE_SHORTEST + OBSTACLE_STRETCH * length_draw) / 2
-    for end in range(2):
-        side = half if end == 0 else -half
-        spawn.obstacle[end, 0] = given(
-            pins.obstacle[end, 0], start_x + ratio * route_x + side * math.cos(math.pi * angle_draw)
-        )
-        spawn.obstacle[end, 1] = given(
-            pins.obstacle[end, 1], start_y + ratio * route_y + side * math.sin(math.pi * angle_draw)
-        )
-
-
-@jit
-def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Distance (m) from the point p to the segment a-b."""
-    dx = bx - ax
-    dy = by - ay
-    square = dx * dx + dy * dy
-    along = 0.0
-    if square > 0.0:
-        along = min(max(((px - ax) * dx + (py - ay) * dy) / square, 0.0), 1.0)
-    return geometry.distance(px, py, ax + along * dx, ay + along * dy)
-
-
-@jit
-def spawn_is_fair(spawn: Record, params: Record) -> bool:
-    """False if the bicycle touches the vehicle at its start or is within 1 m of the destination."""
-    if not params.has_obstacle:
-        return True
-    last = params.n_waypoints[0] - 1
-    ax = spawn.obstacle[0, 0]
-    ay = spawn.obstacle[0, 1]
-    bx = spawn.obstacle[1, 0]
-    by = spawn.obstacle[1, 1]
-    goal = distance_to_segment(spawn.waypoints[0, last, 0], spawn.waypoints[0, last, 1], ax, ay, bx, by)
-    heading = spawn.starts[0, 2]
-    touches = geometry.segment_touches_box(
-        spawn.starts[0, 0], spawn.starts[0, 1], math.cos(heading), math.sin(heading), ax, ay, bx, by
+def register_id(scenario: Scenario) -> None:
+    """Register the environments of a scenario with Gymnasium, for ``make`` and ``make_vec``."""
+    alone = scenario.vehicles == 1
+    gymnasium.register(
+        scenario.id,
+        entry_point="mo_deepdrive.envs.single:DrivingEnv" if alone else "mo_deepdrive.envs.turn_based:TurnBasedEnv",
+        vector_entry_point="mo_deepdrive.envs.vector:DrivingVectorEnv",
+        kwargs={"scenario": scenario.name},
     )
-    return goal > ARRIVAL_RADIUS and not touches
 
 
-@jit
-def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
-    """Put every vehicle of world ``i`` at rest at the start of its route."""
-    for v in range(worlds.shape[1]):
-        vehicle = worlds[i, v]
-        heading = spawn.starts[v, 2]
-        vehicle.x = spawn.starts[v, 0]
-        vehicle.y = spawn.starts[v, 1]
-        vehicle.heading = heading
-        vehicle.start_heading = heading
-        vehicle.cos_heading = math.cos(heading)
-        vehicle.sin_heading = math.sin(heading)
-        vehicle.cos_before = vehicle.cos_heading
-        vehicle.sin_before = vehicle.sin_heading
-        vehicle.speed = 0.0
-        vehicle.previous_speed = 0.0
-        vehicle.yaw_step = 0.0
-        vehicle.vx = 0.0
-        vehicle.vy = 0.0
-        vehicle.ax = 0.0
-        vehicle.ay = 0.0
-        vehicle.g_force = 0.0
-        vehicle.jerk = 0.0
-        vehicle.steer = 0.0
-        vehicle.throttle = 0.0
-        vehicle.brake = 0.0
-        vehicle.travelled = 0.0
-        vehicle.decisions = 0
-        vehicle.end = RUNNING
-        vehicle.next_waypoint = 0
-        vehicle.n_waypoints = params.n_waypoints[v]
-        before_x = vehicle.x
-        before_y = vehicle.y
-        along = 0.0
-        for k in range(MAX_WAYPOINTS):
-            px = spawn.waypoints[v, k, 0]
-            py = spawn.waypoints[v, k, 1]
-            along += geometry.distance(before_x, before_y, px, py)
-            vehicle.waypoints[k, 0] = px
-            vehicle.waypoints[k, 1] = py
-            vehicle.along[k] = along
-            before_x = px
-            before_y = py
-        for end in range(2):
-            for axis in range(2):
-                vehicle.obstacle[end, axis] = spawn.obstacle[end, axis]
-        for k in range(len(vehicle.objectives)):
-            vehicle.objectives[k] = 0.0
-        progress.follow(vehicle)
-        vehicle.furthest = max(0.0, vehicle.route_distance)
-        vehicle.lane_centre = params.lane_centre[v]
-        vehicle.left_lane_distance = HALF_LANE
-        vehicle.right_lane_distance = HALF_LANE
-        vehicle.crossing = False
-        vehicle.approaching = False
-        if params.has_lanes:
-            progress.find_lane(vehicle, params)
+def register_scenario(scenario: Scenario) -> None:
+    """Add a scenario, and register its id ``mo-deepdrive-<name>-v0`` with dashes in the name.
+
+    Call it in the module that defines the scenario: ``make("module:id")``, and ``environment.id: "module:id"`` in
+    YAML, import the module first, in worker processes too. Registering the same scenario again changes nothing.
+
+    Args:
+        scenario: the row.
+
+    Raises:
+        ValueError: for an invalid field, or another scenario of the same name.
+    """
+    check_name(scenario.name, "scenario")
+    if problem := _problem(scenario):
+        raise ValueError(f"scenario {scenario.name!r}: {problem}")
+    if scenario.name not in SCENARIOS:
+        SCENARIOS[scenario.name] = scenario
+        register_id(scenario)
+    elif scenario != SCENARIOS[scenario.name]:
+        raise ValueError(f"scenario {scenario.name!r} is registered already, with other fields; choose another name")
 
 
-def pin_nothing(spawn: Records) -> None:
-    """Mark every entry of a SPAWN record array as not pinned."""
-    for name in spawn.dtype.names or ():
-        spawn[name] = np.nan
+def _problem(scenario: Scenario) -> str:
+    """What is wrong with a field of ``scenario``; "" if nothing is."""
+    if not 1 <= len(scenario.routes) <= MAX_VEHICLES:
+        return f"routes has {len(scenario.routes)} entries; it must have one per vehicle, at most {MAX_VEHICLES}"
+    for v, route in enumerate(scenario.routes):
+        if _shape(route.start) != (3,):
+            return f"start = {route.start!r} of route {v} must be (x, y, heading): finite numbers in m and rad"
+        if not 1 <= len(route.waypoints) <= MAX_WAYPOINTS:
+            return f"waypoints of route {v} has {len(route.waypoints)} points; it must have 1 to {MAX_WAYPOINTS}"
+        if _shape(route.waypoints) != (len(route.waypoints), 2):
+            return f"waypoints = {route.waypoints!r} of route {v} must be (x, y) pairs of finite numbers in m"
+        if _shape(route.start_span) != ():
+            return f"start_span = {route.start_span!r} of route {v} must be a finite number in m"
+        span = np.abs([route.start_span, *scenario.destination_span]).max() if _is_span(scenario) else 0.0
+        if max(np.abs(route.start[:2]).max(), np.abs(route.waypoints).max()) + span > FARTHEST:
+            return f"route {v} with its spans leaves [-{FARTHEST:g}, {FARTHEST:g}] m"
+    if not _is_span(scenario):
+        return f"destination_span = {scenario.destination_span!r} must be (x, y): finite numbers in m"
+    for name in (*scenario.objectives, *scenario.reference):
+        if name not in INDEX:
+            return f"objective {name!r} is unknown; {nearest(name, INDEX)}"
+    if not scenario.objectives or len(set(scenario.objectives)) != len(scenario.objectives):
+        return f"objectives = {list(scenario.objectives)} must be one or more distinct names"
+    if isinstance(scenario.obstacles, bool) or not isinstance(scenario.obstacles, int) or scenario.obstacles < 0:
+        return f"obstacles = {scenario.obstacles!r} must be a number of bicycles: 0, 1, 2, ..."
+    if scenario.obstacles and scenario.vehicles > 1:
+        return f"obstacles = {scenario.obstacles} must be 0 where there are two vehicles"
+    if any(_shape(value) != () for value in scenario.reference.values()):
+        return f"reference = {dict(scenario.reference)!r} must have a finite number per objective"
+    return ""
+
+
+def _is_span(scenario: Scenario) -> bool:
+    return _shape(scenario.destination_span) == (2,)
+
+
+def _shape(value: Any) -> tuple[int, ...] | None:
+    """The shape of finite numbers; None for anything else."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return array.shape if np.isfinite(array).all() else None

@@ -17,6 +17,8 @@ import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.commands import COMMANDS
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
 from tests.helpers.paths import REPOSITORY
 
@@ -121,6 +123,28 @@ def load_script() -> Callable[[str], ModuleType]:
         return sys.modules[module_name]
 
     return load
+
+
+@pytest.fixture
+def registries() -> Iterator[None]:
+    """Objectives, scenarios and ids that a test registers are forgotten afterwards."""
+    objectives, index, scenarios = list(OBJECTIVES), dict(INDEX), dict(SCENARIOS)
+    ids = dict(gymnasium.registry)
+    yield
+    OBJECTIVES[:] = objectives
+    for table, before in ((INDEX, index), (SCENARIOS, scenarios), (gymnasium.registry, ids)):
+        table.clear()
+        table.update(before)
+
+
+@pytest.fixture
+def examples(registries: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The modules of docs/examples can be imported; they are not yet."""
+    folder = REPOSITORY / "docs" / "examples"
+    monkeypatch.syspath_prepend(folder)
+    yield
+    for path in folder.glob("*.py"):
+        sys.modules.pop(path.stem, None)
 
 
 WIDTH, LENGTH = 2.300675555555556, 5.17652

@@ -92,6 +92,7 @@ def test_a_python_example_compiles(block: Block) -> None:
         if not block.before.startswith(NOT_RUN)
     ],
 )
+@pytest.mark.usefixtures("examples")
 def test_a_python_example_runs(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if "momaland" in block.text or "mo_deepdrive.env(" in block.text:
         pytest.importorskip("momaland")
@@ -100,6 +101,12 @@ def test_a_python_example_runs(block: Block, tmp_path: Path, monkeypatch: pytest
     exec(compile(block.text, str(block), "exec"), namespace)
     if "evaluation" in namespace:
         assert namespace["evaluation"].metrics()["success"] > 0.9, "the trained policy should do what the text claims"
+
+
+@pytest.mark.parametrize("name", ["energy.py", "two_bicycles.py"])
+def test_the_tutorial_shows_the_files_of_its_examples(name: str) -> None:
+    text = (REPOSITORY / "docs" / "examples" / name).read_text(encoding="utf-8")
+    assert text in [block.text for block in EXAMPLES if block.document == "docs/own_objective_and_scenario.md"]
 
 
 def test_there_are_examples() -> None:
@@ -181,6 +188,7 @@ def parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> Parsed:
     return caught.value
 
 
+@pytest.mark.usefixtures("examples")
 @pytest.mark.parametrize(
     "words", [words for program in ("python", "mo-deepdrive") for _, words in of_program(program)], ids=" ".join
 )
@@ -331,10 +339,13 @@ def test_modules_and_their_members_in_backticks_exist(document: str) -> None:
 
 
 @pytest.mark.parametrize("document", WITH_NAMES)
+@pytest.mark.usefixtures("examples")
 def test_ids_of_environments_exist(document: str) -> None:
     import gymnasium
 
     import mo_deepdrive  # noqa: F401  (registers them)
+
+    importlib.import_module("two_bicycles")
 
     text = (REPOSITORY / document).read_text(encoding="utf-8")
     for name in set(re.findall(r"mo-deepdrive-[a-z-]+-v\d+", text)):

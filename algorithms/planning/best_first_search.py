@@ -18,7 +18,7 @@ from mo_deepdrive.actions import action_table
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
-from mo_deepdrive.simulation.state import ARRIVED, RUNNING, TIME_LIMIT, VEHICLE, YAW_FRICTION
+from mo_deepdrive.simulation.state import ARRIVED, RUNNING, TIME_LIMIT, YAW_FRICTION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -123,7 +123,7 @@ class BestFirstSearch:
     def __init__(self, start: NDArray[Any], limits: SearchLimits, beam: int):
         self.limits = limits
         self.batch = WorldBatch(CONFIG, max(len(LETTERS), int(beam * limits.beam_share)))
-        self.states = np.zeros(limits.capacity * len(self.batch.state), dtype=VEHICLE)
+        self.states = np.zeros(limits.capacity * len(self.batch.state), dtype=self.batch.state.dtype)
         self.costs = np.zeros(len(self.states))  # infinite for nodes that have been expanded
         self.paths: list[str] = []  # the actions that lead to each node
         self.visited: set[bytes] = set()  # bins

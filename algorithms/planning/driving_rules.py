@@ -48,7 +48,7 @@ def random_rules(n: int, rng: np.random.Generator, batch: WorldBatch) -> NDArray
     def log_uniform(low: float, high: float) -> NDArray[np.float64]:
         return np.asarray(np.exp(rng.uniform(np.log(low), np.log(high), n)))
 
-    vehicle, has_obstacle = batch.state[0, 0], batch.scenario.obstacle
+    vehicle, has_obstacle = batch.state[0, 0], batch.scenario.obstacles > 0
     if has_obstacle:
         middle = vehicle["obstacle"].mean(axis=0)
     else:

@@ -12,7 +12,6 @@ from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFo
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.reference_fronts import front_config
-from mo_deepdrive.scenarios import DRAWS
 from mo_deepdrive.simulation.dynamics import PATH_WIDTH
 from mo_deepdrive.simulation.kernel import step_world
 from mo_deepdrive.simulation.state import RUNNING
@@ -92,7 +91,7 @@ class PlanEvaluator:
     def __init__(self, scenario: str, action_type: str):
         config = front_config(scenario, action_type)
         self.batch = WorldBatch(config, 1)
-        self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), DRAWS)))
+        self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), self.batch.scenario.draws)))
         self.format = PlanFormat(action_type, config.max_decisions)
         self.simulated_decisions = 0
         self._path = np.zeros((1, config.physics_steps + 1, PATH_WIDTH))

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.config import nearest
-from mo_deepdrive.scenarios import Scenario, pin_nothing
-from mo_deepdrive.simulation.state import SPAWN
+from mo_deepdrive.scenarios import FARTHEST, Scenario
+from mo_deepdrive.simulation.placing import pin_nothing
+from mo_deepdrive.simulation.state import SPAWN, with_obstacles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-FARTHEST = 250.0  # m; largest coordinate, so that observations stay in their space
 MOST_TURNED = 250.0  # rad; largest heading
 
 
@@ -21,7 +21,8 @@ def option_names(scenario: Scenario) -> tuple[str, ...]:
     """The names of the reset options of a scenario."""
     if scenario.vehicles > 1:
         return ("starts",)
-    return ("start", "destination", "obstacle") if scenario.obstacle else ("start", "destination")
+    obstacles = ("obstacle",) if scenario.obstacles == 1 else ("obstacles",) if scenario.obstacles else ()
+    return ("start", "destination", *obstacles)
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.ndarray:
@@ -51,7 +52,7 @@ def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.ndarr
     for name in options:
         if name not in known:
             raise ValueError(f"unknown reset option {name!r} in {scenario.title}; {nearest(name, known)}")
-    array = np.zeros(1, dtype=SPAWN)
+    array = np.zeros(1, dtype=with_obstacles(SPAWN, scenario.obstacles))
     pin_nothing(array)
     pins = array[0]
     if "start" in options:
@@ -63,4 +64,7 @@ def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.ndarr
         pins.waypoints[0, last] = _numbers("destination", options["destination"], (2,), "(x, y)")
     if "obstacle" in options:
         pins.obstacle[:] = _numbers("obstacle", options["obstacle"], (2, 2), "((x, y), (x, y))")
+    if "obstacles" in options:
+        shape, form = (scenario.obstacles, 2, 2), f"{scenario.obstacles} times ((x, y), (x, y))"
+        pins.obstacle[:] = _numbers("obstacles", options["obstacles"], shape, form).reshape(-1, 2)
     return array

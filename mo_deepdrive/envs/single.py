@@ -96,8 +96,8 @@ class DrivingEnv(WorldEnv):
         config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
         if SCENARIOS[config.scenario].vehicles > 1:
             raise ValueError(
-                f"scenario = {scenario!r} has two vehicles; use gymnasium.make('mo-deepdrive-intersection-v0'), where "
-                "they take turns, its make_vec, or mo_deepdrive.parallel_env()"
+                f"scenario = {scenario!r} has two vehicles; use gymnasium.make({SCENARIOS[scenario].id!r}), where they "
+                "take turns, its make_vec, or mo_deepdrive.parallel_env()"
             )
         super().__init__(config, render_mode)
         self._running = False

@@ -8,8 +8,8 @@ import numpy as np
 from gymnasium import spaces
 
 from mo_deepdrive import actions, observation
-from mo_deepdrive.limits import limits
-from mo_deepdrive.objectives import signs
+from mo_deepdrive.limits import limits, objective_bound
+from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives
 
@@ -39,19 +39,10 @@ def action_space(config: EnvConfig) -> spaces.Discrete | spaces.Box:
 
 def reward_space(config: EnvConfig) -> spaces.Box:
     """The vector reward of one vehicle in one decision: float32, shape (d,), finite."""
-    limit = limits(config)
-    largest = {
-        "distance": limit["distance"],
-        "destination": 1.0,
-        "g_force": limit["g"],
-        "collision": 1.0,
-        "jerk": limit["m/s^3"],
-        "lane_violation": limit["lane_violation"],
-    }
     names = chosen_objectives(config)
-    high = np.array([largest[name] for name in names])
-    low = np.array([-largest[name] if name == "distance" else 0.0 for name in names])
+    high = np.array([objective_bound(name, config) for name in names])
+    low = np.where([OBJECTIVES[INDEX[name]].signed for name in names], -high, 0.0)
     if config.cost_sign == "maximise":
         sign = signs(names)
-        low, high = np.where(sign > 0, low, -high), np.where(sign > 0, high, 0.0)
+        low, high = np.where(sign > 0, low, -high), np.where(sign > 0, high, -low + 0.0)
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

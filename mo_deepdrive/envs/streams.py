@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from mo_deepdrive.scenarios import DRAWS
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -34,16 +32,17 @@ class Streams:
 
     Args:
         seeds: one per world; None for a random seed.
+        draws: how many uniforms an episode takes.
     """
 
-    def __init__(self, seeds: list[int | None]):
+    def __init__(self, seeds: list[int | None], draws: int):
         self._generators: list[np.random.Generator] = []
         self._seeds: list[int] = []
         for seed in seeds:
             generator, used = seeding.np_random(seed)
             self._generators.append(generator)
             self._seeds.append(used)
-        self._blocks = np.zeros((len(seeds), BLOCK, DRAWS))
+        self._blocks = np.zeros((len(seeds), BLOCK, draws))
         self._cursors = np.full(len(seeds), BLOCK, dtype=np.int64)
 
     @property
@@ -64,7 +63,7 @@ class Streams:
                 self._cursors[i] = BLOCK
 
     def draw(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The next DRAWS uniforms of each world in ``rows``, shape (len(rows), DRAWS)."""
+        """The next uniforms of each world in ``rows``, shape (len(rows), draws)."""
         cursors = self._cursors[rows]
         empty = rows[cursors == BLOCK]
         if len(empty):

@@ -68,7 +68,7 @@ class DrivingVectorEnv(VectorEnv):
 
     Args:
         num_envs: N.
-        scenario: "one_waypoint", "static_obstacle" or "intersection".
+        scenario: "one_waypoint", "static_obstacle", "intersection" or a registered one.
         autoreset_mode: NEXT_STEP (a finished world is reset by the next step, which ignores its action and has zero
             reward), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
         threads: how many threads share a step, which pays off from about 2,000 worlds. It does not change the results.
@@ -150,7 +150,7 @@ class DrivingVectorEnv(VectorEnv):
 
     def _seeded(self) -> Streams:
         if self._streams is None:
-            self._streams = Streams([None] * self.num_envs)
+            self._streams = Streams([None] * self.num_envs, self.batch.scenario.draws)
         return self._streams
 
     def reset(
@@ -170,7 +170,7 @@ class DrivingVectorEnv(VectorEnv):
         pins = make_pins(options, self.batch.scenario)
         seeds = self._seeds(seed)
         if self._streams is None:
-            self._streams = Streams(seeds)
+            self._streams = Streams(seeds, self.batch.scenario.draws)
         else:
             self._streams.reseed(seeds, mask)
         self.batch.place(np.flatnonzero(mask), self._streams.draw, pins)

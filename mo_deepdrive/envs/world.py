@@ -15,7 +15,6 @@ from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
 from mo_deepdrive.envs.streams import checked_seed
-from mo_deepdrive.scenarios import DRAWS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,9 +56,10 @@ class World:
             ValueError: for options without a valid scenario; the world and the generator are unchanged.
         """
         pins = make_pins(options, self.batch.scenario)
+        draws = self.batch.scenario.draws
         stream = generator.bit_generator.state
         try:
-            self.batch.place(_WORLD, lambda _: generator.random((1, DRAWS)), pins)
+            self.batch.place(_WORLD, lambda _: generator.random((1, draws)), pins)
         except ValueError:
             generator.bit_generator.state = stream
             raise

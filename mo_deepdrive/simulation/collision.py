@@ -46,13 +46,13 @@ def pose(path: NDArray[np.float64], v: int, i: int, part: float) -> tuple[float,
 
 
 @jit
-def hits_obstacle(vehicle: Record, moved: float, params: Record, path: NDArray[np.float64]) -> bool:
-    """Whether the vehicle touches its obstacle, a segment, anywhere on its path of length ``moved`` (m)."""
+def hits_obstacle(vehicle: Record, k: int, moved: float, params: Record, path: NDArray[np.float64]) -> bool:
+    """Whether the vehicle touches the obstacle, a segment, whose ends are the rows ``k`` and ``k`` + 1."""
     n = params.physics_steps
-    ax = vehicle.obstacle[0, 0]
-    ay = vehicle.obstacle[0, 1]
-    bx = vehicle.obstacle[1, 0]
-    by = vehicle.obstacle[1, 1]
+    ax = vehicle.obstacle[k, 0]
+    ay = vehicle.obstacle[k, 1]
+    bx = vehicle.obstacle[k + 1, 0]
+    by = vehicle.obstacle[k + 1, 1]
     reach = RADIUS + distance(ax, ay, bx, by) / 2
     mid_x = (ax + bx) / 2
     mid_y = (ay + by) / 2
@@ -65,6 +65,15 @@ def hits_obstacle(vehicle: Record, moved: float, params: Record, path: NDArray[n
             if distance(x, y, mid_x, mid_y) <= reach and segment_touches_box(x, y, cos, sin, ax, ay, bx, by):
                 return True
     return False
+
+
+@jit
+def hits_any_obstacle(vehicle: Record, moved: float, params: Record, path: NDArray[np.float64]) -> bool:
+    """Whether the vehicle touches one of its obstacles anywhere on its path of length ``moved`` (m)."""
+    hit = False
+    for k in range(0, len(vehicle.obstacle), 2):
+        hit = hit or hits_obstacle(vehicle, k, moved, params, path)
+    return hit
 
 
 @jit

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 from mo_deepdrive import observation
 from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.scenarios import draw_spawn, place, spawn_is_fair
 from mo_deepdrive.simulation import progress
-from mo_deepdrive.simulation.collision import hits_obstacle, vehicles_collide
+from mo_deepdrive.simulation.collision import hits_any_obstacle, vehicles_collide
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.placing import draw_spawn, place, spawn_is_fair
 from mo_deepdrive.simulation.state import (
     ARRIVED,
     BACKWARDS,
@@ -107,7 +107,7 @@ def step_world(
 
     collided = False
     if params.has_obstacle and all_running:
-        collided = hits_obstacle(worlds[i, 0], moved, params, path)
+        collided = hits_any_obstacle(worlds[i, 0], moved, params, path)
     if vehicles > 1 and all_running:
         collided = vehicles_collide(worlds[i, 0], worlds[i, 1], moved, params, path)
 
@@ -197,7 +197,8 @@ def step_batch(
         params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
         path: (vehicles, physics_steps + 1, 4) scratch buffer.
         observations: (worlds, vehicles, size) float32, written.
-        rewards: (worlds, vehicles, objectives) float32, written; zero for vehicles that had ended before.
+        rewards: (worlds, vehicles, objectives) float32, written but for the columns of objectives that the kernel
+            does not measure; zero for vehicles that had ended before.
         terminated: (worlds, vehicles) bool, written; stays True until the world is placed again.
         truncated: likewise.
     """
@@ -207,7 +208,7 @@ def step_batch(
         for v in range(worlds.shape[1]):
             for k in range(params[0].n_objectives):
                 # Adding zero turns a cost of -0.0 into 0.0.
-                rewards[i, v, k] = (
+                rewards[i, v, params[0].objective_column[k]] = (
                     params[0].objective_sign[k] * worlds[i, v].objectives[params[0].objective_index[k]] + 0.0
                 )
 
@@ -230,7 +231,7 @@ def reset_batch(
     Args:
         worlds: (worlds, vehicles) of VEHICLE.
         rows: (k,) indices of the worlds to place.
-        draws: (k, DRAWS) uniforms in [0, 1).
+        draws: (k, draws) uniforms in [0, 1).
         pins: (1,) of SPAWN; entries that are not NaN replace what would be drawn.
         params: (1,) of PARAMS.
         spawn: (1,) of SPAWN, scratch.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mo_deepdrive.config import EnvConfig, nearest
-from mo_deepdrive.objectives import INDEX, signs
+from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
 from mo_deepdrive.scenarios import MAP_CENTRE, SCENARIOS, Scenario
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
@@ -16,10 +17,10 @@ from mo_deepdrive.simulation.state import (
     YAW_FRICTION,
 )
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 ORIGINAL_FREQUENCY = 60  # Hz; the frictions are per physics step at this frequency
-OPEN_ROAD_ONLY = ("fixed_destination",)
-OBSTACLE_ONLY = ("fixed_obstacle",)
-LANES_ONLY = ("lane_margin", "end_on_lane_violation", "yield_to_oncoming", "end_together")
 
 
 def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
@@ -31,19 +32,30 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     scenario = SCENARIOS[config.scenario]
     if config.objectives is None:
         return scenario.objectives
+    measured = (objective.name for objective in OBJECTIVES if objective.measure is not None)
+    known = {*scenario.objectives, *measured}
     for name in config.objectives:
-        if name not in scenario.objectives:
-            raise ValueError(
-                f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, scenario.objectives)}"
-            )
+        if name not in known:
+            raise ValueError(f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, known)}")
     return config.objectives
 
 
-def _check_scenario(config: EnvConfig, scenario: Scenario) -> None:
-    absent = (*(OPEN_ROAD_ONLY if scenario.lanes else LANES_ONLY), *(() if scenario.obstacle else OBSTACLE_ONLY))
-    for name in absent:
-        if getattr(config, name) != type(config).model_fields[name].default:
-            raise ValueError(f"{name} = {getattr(config, name)!r} has no effect in {scenario.title}; omit it")
+def reward_signs(config: EnvConfig) -> NDArray[np.float64]:
+    """By what the magnitudes of the chosen objectives are multiplied, shape (d,)."""
+    names = chosen_objectives(config)
+    return signs(names) if config.cost_sign == "maximise" else np.ones(len(names))
+
+
+def _has_effect(scenario: Scenario) -> dict[str, bool]:
+    """Whether a setting that not every scenario has makes a difference in this one."""
+    return {
+        "fixed_destination": any(scenario.destination_span),
+        "fixed_obstacle": scenario.obstacles > 0,
+        "lane_margin": scenario.lanes,
+        "end_on_lane_violation": scenario.lanes,
+        "yield_to_oncoming": scenario.lanes and scenario.vehicles > 1,
+        "end_together": scenario.vehicles > 1,
+    }
 
 
 def make_params(config: EnvConfig) -> np.ndarray:
@@ -53,7 +65,10 @@ def make_params(config: EnvConfig) -> np.ndarray:
         ValueError: if a setting has no effect in the scenario.
     """
     scenario = SCENARIOS[config.scenario]
-    _check_scenario(config, scenario)
+    settings = _has_effect(scenario)
+    for name, effect in settings.items():
+        if not effect and getattr(config, name) != type(config).model_fields[name].default:
+            raise ValueError(f"{name} = {getattr(config, name)!r} has no effect in {scenario.title}; omit it")
     names = chosen_objectives(config)
     params = np.zeros(1, dtype=PARAMS)
     row = params[0]
@@ -66,13 +81,15 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.max_decisions = config.max_decisions
     row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
-    for name in ("constrain_controls", "ignore_brake", *OPEN_ROAD_ONLY, *OBSTACLE_ONLY, *LANES_ONLY):
+    for name in ("constrain_controls", "ignore_brake", *settings):
         row[name] = getattr(config, name)
-    row.has_obstacle = scenario.obstacle
+    row.has_obstacle = scenario.obstacles > 0
     row.has_lanes = scenario.lanes
-    row.n_objectives = len(names)
-    row.objective_index[: len(names)] = [INDEX[name] for name in names]
-    row.objective_sign[: len(names)] = signs(names) if config.cost_sign == "maximise" else 1.0
+    columns = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
+    row.n_objectives = len(columns)
+    row.objective_index[: len(columns)] = [INDEX[names[column]] for column in columns]
+    row.objective_column[: len(columns)] = columns
+    row.objective_sign[: len(columns)] = reward_signs(config)[columns]
     for v, route in enumerate(scenario.routes):
         row.n_waypoints[v] = len(route.waypoints)
         row.starts[v] = route.start
@@ -80,5 +97,6 @@ def make_params(config: EnvConfig) -> np.ndarray:
         row.start_span[v] = route.start_span
         row.waypoints[v, : len(route.waypoints)] = route.waypoints
     row.destination_span[:] = scenario.destination_span
+    row.destination_draw = scenario.destination_draw
     row.map_centre = MAP_CENTRE
     return params

@@ -11,6 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mo_deepdrive.objectives import KERNEL_NAMES
+
 # Types of arguments: a record of one of the dtypes in this module, or an array of them (NumPy's stubs know no fields).
 Record: TypeAlias = Any
 Records: TypeAlias = NDArray[Any]
@@ -110,8 +112,8 @@ VEHICLE = np.dtype(
             # the episode so far
             ("decisions", np.int64),
             ("end", np.int64),
-            ("objectives", _FLOAT, (6,)),
-            # the scenario drawn at reset: waypoints, distance along the route to each, obstacle
+            ("objectives", _FLOAT, (len(KERNEL_NAMES),)),
+            # the scenario drawn at reset: waypoints, distance along the route to each, the obstacle's two ends
             ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
             ("along", _FLOAT, (MAX_WAYPOINTS,)),
             ("obstacle", _FLOAT, (2, 2)),
@@ -130,6 +132,15 @@ SPAWN = np.dtype(
         ],
     )
 )
+
+
+def with_obstacles(dtype: np.dtype[Any], obstacles: int) -> np.dtype[Any]:
+    """VEHICLE or SPAWN with the ends of several obstacles, two rows each; with one or none it stays as it is."""
+    if obstacles < 2:
+        return dtype
+    (*names, last) = dtype.names or ()
+    return np.dtype((np.record, [*((name, dtype[name]) for name in names), (last, _FLOAT, (2 * obstacles, 2))]))
+
 
 # The part of an environment's configuration that the kernel needs.
 PARAMS = np.dtype(
@@ -152,10 +163,11 @@ PARAMS = np.dtype(
             ("end_together", np.bool_),
             ("has_obstacle", np.bool_),
             ("has_lanes", np.bool_),
-            # the objectives emitted, in order, and their signs
+            # the objectives of the kernel that are emitted: indices, columns of the reward, and signs
             ("n_objectives", np.int64),
-            ("objective_index", np.int64, (6,)),
-            ("objective_sign", _FLOAT, (6,)),
+            ("objective_index", np.int64, (len(KERNEL_NAMES),)),
+            ("objective_column", np.int64, (len(KERNEL_NAMES),)),
+            ("objective_sign", _FLOAT, (len(KERNEL_NAMES),)),
             # the scenario: see scenarios.py
             ("n_waypoints", np.int64, (MAX_VEHICLES,)),
             ("starts", _FLOAT, (MAX_VEHICLES, 3)),
@@ -163,6 +175,7 @@ PARAMS = np.dtype(
             ("lane_centre", _FLOAT, (MAX_VEHICLES,)),
             ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
             ("destination_span", _FLOAT, (2,)),
+            ("destination_draw", np.int64),
             ("fixed_destination", np.bool_),
             ("fixed_obstacle", np.bool_),
             ("map_centre", _FLOAT),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from mo_deepdrive.objectives import NAMES, scales
+from mo_deepdrive.objectives import INDEX, scales
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def test_the_documentation_has_every_reference_point(repository: Path) -> None:
     documented = {(title, row[1]): row[2:] for row in rows if row[1] in ("0.99", "1.0") for title in row[0].split(", ")}
     for scenario in SCENARIOS.values():
         for gamma in GAMMAS:
-            numbers = dict(zip(NAMES, documented[scenario.title, str(gamma)], strict=True))
+            numbers = dict(zip(INDEX, documented[scenario.title, str(gamma)], strict=True))
             point = mo_deepdrive.reference_point(scenario.name, gamma=gamma)
             assert [float(numbers[name]) for name in point.objectives] == point.values.tolist()
 

@@ -14,7 +14,7 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.rendering import EpisodeTrace, Viewer
-from mo_deepdrive.scenarios import DRAWS, MAP_SIZE
+from mo_deepdrive.scenarios import MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def start(scenario: str) -> tuple[WorldBatch, Viewer]:
     """A world at the start of an episode, and a viewer of it."""
     config = parse(EnvConfig, {"scenario": scenario, "harmful_g_force": None}, "settings")
     batch = WorldBatch(config, 1)
-    batch.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.5))
+    batch.place(np.array([0]), lambda rows: np.full((len(rows), batch.scenario.draws), 0.5))
     return batch, Viewer(config, "rgb_array")
 
 
@@ -246,31 +246,31 @@ def test_the_trail_shows_where_the_car_has_been() -> None:
 
 def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
     batch, _ = start("intersection")
-    trace = EpisodeTrace(2, 10)
+    trace = EpisodeTrace(2, 6, 10)
     expected = np.zeros_like(trace.sums)
-    trace.follow(batch.state[0])
+    trace.follow(batch.state[0], batch.state[0]["objectives"])
     for _ in range(15):
         drive(batch)
         expected += batch.state[0]["objectives"]
-        trace.follow(batch.state[0])
-        trace.follow(batch.state[0])
+        trace.follow(batch.state[0], batch.state[0]["objectives"])
+        trace.follow(batch.state[0], batch.state[0]["objectives"])
     assert trace.complete.all()
     np.testing.assert_allclose(trace.sums, expected)
     assert [len(trail) for trail in trace.trails] == [10, 10]
     drive(batch, 2)
-    trace.follow(batch.state[0])
+    trace.follow(batch.state[0], batch.state[0]["objectives"])
     assert not trace.complete.any()
 
 
 def test_a_new_episode_is_noticed_even_if_its_first_decisions_are_not_shown() -> None:
     batch, _ = start("one_waypoint")
-    trace = EpisodeTrace(1, 10)
+    trace = EpisodeTrace(1, 6, 10)
     for _ in range(5):
         drive(batch)
-        trace.follow(batch.state[0])
-    batch.place(np.array([0]), lambda rows: np.full((len(rows), DRAWS), 0.9))
+        trace.follow(batch.state[0], batch.state[0]["objectives"])
+    batch.place(np.array([0]), lambda rows: np.full((len(rows), batch.scenario.draws), 0.9))
     drive(batch, 8)
-    trace.follow(batch.state[0])
+    trace.follow(batch.state[0], batch.state[0]["objectives"])
     assert not trace.complete.any()
     assert len(trace.trails[0]) == 1
 

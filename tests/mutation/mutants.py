@@ -64,7 +64,7 @@ class Group:
 GROUPS = (
     Group("advantages", "algorithms/common/advantages.py", ("tests/algorithms/common/test_advantages.py",), 12),
     Group("pareto", "algorithms/common/pareto.py", ("tests/algorithms/common/test_pareto.py",), 25),
-    Group("scenarios", "mo_deepdrive/scenarios.py", ("tests/mo_deepdrive/test_scenarios.py",), 10),
+    Group("scenarios", "mo_deepdrive/scenarios.py", ("tests/mo_deepdrive/test_own_scenario.py",), 10),
     # The rules of the kernel are tested in every scenario.
     Group(
         "simulation",

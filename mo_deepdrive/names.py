@@ -1,0 +1,30 @@
+"""Names that users give: hints for those that are unknown, and the form of those that they register."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_FORM = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """A hint with the known name nearest to ``name``, and all known names."""
+    names = sorted(known)
+    close = difflib.get_close_matches(str(name), names, n=1)
+    guess = f"did you mean {close[0]!r}? " if close else ""
+    return f"{guess}known: {', '.join(names)}"
+
+
+def check_name(name: object, what: str) -> None:
+    """Refuse a name that is not lower case words joined by underscores.
+
+    Raises:
+        ValueError: naming ``what`` the name is for.
+    """
+    if not (isinstance(name, str) and _FORM.fullmatch(name)):
+        raise ValueError(f"{what} name = {name!r} must be lower case letters, digits and underscores, as 'two_words'")

@@ -1,0 +1,92 @@
+"""The objectives that are measured by a function of their own, after the kernel's step."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numba
+import numpy as np
+
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.params import chosen_objectives, make_params, reward_signs
+from mo_deepdrive.simulation.state import VEHICLE, Records, with_obstacles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.config import EnvConfig
+
+REASON_LENGTH = 300  # of a message of Numba, which may have hundreds of lines
+
+
+class Measure(NamedTuple):
+    """A compiled function, the column of the reward that it fills, and by what its magnitude is multiplied there."""
+
+    function: Callable[[Any, int, Any], float]
+    column: int
+    sign: float
+
+
+# Not in the disk cache, whose files would not notice a change of the function.
+@numba.njit(nogil=True, error_model="numpy")
+def measure_batch(
+    function: Callable[[Any, int, Any], float],
+    worlds: Records,
+    params: Records,
+    acting: NDArray[np.bool_],
+    column: int,
+    sign: float,
+    rewards: NDArray[np.float32],
+) -> None:
+    """Write one column of the rewards.
+
+    Args:
+        function: the ``measure`` of an objective, compiled.
+        worlds: (worlds, vehicles) of VEHICLE, after the step.
+        params: (1,) of PARAMS.
+        acting: (worlds, vehicles) whether the vehicle was on the road before the step; the reward is zero if not.
+        column: which column.
+        sign: by what the magnitude is multiplied.
+        rewards: (worlds, vehicles, objectives) float32, written.
+    """
+    for i in range(worlds.shape[0]):
+        for v in range(worlds.shape[1]):
+            # Adding zero turns a cost of -0.0 into 0.0.
+            rewards[i, v, column] = sign * function(worlds[i], v, params[0]) + 0.0 if acting[i, v] else 0.0
+
+
+@functools.cache
+def _compiled(function: Callable[[Any, int, Any], float]) -> Callable[[Any, int, Any], float]:
+    compiled: Callable[[Any, int, Any], float] = numba.njit(nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+def make_measures(config: EnvConfig) -> tuple[Measure, ...]:
+    """The objectives of a configuration that the kernel does not measure.
+
+    Raises:
+        ValueError: naming the objective, if its function cannot be compiled.
+    """
+    scenario = SCENARIOS[config.scenario]
+    nothing = np.zeros((0, scenario.vehicles), dtype=with_obstacles(VEHICLE, scenario.obstacles))
+    measures = []
+    for column, (name, sign) in enumerate(zip(chosen_objectives(config), reward_signs(config), strict=True)):
+        function = OBJECTIVES[INDEX[name]].measure
+        if function is None:
+            continue
+        if inspect.isfunction(function):
+            function = _compiled(function)
+        measure = Measure(function, column, float(sign))
+        flags, rewards = np.zeros(nothing.shape, dtype=np.bool_), np.zeros((*nothing.shape, 1), dtype=np.float32)
+        try:
+            measure_batch(measure.function, nothing, make_params(config), flags, column, measure.sign, rewards)
+        except Exception as error:  # Numba raises KeyError for a field that does not exist
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
+            raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason}") from None
+        measures.append(measure)
+    return tuple(measures)

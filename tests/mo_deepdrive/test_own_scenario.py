@@ -1,0 +1,383 @@
+"""Scenarios that are registered from outside, above all two_bicycles of the documentation, through every API."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import mo_gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from mo_gymnasium.wrappers import MONormalizeReward, MORecordEpisodeStatistics
+from pettingzoo.test import parallel_api_test
+
+import mo_deepdrive
+from mo_deepdrive import Route, Scenario, register_scenario
+from mo_deepdrive.observation import layout
+from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.wrappers import UtilityReward
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+ID = "mo-deepdrive-two-bicycles-v0"
+FIRST, SECOND = ((15.0, 20.0), (15.0, 30.0)), ((25.0, 20.0), (25.0, 30.0))  # across the way, one behind the other
+ASIDE = ((10.0, 45.0), (12.0, 45.0))
+AHEAD = {"start": (7.0, 25.0, -math.pi / 2), "destination": (45.0, 25.0)}
+ACCELERATE = 3
+
+
+@pytest.fixture
+def two_bicycles(examples: None) -> ModuleType:
+    """The example of the documentation."""
+    return importlib.import_module("two_bicycles")
+
+
+def row(**changes: Any) -> Scenario:
+    fields: dict[str, Any] = {
+        "name": "own",
+        "title": "Own",
+        "routes": (Route(start=(7.0, 25.0, -1.5), waypoints=((20.0, 5.0),)),),
+        "objectives": ("distance", "jerk"),
+    }
+    return Scenario(**{**fields, **changes})
+
+
+def angle(pose: Any, point: Any) -> float:
+    """From the heading to the point, positive to the right; ``pose`` has the front and the heading."""
+    x, y, heading = pose
+    return math.remainder(math.atan2(-(point[0] - x), point[1] - y) - heading, math.tau) * -1
+
+
+# ---------------------------------------------------------------------------------------------------------- the example
+
+
+def test_importing_the_module_registers_the_id(examples: None) -> None:
+    assert ID not in gymnasium.registry
+    env = gymnasium.make(f"two_bicycles:{ID}")
+    assert env.unwrapped.config.scenario == "two_bicycles"
+    assert gymnasium.make_vec(ID, num_envs=2).observation_space.shape == (2, 23)
+    assert mo_gymnasium.make(ID).unwrapped.reward_space.shape == (5,)
+
+
+def test_every_bicycle_is_observed(two_bicycles: ModuleType, make_single: Any) -> None:
+    env = make_single("two_bicycles")
+    observation, _ = env.reset(seed=4)
+    names = [entry.name for entry in layout(SCENARIOS["two_bicycles"])]
+    assert names[15:] == [
+        f"{bicycle}_{end}_{what}"
+        for bicycle in ("obstacle", "obstacle_2")
+        for what in ("distance", "angle")
+        for end in "ab"
+    ]
+    for _ in range(10):
+        car = env.batch.state[0, 0]
+        pose = (car.front_x, car.front_y, car.heading)
+        for k, end in enumerate(car.obstacle):
+            at = 15 + 4 * (k // 2) + k % 2
+            assert observation[at] == pytest.approx(math.dist(pose[:2], end), rel=1e-6)
+            assert observation[at + 2] == pytest.approx(angle(pose, end), abs=1e-5)
+        assert env.observation_space.contains(observation)
+        observation, *_ = env.step(ACCELERATE)
+
+
+def test_every_bicycle_is_drawn_by_itself_and_fair(two_bicycles: ModuleType, make_vector: Any, shapes: Any) -> None:
+    env = make_vector("two_bicycles", 500)
+    env.reset(seed=0)
+    state = env.batch.state[:, 0]
+    bicycles = state["obstacle"].reshape(500, 2, 2, 2)
+    destinations = state["waypoints"][:, 0]
+    assert destinations.min(axis=0) == pytest.approx([20.0, 5.0], abs=0.3)
+    assert destinations.max(axis=0) == pytest.approx([45.0, 45.0], abs=0.3)
+    start = np.array([7.0, 25.0])
+    way = destinations - start
+    length = np.hypot(*way.T)
+    places = ((bicycles.mean(axis=2) - start[None, None]) * way[:, None]).sum(axis=-1) / length[:, None] - 4.601
+    shares = places / (0.6 * length[:, None])
+    sizes = np.hypot(*np.moveaxis(bicycles[:, :, 0] - bicycles[:, :, 1], -1, 0))
+    for k in range(2):
+        assert shares[:, k].min() == pytest.approx(0.0, abs=0.02)
+        assert shares[:, k].max() == pytest.approx(1.0, abs=0.02)
+        assert (sizes[:, k].min(), sizes[:, k].max()) == pytest.approx((1.15, 5.75), abs=0.05)
+    assert abs(np.corrcoef(shares.T)[0, 1]) < 0.15
+    box = shapes.box(*start, -math.pi / 2)
+    for world in range(500):
+        for bicycle in bicycles[world]:
+            assert shapes.gap(box, bicycle) > 0.0
+            assert shapes.gap(destinations[world][None], bicycle) > 0.5
+
+
+def test_a_batch_row_is_the_single_environment_with_its_seed(
+    two_bicycles: ModuleType, make_single: Any, make_vector: Any
+) -> None:
+    vector = make_vector("two_bicycles", 3, autoreset_mode="SameStep", time_limit=0.7)
+    vector.reset(seed=6)
+    vector.action_space.seed(0)
+    singles = [make_single("two_bicycles", time_limit=0.7) for _ in range(3)]
+    for i, env in enumerate(singles):
+        env.reset(seed=6 + i)
+    for _ in range(150):  # more episodes than random numbers are drawn ahead for
+        actions = vector.action_space.sample()
+        observations, rewards, *_ = vector.step(actions)
+        for i, env in enumerate(singles):
+            observation, reward, terminated, truncated, _ = env.step(actions[i])
+            if terminated or truncated:
+                observation, _ = env.reset()
+            np.testing.assert_array_equal(observations[i], observation)
+            np.testing.assert_array_equal(rewards[i], reward)
+
+
+@pytest.mark.parametrize(
+    ("bicycles", "before"),
+    [((FIRST, ASIDE), 15.0), ((ASIDE, FIRST), 15.0), ((ASIDE, SECOND), 25.0), ((ASIDE, ASIDE), None)],
+)
+def test_every_bicycle_can_be_hit(
+    two_bicycles: ModuleType, make_single: Any, bicycles: Any, before: float | None
+) -> None:
+    env = make_single("two_bicycles")
+    env.reset(seed=0, options={**AHEAD, "obstacles": bicycles})
+    np.testing.assert_array_equal(env.batch.state[0, 0].obstacle.reshape(2, 2, 2), bicycles)
+    done, info, reward = False, {}, None
+    while not done:
+        _, reward, terminated, truncated, info = env.step(ACCELERATE)
+        done = terminated or truncated
+    front = env.batch.state[0, 0].front_x
+    if before is None:
+        assert info["end"] == "arrived"
+        assert reward[3] == 0.0
+    else:
+        assert info["end"] == "collision"
+        assert reward[3] == -1.0
+        assert before <= front < before + 1.5
+
+
+def test_fixed_destination_and_obstacles_are_the_same_in_every_episode(
+    two_bicycles: ModuleType, make_vector: Any
+) -> None:
+    env = make_vector("two_bicycles", 20, fixed_destination=True, fixed_obstacle=True)
+    env.reset(seed=0)
+    scenes = env.batch.state[:, 0][["waypoints", "obstacle"]]
+    assert len(np.unique(scenes)) == 1
+    first, second = scenes["obstacle"][0].reshape(2, 2, 2).mean(axis=1)
+    assert np.hypot(*(first - second)) > 2.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"obstacle": FIRST}, "unknown reset option 'obstacle' in TwoBicycles; did you mean 'obstacles'"),
+        ({"obstacles": FIRST}, r"reset option 'obstacles' = .* must be 2 times \(\(x, y\), \(x, y\)\)"),
+        ({**AHEAD, "obstacles": (FIRST, ((45.0, 20.0), (45.0, 30.0)))}, "no valid scenario in 1000 draws"),
+        ({**AHEAD, "obstacles": (((7.0, 20.0), (7.0, 30.0)), SECOND)}, "a bicycle touches the vehicle at its start"),
+    ],
+)
+def test_reset_options_without_a_valid_scenario_are_refused(
+    two_bicycles: ModuleType, make_single: Any, options: Any, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_single("two_bicycles").reset(seed=0, options=options)
+
+
+def test_its_state_is_restored_exactly(two_bicycles: ModuleType, make_vector: Any) -> None:
+    env = make_vector("two_bicycles", 4, autoreset_mode="SameStep")
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    drives = [env.action_space.sample() for _ in range(60)]
+    for actions in drives[:20]:
+        env.step(actions)
+    fresh = make_vector("two_bicycles", 4, autoreset_mode="SameStep")
+    fresh.set_state(env.get_state())
+    for actions in drives[20:]:
+        for ours, theirs in zip(fresh.step(actions)[:4], env.step(actions)[:4], strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    assert fresh.get_state()["state"].tobytes() == env.get_state()["state"].tobytes()
+    with pytest.raises(ValueError, match="state 'state' is uint8 of shape"):
+        fresh.set_state(make_vector("static_obstacle", 4).get_state())
+
+
+def test_both_bicycles_are_on_the_frame(two_bicycles: ModuleType, make_single: Any) -> None:
+    env = make_single("two_bicycles", render_mode="rgb_array")
+    frames = []
+    for second in (SECOND, ASIDE):
+        env.reset(seed=0, options={**AHEAD, "obstacles": (FIRST, second)})
+        frames.append(env.render().astype(int))
+    rows, columns = np.nonzero(np.abs(frames[0] - frames[1]).max(axis=-1) > 30)
+    x, y = columns / 720 * 51.126, 51.126 - rows / 720 * 51.126
+    assert (np.abs(x - 25.0) < 1.0).sum() > 20
+    assert (np.abs(y - 45.0) < 1.0).sum() > 20
+    assert not ((np.abs(x - 15.0) < 1.0) & (np.abs(y - 25.0) < 1.0)).any(), "the first bicycle has not moved"
+
+
+def test_it_passes_gymnasiums_and_pettingzoos_checks(two_bicycles: ModuleType, make_single: Any) -> None:
+    check_env(UtilityReward(make_single("two_bicycles"), "static_obstacle_linear"), skip_render_check=True)
+    parallel_api_test(mo_deepdrive.parallel_env(scenario="two_bicycles"), num_cycles=30)
+
+
+def test_mo_gymnasiums_wrappers_work(two_bicycles: ModuleType) -> None:
+    env = MORecordEpisodeStatistics(MONormalizeReward(mo_gymnasium.make(ID, time_limit=1.0), idx=4), gamma=0.97)
+    env.reset(seed=0)
+    done = False
+    while not done:
+        _, _, terminated, truncated, info = env.step(ACCELERATE)
+        done = terminated or truncated
+    assert info["episode"]["r"].shape == (5,)
+
+
+def test_people_can_drive_in_it(two_bicycles: ModuleType) -> None:
+    env = HumanPlayEnv(make_play_env(ID), [0])
+    env.reset(seed=0)
+    rewards = sum(env.step(np.array([1, 0, 0, 0, 0], dtype=np.int8))[1] for _ in range(9 * FRAMES_PER_DECISION))
+    assert rewards[0, 0] > 0.0
+    assert env.render().shape == (720, 1056, 3)
+
+
+def test_rllib_takes_it(two_bicycles: ModuleType) -> None:
+    pytest.importorskip("ray.rllib", reason="Ray is not installed")
+    from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
+
+    env = DrivingMultiAgentEnv({"scenario": "two_bicycles", "utility": "static_obstacle_linear"})
+    assert env.reset(seed=0)[0]["vehicle_0"].shape == (23,)
+    assert isinstance(env.step({"vehicle_0": 3})[1]["vehicle_0"], float)
+
+
+def test_its_reference_point_is_that_of_the_row(two_bicycles: ModuleType) -> None:
+    point = mo_deepdrive.reference_point("two_bicycles", gamma=0.9, objectives=["jerk", "distance"])
+    assert point.values.tolist() == [-1000.0, -1.0]
+    register_scenario(row())
+    with pytest.raises(ValueError, match="objective 'distance' has no reference value in 'own'; register it with one"):
+        mo_deepdrive.reference_point("own")
+    with pytest.raises(ValueError, match="no best-known front is shipped for scenario = 'two_bicycles'"):
+        mo_deepdrive.reference_front("two_bicycles")
+
+
+# --------------------------------------------------------------------------------------------------------- other rows
+
+
+LANE = SCENARIOS["intersection"].routes
+
+
+@pytest.mark.parametrize(
+    ("changes", "size"),
+    [
+        ({"obstacles": 5}, 15 + 5 * 4),
+        ({"obstacles": 1, "routes": (replace(row().routes[0], start_span=5.0),), "destination_span": (9.0, 9.0)}, 19),
+        ({"routes": LANE[:1], "lanes": True, "objectives": ("distance", "lane_violation")}, 15),
+        ({"routes": (*row().routes, Route((40.0, 25.0, 1.5), ((10.0, 40.0), (5.0, 45.0))))}, 29),
+    ],
+    ids=["five bicycles", "random start and destination", "left turn alone", "two cars without lanes"],
+)
+@pytest.mark.slow
+def test_other_rows_run_through_every_interface(
+    registries: None, make_single: Any, make_vector: Any, changes: dict[str, Any], size: int
+) -> None:
+    scenario = row(**changes)
+    register_scenario(scenario)
+    single = make_single("own", render_mode="rgb_array")
+    vector = make_vector("own", 3, autoreset_mode="SameStep")
+    parallel = mo_deepdrive.parallel_env(scenario="own")
+    vector.reset(seed=0)
+    first, _ = single.reset(seed=0)
+    assert first.shape == (size,) == parallel.reset(seed=0)[0]["vehicle_0"].shape
+    assert single.observation_space.contains(first)
+    np.testing.assert_array_equal(parallel.state()[:size], first)
+    for _ in range(200):
+        observations, rewards, *_ = vector.step(vector.action_space.sample())
+        assert vector.observation_space.contains(observations)
+        assert vector.reward_space.contains(rewards[0])
+    vector.set_state(vector.get_state())
+    assert single.render().shape == (720, 1056, 3)
+
+
+def test_a_random_start_and_a_random_destination_are_drawn_by_themselves(registries: None, make_vector: Any) -> None:
+    span = replace(row().routes[0], start_span=5.0)
+    register_scenario(row(routes=(span,), destination_span=(9.0, 9.0), obstacles=1))
+    env = make_vector("own", 400)
+    env.reset(seed=0)
+    state = env.batch.state[:, 0]
+    drawn = np.stack([state["y"], *state["waypoints"][:, 0].T])
+    assert drawn.min(axis=1) == pytest.approx([25.0, 20.0, 5.0], abs=0.2)
+    assert drawn.max(axis=1) == pytest.approx([30.0, 29.0, 14.0], abs=0.2)
+    assert np.abs(np.corrcoef(drawn) - np.eye(3)).max() < 0.15
+
+
+def test_two_vehicles_take_turns(registries: None) -> None:
+    register_scenario(row(routes=LANE, lanes=True))
+    env = gymnasium.make("mo-deepdrive-own-v0")
+    assert env.reset(seed=0)[1] == {"vehicle": 0}
+    with pytest.raises(ValueError, match=r"two vehicles; use gymnasium.make\('mo-deepdrive-own-v0'\)"):
+        mo_deepdrive.envs.single.DrivingEnv("own")
+
+
+@pytest.mark.parametrize(
+    ("changes", "allowed", "refused"),
+    [
+        ({}, {}, {"fixed_destination": True}),
+        ({"destination_span": (1.0, 0.0)}, {"fixed_destination": True}, {"fixed_obstacle": True}),
+        ({"routes": LANE[:1], "lanes": True}, {"lane_margin": 0.5}, {"yield_to_oncoming": False}),
+        ({"routes": LANE}, {"end_together": True}, {"end_on_lane_violation": True}),
+    ],
+)
+def test_a_setting_without_effect_in_the_scenario_is_refused(
+    registries: None, changes: dict[str, Any], allowed: dict[str, Any], refused: dict[str, Any]
+) -> None:
+    register_scenario(row(**changes))
+    mo_deepdrive.parallel_env(scenario="own", **allowed)
+    with pytest.raises(ValueError, match=f"{next(iter(refused))} = .* has no effect in Own; omit it"):
+        mo_deepdrive.parallel_env(scenario="own", **refused)
+
+
+# -------------------------------------------------------------------------------------------------------- registration
+
+
+def test_registering_the_same_scenario_again_changes_nothing(two_bicycles: ModuleType) -> None:
+    importlib.reload(two_bicycles)
+    assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "two_bicycles"]
+
+
+def test_every_scenario_has_an_id() -> None:
+    for name, scenario in SCENARIOS.items():
+        assert gymnasium.spec(scenario.id).kwargs == {"scenario": name}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "Two-Bicycles"}, "scenario name = 'Two-Bicycles' must be lower case letters"),
+        ({"name": "one_waypoint"}, "scenario 'one_waypoint' is registered already, with other fields"),
+        ({"routes": ()}, "scenario 'own': routes has 0 entries; it must have one per vehicle, at most 2"),
+        ({"routes": row().routes * 3}, "routes has 3 entries"),
+        ({"routes": (Route((7.0, 25.0), ((20.0, 5.0),)),)}, "start = (7.0, 25.0) of route 0 must be (x, y, heading)"),
+        ({"routes": (Route((7.0, 25.0, 0.0), ()),)}, "waypoints of route 0 has 0 points; it must have 1 to 3"),
+        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),) * 4),)}, "has 4 points; it must have 1 to 3"),
+        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
+        ({"routes": (Route((7.0, 25.0, 0.0), ((math.nan, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
+        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "far"),)}, "start_span = 'far' of route 0 must be"),  # type: ignore[arg-type]
+        ({"destination_span": (230.0, 0.0)}, "scenario 'own': route 0 with its spans leaves [-250, 250] m"),
+        ({"destination_span": 3.0}, "destination_span = 3.0 must be (x, y)"),
+        ({"objectives": ("distance", "enrgy")}, "objective 'enrgy' is unknown; known: collision, destination"),
+        ({"objectives": ("distanc",)}, "objective 'distanc' is unknown; did you mean 'distance'?"),
+        ({"objectives": ()}, "objectives = [] must be one or more distinct names"),
+        ({"objectives": ("jerk", "jerk")}, "objectives = ['jerk', 'jerk'] must be one or more distinct names"),
+        ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
+        ({"obstacles": -1}, "obstacles = -1 must be a number of bicycles"),
+        ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
+        ({"reference": {"jerk": math.inf}}, "reference = {'jerk': inf} must have a finite number per objective"),
+        ({"reference": {"jrk": 1.0}}, "objective 'jrk' is unknown; did you mean 'jerk'?"),
+    ],
+)
+def test_an_invalid_scenario_is_refused_in_one_line(registries: None, changes: dict[str, Any], message: str) -> None:
+    before = dict(SCENARIOS)
+    with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
+        register_scenario(row(**changes))
+    assert message in str(caught.value)
+    assert before == SCENARIOS
+
+
+def test_an_unknown_scenario_is_refused_with_the_nearest_name(two_bicycles: ModuleType) -> None:
+    with pytest.raises(ValueError, match="'scenario' = 'two_bicycle': is unknown; did you mean 'two_bicycles'"):
+        mo_deepdrive.parallel_env(scenario="two_bicycle")
