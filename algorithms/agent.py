@@ -1,7 +1,7 @@
 """Base classes of the agents: acting, training with periodic evaluation, saving and loading.
 
-A new algorithm is a subclass of :class:`Agent`, or of :class:`FrontAgent` if it learns a front; the docstrings say what it
-defines. A YAML file names it by its path, ``algorithm.name: package.module:Class``.
+A new algorithm is a subclass of :class:`Agent`, or of :class:`FrontAgent` if it learns a front; the docstrings say what
+it defines. A YAML file names it by its path, ``algorithm.name: package.module:Class``.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class Agent(ABC):
       networks and optimisers.
     - :meth:`act`, the policy.
     - :meth:`update`, which collects experience and learns from it once.
-    - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of those of
-      an optimiser contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
+    - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
+      optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
 
     It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
     :attr:`varying_shapes`. It may use the attributes below and

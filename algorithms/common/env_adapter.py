@@ -84,7 +84,8 @@ class EnvAdapter:
     Attributes:
         name: the id of the environment, or its class where it has no id.
         num_envs, vehicles: N and V.
-        objectives: names of the d components of the reward: those of the environment's attribute ``objectives``, else "objective_0" and so on.
+        objectives: names of the d components of the reward: those of the environment's attribute ``objectives``, else
+            "objective_0" and so on.
         named: whether the environment names its objectives.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
