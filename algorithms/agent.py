@@ -154,6 +154,8 @@ class Agent(ABC):
         **hyperparameters: Any,
     ):
         self.config = parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
+        if self.known_utility and utility is None:
+            raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
         self.seed = seed
         self.device = torch.device(device)

@@ -89,7 +89,7 @@ def agent_class(name: str) -> type[Any]:
 
 
 def _users_class(path: str) -> type[Any]:
-    from algorithms.agent import Agent  # as late as this, because it imports torch
+    from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
 
     found = import_named("algorithm.name", path)
     if not (isinstance(found, type) and issubclass(found, Agent)):
@@ -100,6 +100,8 @@ def _users_class(path: str) -> type[Any]:
     missing |= {f"learner.{name}" for name in getattr(getattr(found, "learner", None), "__abstractmethods__", ())}
     if missing:
         raise ValueError(f"algorithm.name = {path!r} does not define {', '.join(sorted(missing))}")
+    if not (found.known_utility or issubclass(found, FrontAgent)):
+        raise ValueError(f"algorithm.name = {path!r}: known_utility = False needs a subclass of algorithms.FrontAgent")
     if not (isinstance(found.Config, type) and issubclass(found.Config, Settings)):
         raise ValueError(f"algorithm.name = {path!r}: Config = {found.Config!r} must be a subclass of Settings")
     return found

@@ -114,6 +114,9 @@ class Front(FrontAgent):
 class NoLearner(ActorCritic):
     Config = Learner.Config
 
+class Unknown(Learner):
+    known_utility = False
+
 def function(): ...
 """
 
@@ -161,6 +164,7 @@ def test_an_algorithm_has_the_name_of_its_class_unless_it_defines_one() -> None:
         ("users_agents:Partial", "= 'users_agents:Partial' does not define get_state, set_state"),
         ("users_agents:Front", "= 'users_agents:Front' does not define condition_names, conditions, policies"),
         ("users_agents:NoLearner", "= 'users_agents:NoLearner' does not define learner"),
+        ("users_agents:Unknown", "known_utility = False needs a subclass of algorithms.FrontAgent"),
         ("users_agents:WithoutConfig", "WithoutConfig': Config = <class 'dict'> must be a subclass of"),
         ("algorithms:Agent", "= 'algorithms:Agent' does not define Config, act, get_state, set_state, update"),
     ],
