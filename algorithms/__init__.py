@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from algorithms.a2c import A2C
     from algorithms.actor_critic import ActorCritic
-    from algorithms.agent import Agent
+    from algorithms.agent import Agent, FrontAgent
     from algorithms.mo_a2c import MOA2C
     from algorithms.mo_ppo import MOPPO
     from algorithms.pcn import PCN
     from algorithms.ppo import PPO
 
-__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent"]
+__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent", "FrontAgent"]
 
 # The module of every class that can be imported from here.
 _MODULES = {
@@ -29,6 +29,7 @@ _MODULES = {
     "PPO": "algorithms.ppo",
     "ActorCritic": "algorithms.actor_critic",
     "Agent": "algorithms.agent",
+    "FrontAgent": "algorithms.agent",
 }
 
 

@@ -24,18 +24,17 @@ from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
     Fraction,
-    HiddenSizes,
     LearningRate,
+    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.networks import centralised_inputs, make_actor, make_network
 from algorithms.common.optimisers import set_learning_rate
 from algorithms.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
-from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
     from algorithms.common.env_adapter import EnvAdapter
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class A2CConfig(Settings):
+class A2CConfig(NetworkSettings):
     """Hyperparameters of A2C.
 
     Attributes:
@@ -51,7 +50,7 @@ class A2CConfig(Settings):
         gamma: discount.
         gae_lambda: lambda of eq. 2; 0 gives one-step advantages, 1 uses the whole rollout.
         steps: T, time steps per environment and update.
-        hidden: sizes of the hidden layers of actor and critic.
+        hidden, activation, network: of actor and critic, as in NetworkSettings.
         entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
             first ``entropy_until`` of training.
         value_coefficient: c_v.
@@ -67,7 +66,6 @@ class A2CConfig(Settings):
     gamma: Fraction = 0.99
     gae_lambda: Fraction = 0.95
     steps: Count = 16
-    hidden: HiddenSizes = [64, 32]
     entropy_start: NonNegative = 0.01
     entropy_end: NonNegative = 0.01
     entropy_until: PositiveFraction = 1.0
@@ -99,10 +97,9 @@ class A2CLearner(Learner):
         device: torch.device,
     ):
         super().__init__(env, vehicle, utility, config, generator, device)
-        hidden = config.hidden
         self.input_size = env.observation_size
-        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = mlp(self.input_size + self.others_size, hidden, 1, generator, output_gain=1.0).to(device)
+        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = make_network(config, self.input_size + self.others_size, 1, generator).to(device)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
 

@@ -19,7 +19,6 @@ from algorithms.common.networks import GaussianActor
 from algorithms.common.optimisers import geometric_schedule, linear_schedule, optimiser_state, set_optimiser_state
 from algorithms.common.rollout import Collector, VehicleRollout
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_prefix
-from mo_deepdrive.utilities import Utility
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.networks import Actor
+    from mo_deepdrive.utilities import Utility
 
 
 class Learner(ABC):
@@ -138,7 +138,6 @@ class ActorCritic(Agent):
     """
 
     learner: ClassVar[type[Learner]]
-    known_utility = True
 
     def __init__(
         self,
@@ -149,34 +148,12 @@ class ActorCritic(Agent):
         device: str = "cpu",
         **hyperparameters: Any,
     ):
-        super().__init__(env, seed=seed, device=device, hyperparameters=hyperparameters)
-        self.utilities = self._checked(utility)
+        super().__init__(env, utility, seed=seed, device=device, **hyperparameters)
         self.learners = [
             self.learner(self.env, v, each, self.config, self.initial, self.device)
             for v, each in enumerate(self.utilities)
         ]
         self.collector = Collector(self.env, self.gamma, self.config.steps)
-
-    def _checked(self, utility: Utility | Sequence[Utility]) -> list[Utility]:
-        """One utility per vehicle, over the objectives of the environment."""
-        env = self.env
-        utilities = [utility] * env.vehicles if isinstance(utility, Utility) else list(utility)
-        if len(utilities) != env.vehicles:
-            raise ValueError(f"{len(utilities)} utilities for {env.vehicles} vehicles")
-        for each in utilities:
-            # Other libraries' objectives have no names; only their number can be checked.
-            fits = each.objectives == env.objectives if env.native else len(each.objectives) == len(env.objectives)
-            if not fits:
-                raise ValueError(
-                    f"utility {each.name!r} reads {each.objectives} in this order; the environment emits "
-                    f"{env.objectives}"
-                )
-        return utilities
-
-    @property
-    def gamma(self) -> float:
-        """Discount of the accrued reward."""
-        return float(self.config.gamma)
 
     # --------------------------------------------------------------------------------------------- acting and learning
 
@@ -247,6 +224,9 @@ class ActorCritic(Agent):
         """What a checkpoint must share with the agent that reads it."""
         return {
             **super().identity(),
+            "hidden": list(self.config.hidden),
+            "activation": self.config.activation,
+            "network": self.config.network,
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
         }

@@ -1,12 +1,13 @@
-"""Base class of the agents: acting, training with periodic evaluation, saving and loading.
+"""Base classes of the agents: acting, training with periodic evaluation, saving and loading.
 
-A new algorithm defines ``act``, ``update``, ``get_state`` and ``set_state``; everything else has a default.
+A new algorithm is a subclass of :class:`Agent`, or of :class:`FrontAgent` if it learns a front; the docstrings say what
+it defines. A YAML file names it by its path, ``algorithm.name: package.module:Class``.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,6 +18,7 @@ import torch
 from algorithms.common.checkpoints import (
     POLICY_ONLY,
     STEP,
+    UPDATES,
     check_tensors,
     read_checkpoint,
     strip_prefix,
@@ -24,28 +26,31 @@ from algorithms.common.checkpoints import (
 )
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
-from algorithms.evaluation.evaluate import evaluate
-from algorithms.evaluation.front import Front
+from algorithms.evaluation.evaluate import evaluate, evaluate_each
+from algorithms.evaluation.front import Front, measure_front
 from algorithms.evaluation.metrics import (
+    FRONT,
     GREEDY,
     STEPS_PER_SECOND,
     STOCHASTIC,
     TRAIN,
     evaluation_prefix,
+    return_of,
     summarise,
     vehicle_prefix,
 )
 from algorithms.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.config import Settings, parse
+from mo_deepdrive.utilities import Utility
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from gymnasium.vector import VectorEnv
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from algorithms.common.accrued_reward import AccruedReward
-    from mo_deepdrive.utilities import Utility
+    from algorithms.evaluation.evaluate import Evaluation, Policy
 
 EVALUATION_INTERVALS = 20
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
@@ -78,18 +83,45 @@ class EvaluationPlan:
 class Agent(ABC):
     """Base of all agents.
 
+    An algorithm defines
+
+    - ``Config``, a subclass of :class:`mo_deepdrive.config.Settings` with its hyperparameters: the keys of the
+      ``algorithm`` section. ``gamma`` is the discount of the accrued reward that ``act`` is given; 1 without it.
+    - ``__init__(self, env, utility, **options)``, which calls that of this class with the same arguments and makes
+      networks and optimisers.
+    - :meth:`act`, the policy.
+    - :meth:`update`, which collects experience and learns from it once.
+    - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
+      optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
+
+    It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
+    :attr:`varying_shapes`. It may use the attributes below and
+
+    - :class:`algorithms.common.rollout.Collector`: T steps of all environments as one rollout, and the episodes that
+      ended; its state is part of the agent's unless every update resets it.
+    - :class:`algorithms.common.env_adapter.EnvAdapter`, which is ``env``: reset and step in the shapes (N, V, ...).
+    - :mod:`algorithms.common.networks`, with :class:`algorithms.common.hyperparameters.NetworkSettings` for a Config.
+    - :mod:`algorithms.common.advantages` and :mod:`algorithms.common.optimisers`.
+
+    Everything random is drawn from ``initial``, ``generator`` or generators seeded from ``initial``, so that a run can
+    be repeated and resumed bit for bit.
+
     Args:
         env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        utility: the known utility, or one per vehicle; None for agents that learn a front.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
-        hyperparameters: fields of the class's Config.
+        **hyperparameters: fields of the class's Config.
 
     Attributes:
+        name: of the algorithm, in checkpoints; that of the class where it is not set.
         known_utility: whether the agent learns for a known utility, or a front for every utility.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
+        config: the hyperparameters.
         env: the training environment in the trainers' shapes.
         utilities: one per vehicle; empty where none is known.
+        device: of the networks.
         step: environment steps taken, over all parallel environments.
         updates: rollouts, or rounds of episodes, that have been collected.
         episodes: those that ended since training metrics were last logged.
@@ -98,21 +130,36 @@ class Agent(ABC):
         env_seed: of the first reset of the training environment.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters or spaces.
+        ValueError: for unknown or invalid hyperparameters, spaces or utilities.
     """
 
     name: ClassVar[str]
     Config: ClassVar[type[Settings]]
-    known_utility: ClassVar[bool]
+    known_utility: ClassVar[bool] = True
     varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
     config: Any
 
-    def __init__(self, env: VectorEnv, *, seed: int, device: str, hyperparameters: Mapping[str, Any]):
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        if "name" not in vars(cls):
+            cls.name = cls.__name__
+
+    def __init__(
+        self,
+        env: VectorEnv,
+        utility: Utility | Sequence[Utility] | None = None,
+        *,
+        seed: int = 0,
+        device: str = "cpu",
+        **hyperparameters: Any,
+    ):
         self.config = parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
+        if self.known_utility and utility is None:
+            raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
         self.seed = seed
         self.device = torch.device(device)
-        self.utilities: list[Utility] = []
+        self.utilities: list[Utility] = [] if utility is None else self._checked(utility)
         weights_seed, actions_seed, env_seed = np.random.SeedSequence(seed).generate_state(3)
         self.initial = torch.Generator().manual_seed(int(weights_seed))
         self.generator = torch.Generator(self.device).manual_seed(int(actions_seed))
@@ -124,7 +171,22 @@ class Agent(ABC):
     @property
     def gamma(self) -> float:
         """Discount of the accrued reward."""
-        return float(self.config.gamma)
+        return float(getattr(self.config, "gamma", 1.0))
+
+    def _checked(self, utility: Utility | Sequence[Utility]) -> list[Utility]:
+        """One utility per vehicle, over the objectives of the environment."""
+        env = self.env
+        utilities = [utility] * env.vehicles if isinstance(utility, Utility) else list(utility)
+        if len(utilities) != env.vehicles:
+            raise ValueError(f"{len(utilities)} utilities for {env.vehicles} vehicles")
+        for each in utilities:
+            fits = each.objectives == env.objectives if env.named else len(each.objectives) == len(env.objectives)
+            if not fits:
+                raise ValueError(
+                    f"utility {each.name!r} reads {each.objectives} in this order; the environment emits "
+                    f"{env.objectives}"
+                )
+        return utilities
 
     def get_config(self) -> dict[str, Any]:
         """The resolved hyperparameters, for logs."""
@@ -149,7 +211,7 @@ class Agent(ABC):
     def update(self, progress: float) -> dict[str, float]:
         """Act and learn once, and return the losses by name.
 
-        Adds to ``step`` and ``updates``, and to ``episodes`` those that ended.
+        Adds the environment steps that it took to ``step``, 1 to ``updates``, and to ``episodes`` those that ended.
 
         Args:
             progress: fraction of training that is done, in [0, 1), for schedules.
@@ -157,11 +219,11 @@ class Agent(ABC):
 
     @abstractmethod
     def get_state(self) -> dict[str, torch.Tensor]:
-        """The complete training state, as named tensors."""
+        """What determines the rest of the run, as named tensors: networks, optimisers, generators, running episodes."""
 
     @abstractmethod
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`; ``step`` is set already.
+        """Resume from :meth:`get_state`; ``step`` and ``updates`` are set already.
 
         Raises:
             ValueError: for values from which training cannot continue; a part of the state may be set already.
@@ -194,7 +256,6 @@ class Agent(ABC):
             "objectives": list(self.env.objectives),
             "cost_sign": self.env.cost_sign,
             "actions": [self.env.actions, self.env.continuous],
-            "hidden": list(self.config.hidden),
             "num_envs": self.env.num_envs,
         }
 
@@ -289,7 +350,7 @@ class Agent(ABC):
         """Write the complete training state to one safetensors file, atomically."""
         episodes = Episodes.join(self.episodes, len(self.env.objectives))
         unlogged = {f"{EPISODES}{name}": torch.from_numpy(array) for name, array in vars(episodes).items()}
-        write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), STEP: self.step})
+        write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), **self._counts()})
 
     def save_policy(self, path: str | Path) -> None:
         """Write only what acting needs to one safetensors file, atomically; ``load(..., policy_only=True)`` reads it.
@@ -297,7 +358,10 @@ class Agent(ABC):
         Raises:
             ValueError: if there is no policy yet.
         """
-        write_checkpoint(path, self.get_policy(), {**self.identity(), STEP: self.step, POLICY_ONLY: True})
+        write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
+
+    def _counts(self) -> dict[str, int]:
+        return {STEP: self.step, UPDATES: self.updates}
 
     def load(self, path: str | Path, *, policy_only: bool = False) -> None:
         """Resume from :meth:`save`; no code is run from the file.
@@ -314,16 +378,112 @@ class Agent(ABC):
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
         tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
-        step, before = self.step, {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
+        counts = self.step, self.updates
+        before = {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
         try:
             if policy_only:
                 self.set_policy(tensors)
                 return
-            self.step = found[STEP]
+            self.step, self.updates = found[STEP], found[UPDATES]
             self.set_state(tensors)
             unlogged = {name: tensor.numpy() for name, tensor in strip_prefix(tensors, EPISODES).items()}
             self.episodes = [Episodes.of_arrays(unlogged, len(self.env.objectives))] if unlogged else []
         except (ValueError, RuntimeError) as error:
-            self.step = step
+            self.step, self.updates = counts
             self.set_state(before)
             raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None
+
+
+class FrontAgent(Agent):
+    """Base of the agents that learn a front: one policy for every condition.
+
+    An algorithm defines what :class:`Agent` says except :meth:`act`, and
+
+    - :meth:`conditions` and :attr:`condition_names`: what its policies are conditioned on, such as commands or weights.
+    - :meth:`policies`: what acts under conditions.
+
+    Args:
+        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        seed: determines the run, bit for bit on one machine.
+        device: of the networks.
+        **hyperparameters: fields of the class's Config.
+
+    Attributes:
+        scales: (d,) nominal size of each objective's return, by which distances between returns are measured.
+    """
+
+    known_utility = False
+
+    def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
+        super().__init__(env, seed=seed, device=device, **hyperparameters)
+        self.scales = self.env.objective_scales
+
+    @property
+    @abstractmethod
+    def condition_names(self) -> Sequence[str]:
+        """Names of the m components of a condition, which become columns of front.csv."""
+
+    @abstractmethod
+    def conditions(self) -> NDArray[np.float32]:
+        """(K, m) conditions of the policies of the front as it has been learnt; K is at least 1."""
+
+    @abstractmethod
+    def policies(self, conditions: NDArray[np.float32]) -> Policy:
+        """What acts in N environments under ``conditions`` (N, m), or in all of them under one condition (1, m)."""
+
+    def policy(self, condition: ArrayLike) -> Policy:
+        """The policy of one row (m,) of a front's ``conditions``, for any number of environments."""
+        return self.policies(np.asarray(condition, dtype=np.float32)[None])
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Not supported: the action depends on a condition; see :meth:`policy`."""
+        del observations, accrued_reward, generator
+        raise TypeError(f"{self.name} acts under a condition: agent.policy(condition).act(...)")
+
+    def evaluate_policies(
+        self, conditions: ArrayLike, env: VectorEnv, *, episodes: int, seed: int, gamma: float
+    ) -> list[Evaluation]:
+        """Evaluate the greedy policy under each of ``conditions`` (K, m), all on the same seeds.
+
+        Args:
+            conditions: rows of a front's ``conditions``.
+            env: a raw environment; not the one that trains.
+            episodes: per policy.
+            seed: of the first episode.
+            gamma: discount of the reported returns.
+        """
+        rows = np.asarray(conditions, dtype=np.float32)
+        return evaluate_each(
+            lambda chosen: self.policies(rows[chosen]), len(rows), env, episodes=episodes, seed=seed, gamma=gamma
+        )
+
+    def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
+        """Evaluate the greedy policy under each of :meth:`conditions` and keep the non-dominated policies.
+
+        Args:
+            env: a raw environment, from `algorithms.common.env_adapter.make_env`; not the one that trains.
+            episodes: per policy; one is enough where every episode is the same.
+            seed: of the first episode.
+            gamma: discount of the returns by which policies dominate each other.
+        """
+        conditions = self.conditions()
+        evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
+        return Front.of_evaluations(
+            evaluations, conditions, tuple(self.condition_names), gamma=gamma, seed=seed
+        ).non_dominated()
+
+    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
+        """The front and its indicators."""
+        front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
+        found = measure_front(
+            front,
+            reference_point=plan.reference_point,
+            reference_front=plan.reference_front,
+            scales=self.env.objective_scales,
+        )
+        found |= {
+            return_of(name): float(best) for name, best in zip(front.objectives, front.returns.max(axis=0), strict=True)
+        }
+        return {evaluation_prefix(FRONT) + name: value for name, value in found.items()}, front

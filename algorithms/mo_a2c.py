@@ -43,19 +43,18 @@ from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
     Fraction,
-    HiddenSizes,
     LearningRate,
+    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.networks import centralised_inputs, make_actor, make_network
 from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.running_mean import RunningMean
 from algorithms.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
-from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,7 +65,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class MOA2CConfig(Settings):
+class MOA2CConfig(NetworkSettings):
     """Hyperparameters of MO-A2C.
 
     Attributes:
@@ -78,7 +77,7 @@ class MOA2CConfig(Settings):
         observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
         observe_discount: include g^t in the state, on which eq. 4 depends too.
         steps: T, time steps per environment and update.
-        hidden: sizes of the hidden layers of actor and critic.
+        hidden, activation, network: of actor and critic, as in NetworkSettings.
         entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
             first ``entropy_until`` of training.
         value_coefficient: c_v.
@@ -97,7 +96,6 @@ class MOA2CConfig(Settings):
     observe_accrued: bool = True
     observe_discount: bool = True
     steps: Count = 16
-    hidden: HiddenSizes = [64, 32]
     entropy_start: NonNegative = 0.01
     entropy_end: NonNegative = 0.01
     entropy_until: PositiveFraction = 1.0
@@ -133,10 +131,10 @@ class MOA2CLearner(Learner):
         device: torch.device,
     ):
         super().__init__(env, vehicle, utility, config, generator, device)
-        hidden, d = config.hidden, len(env.objectives)
+        d = len(env.objectives)
         self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
-        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = mlp(self.input_size + self.others_size, hidden, d, generator, output_gain=1.0).to(device)
+        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = make_network(config, self.input_size + self.others_size, d, generator).to(device)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
         self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient

@@ -37,20 +37,19 @@ from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
     Fraction,
-    HiddenSizes,
     LearningRate,
+    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.networks import centralised_inputs, make_actor, make_network
 from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.rollout import Samples
 from algorithms.common.running_mean import RunningMean
 from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
-from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,7 +62,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class MOPPOConfig(Settings):
+class MOPPOConfig(NetworkSettings):
     """Hyperparameters of MO-PPO.
 
     Attributes:
@@ -78,7 +77,7 @@ class MOPPOConfig(Settings):
         epochs: passes over every rollout.
         minibatches: gradient steps per pass.
         clip: epsilon of eq. 7.
-        hidden: sizes of the hidden layers of actor and critic.
+        hidden, activation, network: of actor and critic, as in NetworkSettings.
         entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
             first ``entropy_until`` of training.
         value_coefficient: c_v.
@@ -100,7 +99,6 @@ class MOPPOConfig(Settings):
     epochs: Annotated[int, Field(ge=1, le=100)] = 4
     minibatches: Count = 4
     clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
-    hidden: HiddenSizes = [64, 32]
     entropy_start: NonNegative = 0.01
     entropy_end: NonNegative = 0.01
     entropy_until: PositiveFraction = 1.0
@@ -136,10 +134,10 @@ class MOPPOLearner(Learner):
         device: torch.device,
     ):
         super().__init__(env, vehicle, utility, config, generator, device)
-        hidden, d = config.hidden, len(env.objectives)
+        d = len(env.objectives)
         self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
-        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = mlp(self.input_size + self.others_size, hidden, d, generator, output_gain=1.0).to(device)
+        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = make_network(config, self.input_size + self.others_size, d, generator).to(device)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
         # Shuffles the minibatches.

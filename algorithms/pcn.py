@@ -35,7 +35,7 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from algorithms.agent import Agent, EvaluationPlan
+from algorithms.agent import FrontAgent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
@@ -53,8 +53,6 @@ from algorithms.common.optimisers import linear_schedule, optimiser_state, set_l
 from algorithms.common.pareto import farthest_point_subset
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation import metrics
-from algorithms.evaluation.evaluate import Evaluation, evaluate_each
-from algorithms.evaluation.front import Front, measure_front
 from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
@@ -115,7 +113,7 @@ class PCNConfig(Settings):
     max_policies: AtLeastOne = 100
 
 
-class PCN(Agent):
+class PCN(FrontAgent):
     """Pareto Conditioned Networks.
 
     Args:
@@ -133,11 +131,10 @@ class PCN(Agent):
 
     name = "pcn"
     Config = PCNConfig
-    known_utility = False
     varying_shapes = ("optimiser.", "store.", "attained.")
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
-        super().__init__(env, seed=seed, device=device, hyperparameters=hyperparameters)
+        super().__init__(env, seed=seed, device=device, **hyperparameters)
         if self.env.vehicles != 1:
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)
@@ -331,13 +328,6 @@ class PCN(Agent):
         *desired, horizon = np.asarray(condition, dtype=np.float32).tolist()
         return self.command([desired], [horizon])
 
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Not supported: the action depends on a command; see :meth:`command`."""
-        del observations, accrued_reward, generator
-        raise TypeError("PCN acts under a command: agent.command(desired, horizon).act(...)")
-
     def eval(self, obs: NDArray[Any], desired_return: ArrayLike, desired_horizon: float) -> Any:
         """The greedy action for one observation.
 
@@ -372,62 +362,29 @@ class PCN(Agent):
             return self._attained
         return self.buffer.attained()
 
-    def evaluate_policies(
-        self, conditions: ArrayLike, env: VectorEnv, *, episodes: int, seed: int, gamma: float
-    ) -> list[Evaluation]:
-        """Evaluate the greedy policy under each of ``conditions`` (K, d + 1), all on the same seeds.
+    @property
+    def condition_names(self) -> tuple[str, ...]:
+        """A command: desired discounted returns and horizon."""
+        return (*self.env.objectives, HORIZON)
 
-        Args:
-            conditions: desired discounted returns and horizons.
-            env: a raw environment; not the one that trains.
-            episodes: per policy.
-            seed: of the first episode.
-            gamma: discount of the reported returns.
-        """
-        rows = np.asarray(conditions, dtype=np.float32)
-        return evaluate_each(
-            lambda chosen: CommandPolicy(self, rows[chosen, :-1], rows[chosen, -1]),
-            len(rows),
-            env,
-            episodes=episodes,
-            seed=seed,
-            gamma=gamma,
-        )
+    def conditions(self) -> NDArray[np.float32]:
+        """(K, d + 1) :meth:`commands`."""
+        return np.column_stack(self.commands())
 
-    def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
-        """Evaluate the greedy policy under each of :meth:`commands` and keep the non-dominated policies.
-
-        Args:
-            env: a raw environment, from `algorithms.common.env_adapter.make_env`; not the one that trains.
-            episodes: per policy; one is enough where every episode is the same.
-            seed: of the first episode.
-            gamma: discount of the returns by which policies dominate each other.
-        """
-        conditions = np.column_stack(self.commands())
-        evaluations = self.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=gamma)
-        names = (*self.env.objectives, HORIZON)
-        return Front.of_evaluations(evaluations, conditions, names, gamma=gamma, seed=seed).non_dominated()
-
-    def evaluate(self, plan: EvaluationPlan) -> tuple[dict[str, float], Front]:
-        """The front and its indicators."""
-        front = self.front(plan.env, episodes=plan.episodes, seed=plan.seed, gamma=plan.gamma)
-        found = measure_front(
-            front,
-            reference_point=plan.reference_point,
-            reference_front=plan.reference_front,
-            scales=self.env.objective_scales,
-        )
-        found |= {
-            metrics.return_of(name): float(best)
-            for name, best in zip(front.objectives, front.returns.max(axis=0), strict=True)
-        }
-        return {metrics.evaluation_prefix(metrics.FRONT) + name: value for name, value in found.items()}, front
+    def policies(self, conditions: NDArray[np.float32]) -> CommandPolicy:
+        """The policy that follows commands (N, d + 1), one per environment."""
+        return CommandPolicy(self, conditions[:, :-1], conditions[:, -1])
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share; with other scales or another discount a command means something else."""
-        return {**super().identity(), "command_scales": self._command_scales.tolist(), "gamma": self.gamma}
+        return {
+            **super().identity(),
+            "hidden": list(self.config.hidden),
+            "command_scales": self._command_scales.tolist(),
+            "gamma": self.gamma,
+        }
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Network, optimiser, buffer, generators and counts."""

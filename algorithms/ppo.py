@@ -27,19 +27,18 @@ from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
     Fraction,
-    HiddenSizes,
     LearningRate,
+    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.networks import centralised_inputs, make_actor, mlp
+from algorithms.common.networks import centralised_inputs, make_actor, make_network
 from algorithms.common.optimisers import set_learning_rate
 from algorithms.common.rollout import Samples
 from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
-from mo_deepdrive.config import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class PPOConfig(Settings):
+class PPOConfig(NetworkSettings):
     """Hyperparameters of PPO.
 
     Attributes:
@@ -60,7 +59,7 @@ class PPOConfig(Settings):
         epochs: passes over every rollout.
         minibatches: gradient steps per pass.
         clip: epsilon of eq. 4.
-        hidden: sizes of the hidden layers of actor and critic.
+        hidden, activation, network: of actor and critic, as in NetworkSettings.
         entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
             first ``entropy_until`` of training.
         value_coefficient: c_v.
@@ -79,7 +78,6 @@ class PPOConfig(Settings):
     epochs: Annotated[int, Field(ge=1, le=100)] = 4
     minibatches: Count = 4
     clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
-    hidden: HiddenSizes = [64, 32]
     entropy_start: NonNegative = 0.01
     entropy_end: NonNegative = 0.01
     entropy_until: PositiveFraction = 1.0
@@ -111,10 +109,9 @@ class PPOLearner(Learner):
         device: torch.device,
     ):
         super().__init__(env, vehicle, utility, config, generator, device)
-        hidden = config.hidden
         self.input_size = env.observation_size
-        self.actor = make_actor(self.input_size, hidden, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = mlp(self.input_size + self.others_size, hidden, 1, generator, output_gain=1.0).to(device)
+        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = make_network(config, self.input_size + self.others_size, 1, generator).to(device)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
         # Shuffles the minibatches.

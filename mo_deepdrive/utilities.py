@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -126,11 +126,28 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
 }
 
 
+def _in_order(name: str, argument: str, values: Any, objectives: Sequence[str], missing: float | None = None) -> Any:
+    """Values by the names of objectives as a list in their order; anything else as it is.
+
+    Raises:
+        ValueError: for an unknown name, or one without a value where ``missing`` is None.
+    """
+    if not isinstance(values, Mapping):
+        return values
+    for each in values:
+        if each not in objectives:
+            raise ValueError(f"{argument} of utility {name!r} has {each!r}; {nearest(each, objectives)}")
+    absent = [objective for objective in objectives if objective not in values]
+    if absent and missing is None:
+        raise ValueError(f"{argument} = {dict(values)} of utility {name!r} has no number for {', '.join(absent)}")
+    return [values.get(objective, missing) for objective in objectives]
+
+
 def _vector(name: str, argument: str, values: Any, d: int) -> list[float]:
     if values is None:
         raise ValueError(f"utility {name!r} needs the argument {argument!r}: {d} numbers")
     try:
-        numbers = [float(value) for value in values]
+        numbers = [] if isinstance(values, Mapping) else [float(value) for value in values]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != d or not all(math.isfinite(number) for number in numbers):
@@ -145,18 +162,21 @@ def _like(values: list[float], returns: Any) -> Any:
 
 
 def linear(objectives: Sequence[str], weights: Any = None) -> Utility:
-    """sum_i w_i R_i, with the weights w (d,)."""
-    w = _vector("linear", "weights", weights, len(objectives))
+    """sum_i w_i R_i, with weights w (d,), or by the names of objectives (0 for those that are not named)."""
+    w = _vector("linear", "weights", _in_order("linear", "weights", weights, objectives, 0.0), len(objectives))
     return Utility("linear", objectives, lambda returns: (returns * _like(w, returns)).sum(-1), w)
 
 
 def augmented_chebyshev(
     objectives: Sequence[str], weights: Any = None, ideal: Any = None, rho: float = 0.05
 ) -> Utility:
-    """-(max_i w_i (z_i - R_i) + rho sum_i w_i (z_i - R_i)), with ideal point z (Steuer and Choo 1983)."""
-    d = len(objectives)
-    w = _vector("augmented_chebyshev", "weights", weights, d)
-    z = _vector("augmented_chebyshev", "ideal", ideal, d)
+    """-(max_i w_i (z_i - R_i) + rho sum_i w_i (z_i - R_i)), with ideal point z (Steuer and Choo 1983).
+
+    Weights and ideal point are (d,) or by the names of objectives; weights that are not named are 0.
+    """
+    name, d = "augmented_chebyshev", len(objectives)
+    w = _vector(name, "weights", _in_order(name, "weights", weights, objectives, 0.0), d)
+    z = _vector(name, "ideal", _in_order(name, "ideal", ideal, objectives), d)
     if not (isinstance(rho, (int, float)) and math.isfinite(rho) and rho >= 0):
         raise ValueError(f"rho = {rho!r} must be finite and not negative")
 
@@ -169,10 +189,13 @@ def augmented_chebyshev(
 
 
 def generalised_gini(objectives: Sequence[str], weights: Any = None, scales: Any = None) -> Utility:
-    """sum_i w_i (R / s)_(i), components in increasing order, with non-increasing weights w (Weymark 1981)."""
-    d = len(objectives)
-    w = _vector("generalised_gini", "weights", weights, d)
-    s = _vector("generalised_gini", "scales", [1.0] * d if scales is None else scales, d)
+    """sum_i w_i (R / s)_(i), components in increasing order, with non-increasing weights w (Weymark 1981).
+
+    The weights (d,) belong to ranks; the scales (d,) may be given by the names of objectives (1 for those not named).
+    """
+    name, d = "generalised_gini", len(objectives)
+    w = _vector(name, "weights", weights, d)
+    s = _vector(name, "scales", _in_order(name, "scales", {} if scales is None else scales, objectives, 1.0), d)
     if any(later > earlier for earlier, later in pairwise(w)) or w[-1] < 0.0:
         raise ValueError(f"weights = {w} of generalised_gini must be non-increasing and non-negative")
     if any(scale <= 0.0 for scale in s):

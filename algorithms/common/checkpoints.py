@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
-STEP = "step"  # entry of the identity: environment steps taken
+STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
+ADDED = {"activation": "relu", UPDATES: 0}  # entries that files of earlier versions lack
 MOST_STEPS = 2**63 - 1
 
 
@@ -45,8 +46,8 @@ def read_checkpoint(
         whole: refuse a file that holds the policy alone.
 
     Raises:
-        ValueError: if the file is missing or broken, its identity differs or has no valid number of steps, or it holds
-            the policy alone.
+        ValueError: if the file is missing or broken, its identity differs or has no valid numbers of steps and updates,
+            or it holds the policy alone.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -61,12 +62,14 @@ def read_checkpoint(
             f"checkpoint {path} holds the policy alone, like those of the zoo: it can be evaluated, "
             "but training cannot be resumed from it"
         )
+    found = {**ADDED, **found}
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
-    step = found.get(STEP)
-    if type(step) is not int or not 0 <= step <= MOST_STEPS:
-        raise ValueError(f"checkpoint {path} has {STEP} = {step!r}; it must be an integer from 0 to {MOST_STEPS}")
+    for key in (STEP, UPDATES):
+        count = found.get(key)
+        if type(count) is not int or not 0 <= count <= MOST_STEPS:
+            raise ValueError(f"checkpoint {path} has {key} = {count!r}; it must be an integer from 0 to {MOST_STEPS}")
     for name, tensor in tensors.items():
         # Counting the True of such a mask gives the sum of its bytes.
         if tensor.dtype == torch.bool and (tensor.view(torch.uint8) > 1).any():

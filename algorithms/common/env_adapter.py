@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+FORBIDDEN = set(" \t\n/:=")  # in names of objectives, which are parts of metrics' names and of command lines
+
 
 def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:
     """A vector environment with vector rewards (N, d) of ``num_envs`` copies of a MO-Gymnasium environment.
@@ -42,7 +44,7 @@ def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None
         importlib.import_module(module)
     spec = gymnasium.spec(name)
     arguments = arguments or {}
-    if spec.vector_entry_point is not None:
+    if str(spec.vector_entry_point).startswith("mo_deepdrive."):
         return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
     return MOSyncVectorEnv(lambda: mo_gymnasium.make(env_id, **arguments) for _ in range(num_envs))
 
@@ -82,7 +84,9 @@ class EnvAdapter:
     Attributes:
         name: the id of the environment, or its class where it has no id.
         num_envs, vehicles: N and V.
-        objectives: names of the d components of the reward.
+        objectives: names of the d components of the reward: those of the environment's attribute ``objectives``, else
+            "objective_0" and so on.
+        named: whether the environment names its objectives.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
@@ -90,7 +94,8 @@ class EnvAdapter:
         continuous: whether actions are continuous.
 
     Raises:
-        ValueError: for spaces that the trainers do not handle.
+        ValueError: for spaces that the trainers do not handle, or an attribute ``objectives`` that does not give every
+            component of the reward a name of its own.
     """
 
     def __init__(self, env: VectorEnv):
@@ -107,6 +112,7 @@ class EnvAdapter:
                 raise ValueError(f"autoreset_mode = {inner.autoreset_mode} must be SAME_STEP for training")
             self.vehicles = inner.vehicles
             self.objectives: tuple[str, ...] = inner.objectives
+            self.named = True
             self.cost_sign: str = inner.config.cost_sign
             self.observation_scales = observation.scales(inner.batch.scenario).astype(np.float32)
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
@@ -115,7 +121,9 @@ class EnvAdapter:
         else:
             self.vehicles = 1
             d = int(inner.reward_space.shape[0])  # type: ignore[attr-defined]
-            self.objectives = tuple(f"objective_{i}" for i in range(d))
+            names = _objective_names(single, self.name, d)
+            self.named = names is not None
+            self.objectives = names or tuple(f"objective_{i}" for i in range(d))
             self.cost_sign = "maximise"
             self.observation_scales = _scales_from_bounds(env.single_observation_space)
             self.objective_scales = np.ones(d, dtype=np.float32)
@@ -229,6 +237,20 @@ class EnvAdapter:
         inner = self.vector_env.unwrapped
         if isinstance(inner, DrivingVectorEnv):
             inner.set_state(state)
+
+
+def _objective_names(env: Any, env_id: str, d: int) -> tuple[str, ...] | None:
+    """The names that another library's or a user's environment, or a wrapper of it, gives the d rewards, if any."""
+    names = env.get_wrapper_attr("objectives") if env.has_wrapper_attr("objectives") else None
+    if not isinstance(names, (tuple, list)):  # another kind of attribute, such as the unordered set of mo-supermario
+        return None
+    valid = all(isinstance(name, str) and name and not set(name) & FORBIDDEN for name in names)
+    if not valid or len(set(names)) != len(names) or len(names) != d:
+        raise ValueError(
+            f"environment {env_id!r} has objectives = {names!r}; they must be {d} distinct names, one per component of "
+            "the reward, without spaces, '/', ':' and '='"
+        )
+    return tuple(names)
 
 
 def _scales_from_bounds(space: spaces.Space[Any]) -> NDArray[np.float32]:

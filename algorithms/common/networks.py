@@ -9,10 +9,22 @@ from typing import TYPE_CHECKING
 import torch
 from torch import nn
 
+from algorithms.common.importing import import_named
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from algorithms.common.hyperparameters import Activation, NetworkSettings
+
 LOG_TWO_PI = math.log(2 * math.pi)
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {
+    "relu": nn.ReLU,
+    "tanh": nn.Tanh,
+    "elu": nn.ELU,
+    "gelu": nn.GELU,
+    "silu": nn.SiLU,
+    "leaky_relu": nn.LeakyReLU,
+}
 
 
 class _Linear(nn.Linear):
@@ -23,9 +35,14 @@ class _Linear(nn.Linear):
 
 
 def mlp(
-    inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator, output_gain: float
+    inputs: int,
+    hidden: Sequence[int],
+    outputs: int,
+    generator: torch.Generator,
+    output_gain: float,
+    activation: Activation = "relu",
 ) -> nn.Sequential:
-    """Linear layers with ReLU between them (paper, appendix A), orthogonally initialised from ``generator``."""
+    """Linear layers, orthogonally initialised from ``generator``, with ReLU (paper, appendix A) or another function."""
     sizes = [inputs, *hidden, outputs]
     layers: list[nn.Module] = []
     for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
@@ -35,16 +52,55 @@ def mlp(
         nn.init.zeros_(layer.bias)
         layers.append(layer)
         if not last:
-            layers.append(nn.ReLU())
+            layers.append(ACTIVATIONS[activation]())
     return nn.Sequential(*layers)
 
 
-class CategoricalActor(nn.Module):
-    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...)."""
+def make_network(
+    config: NetworkSettings, inputs: int, outputs: int, generator: torch.Generator, *, output_gain: float = 1.0
+) -> nn.Module:
+    """A network from (..., inputs) to (..., outputs): ``config.network``'s, else a multilayer perceptron.
 
-    def __init__(self, inputs: int, hidden: Sequence[int], actions: int, generator: torch.Generator):
+    Args:
+        config: hidden, activation and network.
+        inputs: width of the input.
+        outputs: width of the output.
+        generator: draws the initial weights.
+        output_gain: scales the initial weights of the last layer; a user's network has its own initialisation.
+
+    Raises:
+        ValueError: if the user's function cannot be imported, or does not return such a network.
+    """
+    if config.network is None:
+        return mlp(inputs, config.hidden, outputs, generator, output_gain, config.activation)
+    function = import_named("algorithm.network", config.network)
+    call = f"algorithm.network = {config.network!r}: ({inputs}, {outputs}, generator)"
+    # Layers initialise themselves from the global generator, which is seeded for the call and then restored.
+    with torch.random.fork_rng(devices=()):  # noqa: TID251
+        torch.manual_seed(int(torch.randint(2**62, (1,), generator=generator)))  # noqa: TID251
+        try:
+            network = function(inputs, outputs, generator)
+            found = tuple(network(torch.zeros(3, 2, inputs)).shape) if isinstance(network, nn.Module) else None
+        except Exception as error:
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise ValueError(f"{call} fails: {reason}") from error
+    if not isinstance(network, nn.Module):
+        raise ValueError(f"{call} returns {network!r}, not a torch.nn.Module")
+    if found != (3, 2, outputs):
+        raise ValueError(f"{call} returns a network from shape {(3, 2, inputs)} to {found}, not {(3, 2, outputs)}")
+    return network
+
+
+class CategoricalActor(nn.Module):
+    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
+
+    Args:
+        body: network from (..., inputs) to n logits.
+    """
+
+    def __init__(self, body: nn.Module):
         super().__init__()
-        self.body = mlp(inputs, hidden, actions, generator, output_gain=0.01)
+        self.body = body
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row: the argmax of p / e with e ~ Exp(1) is a sample from p."""
@@ -68,11 +124,15 @@ class GaussianActor(nn.Module):
     """Diagonal Gaussian policy with a free log standard deviation; actions are float tensors (..., k).
 
     The environment clips actions to its box; the log-probability is that of the unclipped sample.
+
+    Args:
+        body: network from (..., inputs) to the means of the actions.
+        actions: k.
     """
 
-    def __init__(self, inputs: int, hidden: Sequence[int], actions: int, generator: torch.Generator):
+    def __init__(self, body: nn.Module, actions: int):
         super().__init__()
-        self.body = mlp(inputs, hidden, actions, generator, output_gain=0.01)
+        self.body = body
         self.log_std = nn.Parameter(torch.full((actions,), -0.5))
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
@@ -97,10 +157,15 @@ Actor = CategoricalActor | GaussianActor
 
 
 def make_actor(
-    inputs: int, hidden: Sequence[int], actions: int, generator: torch.Generator, *, continuous: bool
+    config: NetworkSettings, inputs: int, actions: int, generator: torch.Generator, *, continuous: bool
 ) -> Actor:
-    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many."""
-    return (GaussianActor if continuous else CategoricalActor)(inputs, hidden, actions, generator)
+    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
+
+    Raises:
+        ValueError: as :func:`make_network`.
+    """
+    body = make_network(config, inputs, actions, generator, output_gain=0.01)
+    return GaussianActor(body, actions) if continuous else CategoricalActor(body)
 
 
 def centralised_inputs(inputs: torch.Tensor, others: torch.Tensor, observation_scales: torch.Tensor) -> torch.Tensor:

@@ -136,7 +136,7 @@ def add_evaluation_arguments(
 
 def add_trust_argument(parser: argparse.ArgumentParser) -> None:
     """Add --trust, which is passed to :meth:`Run.open`."""
-    help_text = "allow the run's config.yaml to import and run code: a utility or an environment by its module"
+    help_text = "allow the run's config.yaml to import and run code that it names by module"
     parser.add_argument("--trust", action="store_true", help=help_text)
 
 

@@ -14,8 +14,8 @@ from algorithms.experiments.config import EnvironmentSettings, Experiment, find_
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
+    from algorithms.agent import FrontAgent
     from algorithms.evaluation.front import Front
-    from algorithms.pcn import PCN
 
 POLICIES = (GREEDY, STOCHASTIC)
 # Parallel environments: this package's cost next to nothing, others a Python step each.
@@ -83,7 +83,7 @@ def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, 
         env.close()
 
 
-def evaluate_front(agent: PCN, experiment: Experiment, *, episodes: int, seed: int) -> Front:
+def evaluate_front(agent: FrontAgent, experiment: Experiment, *, episodes: int, seed: int) -> Front:
     """The front of a trained agent, from new episodes.
 
     Args:
@@ -101,7 +101,7 @@ def evaluate_front(agent: PCN, experiment: Experiment, *, episodes: int, seed: i
 
 
 def evaluate_front_policies(
-    agent: PCN, front: Front, experiment: Experiment, *, episodes: int, seed: int
+    agent: FrontAgent, front: Front, experiment: Experiment, *, episodes: int, seed: int
 ) -> list[Evaluation]:
     """New episodes of every policy of a front.
 

@@ -1,6 +1,6 @@
 """Look up names of YAML files and command lines; what they refer to is imported when it is first used.
 
-Algorithms are registered in ``algorithms/__init__.py``.
+Algorithms are registered in ``algorithms/__init__.py``; a user's is named by its path, ``package.module:Class``.
 
 Peers (other libraries' algorithms) and the zoo (trained policies) are layers above this one: they are found by their
 dotted paths, so that an experiment can name them without importing them.
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from algorithms import ALGORITHMS
+from algorithms.common.importing import import_named
 from mo_deepdrive.config import Settings, nearest
 
 if TYPE_CHECKING:
@@ -58,30 +59,57 @@ def algorithm_names() -> list[str]:
 
 
 def find_algorithm(name: object) -> AlgorithmEntry:
-    """The entry of an algorithm, this project's or another library's.
+    """The entry of an algorithm: this project's, another library's, or a user's.
 
     Raises:
-        ValueError: if there is none of this name, with the nearest name.
+        ValueError: if there is none of this name, with the nearest name; if what a path names is no complete algorithm.
     """
-    if isinstance(name, str) and name in ALGORITHMS:
-        algorithm = ALGORITHMS[name]
+    if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
+        algorithm = agent_class(name)
         return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=False)
     peers: Mapping[str, Any] = import_object(PEER_TABLE)
     if not isinstance(name, str) or name not in peers:
-        raise ValueError(f"algorithm.name = {name!r} is unknown; {nearest(name, [*ALGORITHMS, *peers])}")
+        hint = nearest(name, [*ALGORITHMS, *peers])
+        raise ValueError(f"algorithm.name = {name!r} is unknown; {hint}; or package.module:Class")
     peer = peers[name]
     return AlgorithmEntry(name, bool(peer.known_utility), peer.Config, is_peer=True)
 
 
 def agent_class(name: str) -> type[Any]:
-    """The class of one of this project's algorithms.
+    """The class of an algorithm, this project's or a user's.
 
     Raises:
-        ValueError: if it is another library's or unknown.
+        ValueError: if it is another library's or unknown; if what a path names is no complete algorithm.
     """
-    if find_algorithm(name).is_peer:
+    if ":" in name:
+        return _users_class(name)
+    if name not in ALGORITHMS and find_algorithm(name).is_peer:
         raise ValueError(f"algorithm {name!r} is another library's; mo-deepdrive peers runs it")
     return ALGORITHMS[name]
+
+
+def _users_class(path: str) -> type[Any]:
+    from algorithms.agent import Agent, FrontAgent  # as late as this, because it imports torch
+
+    found = import_named("algorithm.name", path)
+    if not (isinstance(found, type) and issubclass(found, Agent)):
+        raise ValueError(f"algorithm.name = {path!r} must be a subclass of algorithms.Agent; it is {found!r}")
+    declared = {name for base in found.__mro__ for name in vars(base).get("__annotations__", {})}
+    missing = set(found.__abstractmethods__)
+    missing |= {name for name in ("Config", "learner") if name in declared and not hasattr(found, name)}
+    missing |= {f"learner.{name}" for name in getattr(getattr(found, "learner", None), "__abstractmethods__", ())}
+    if missing:
+        raise ValueError(f"algorithm.name = {path!r} does not define {', '.join(sorted(missing))}")
+    if not (found.known_utility or issubclass(found, FrontAgent)):
+        raise ValueError(f"algorithm.name = {path!r}: known_utility = False needs a subclass of algorithms.FrontAgent")
+    if not (isinstance(found.Config, type) and issubclass(found.Config, Settings)):
+        raise ValueError(f"algorithm.name = {path!r}: Config = {found.Config!r} must be a subclass of Settings")
+    return found
+
+
+def directory_name(algorithm: str) -> str:
+    """The name of an algorithm in names of directories: its name, or the class's where it is named by its path."""
+    return algorithm.rpartition(":")[2]
 
 
 def find_trained_policy(name: str) -> Path:

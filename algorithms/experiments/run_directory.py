@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from algorithms.common.atomic_io import atomic_write, leftovers, open_lock, read_json_object, write_json
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.experiments.registry import find_trained_policy
+from algorithms.experiments.registry import directory_name, find_trained_policy
 from algorithms.experiments.run_files import RESULTS, record_files
 
 if TYPE_CHECKING:
@@ -290,7 +290,7 @@ def read_status(path: Path) -> dict[str, Any]:
 
 
 def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
-    """What an experiment names to be imported: utilities by dotted path, and an environment with its module.
+    """What an experiment names to be imported: algorithm, network, utilities by dotted path, environment with module.
 
     Args:
         values: the sections of the experiment, which need not be valid.
@@ -298,16 +298,19 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     Returns:
         "package.module:name" by the key where it is.
     """
-    found: dict[str, Any] = {"environment.id": _section(values, "environment").get("id")}
-    utility = _section(values, "utility")
-    found["utility.name"] = utility.get("name")
+    algorithm, utility = _section(values, "algorithm"), _section(values, "utility")
     vehicles = _section(utility, "vehicles")
-    found |= {f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles}
-    return {
-        key: name
-        for key, name in found.items()
-        if isinstance(name, str) and ":" in name and name.partition(":")[0] not in ALREADY_IMPORTED
+    found = {
+        "environment.id": _section(values, "environment").get("id"),
+        "algorithm.name": algorithm.get("name"),
+        "algorithm.network": algorithm.get("network"),
+        "utility.name": utility.get("name"),
+        **{f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles},
     }
+    paths = {key: name for key, name in found.items() if isinstance(name, str) and ":" in name}
+    if paths.get("environment.id", "").partition(":")[0] in ALREADY_IMPORTED:
+        del paths["environment.id"]
+    return paths
 
 
 def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -335,7 +338,7 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
         ValueError: if it cannot be made.
     """
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    name = f"{experiment.algorithm['name']}-seed{experiment.training.seed}-{stamp}"
+    name = f"{directory_name(experiment.algorithm['name'])}-seed{experiment.training.seed}-{stamp}"
     path = Path(root) / Path(config).stem / name
     number = 1
     while True:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from algorithms.agent import FrontAgent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
-from algorithms.pcn import PCN
 from mo_deepdrive.reference_fronts import front_config
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class RunRecording:
 
 
 def record_run(path: str, scenario: str, action_type: str, episodes: int, *, trust: bool = False) -> RunRecording:
-    """Record a run's policies: every policy of a PCN run, the one policy of any other.
+    """Record a run's policies: every policy of a run that learnt a front, the one policy of any other.
 
     Args:
         path: of the run, or the name of one in the zoo.
@@ -73,10 +73,10 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int, *, tru
         repeats = episodes if sampled else 1
         policy: Policy = agent
         num_envs = repeats
-        if isinstance(agent, PCN):
-            desired, horizon = agent.commands()
-            policy = agent.command(np.repeat(desired, repeats, axis=0), np.repeat(horizon, repeats))
-            num_envs = repeats * len(horizon)
+        if isinstance(agent, FrontAgent):
+            conditions = np.repeat(agent.conditions(), repeats, axis=0)
+            policy = agent.policies(conditions)
+            num_envs = len(conditions)
         if num_envs:
             env = EnvAdapter(make_env(settings.id, num_envs, arguments))
             generator = torch.Generator(agent.device).manual_seed(0) if sampled else None

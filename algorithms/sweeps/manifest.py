@@ -15,6 +15,7 @@ from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment, override
+from algorithms.experiments.registry import directory_name
 from algorithms.experiments.shipped import find_config
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 
@@ -154,7 +155,7 @@ def _cell_rows(
     for seed in settings.seeds:
         config = {**resolved, "training": {**resolved["training"], "seed": seed}}
         name = run_id(config)
-        directory = f"{RUNS}/{experiment.algorithm['name']}-seed{seed}-{name}"
+        directory = f"{RUNS}/{directory_name(experiment.algorithm['name'])}-seed{seed}-{name}"
         rows.append(ManifestRow(name, directory, cell, seed, trial, config))
     return rows
 

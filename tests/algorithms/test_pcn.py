@@ -162,7 +162,7 @@ def test_an_untrained_agent_has_no_commands() -> None:
 
 def test_acting_without_a_command_is_refused() -> None:
     agent = small_pcn("deep-sea-treasure")
-    with pytest.raises(TypeError, match="PCN acts under a command"):
+    with pytest.raises(TypeError, match="pcn acts under a condition"):
         agent.act(np.zeros((1, 1, 2), dtype=np.float32), AccruedReward.begin(1, 1, 2), None)
 
 

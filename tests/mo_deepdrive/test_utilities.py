@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -561,3 +562,55 @@ def test_a_module_that_cannot_be_imported_is_named(tmp_path: Path, monkeypatch: 
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ValueError, match="utility 'torn_module:utility' cannot be imported: SyntaxError"):
         make_utility("torn_module:utility", ("a", "b"))
+
+
+# ------------------------------------------------------------------------------------------------- numbers by name
+
+RETURNS = np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 4.0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "by_name", "in_order"),
+    [
+        ("linear", {"weights": {"c": 2, "a": 0.5}}, {"weights": [0.5, 0.0, 2.0]}),
+        (
+            "augmented_chebyshev",
+            {"weights": {"b": 1}, "ideal": {"c": 5, "b": 3, "a": 0}},
+            {"weights": [0.0, 1.0, 0.0], "ideal": [0.0, 3.0, 5.0]},
+        ),
+        ("generalised_gini", {"weights": [3, 2, 1], "scales": {"b": 4}}, {"weights": [3, 2, 1], "scales": [1, 4, 1]}),
+    ],
+)
+def test_numbers_are_given_by_the_names_of_objectives(
+    name: str, by_name: dict[str, Any], in_order: dict[str, Any]
+) -> None:
+    first, second = (make_utility(name, ("a", "b", "c"), **each) for each in (by_name, in_order))
+    np.testing.assert_array_equal(first(RETURNS), second(RETURNS))
+    assert first.weights == second.weights
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        (
+            "linear",
+            {"weights": {"time": 1, "enrgy": 2}},
+            "weights of utility 'linear' has 'enrgy'; did you mean 'energy'?",
+        ),
+        ("linear", {"weights": {3: 1}}, "weights of utility 'linear' has 3; known: energy, time"),
+        ("linear", {"weights": {"time": "much"}}, "weights = ['much', 0.0] must be 2 finite numbers"),
+        (
+            "augmented_chebyshev",
+            {"weights": {"time": 1}, "ideal": {"time": 1}},
+            "ideal = {'time': 1} of utility 'augmented_chebyshev' has no number for energy",
+        ),
+        (
+            "generalised_gini",
+            {"weights": {"time": 2, "energy": 1}},
+            "must be 2 finite numbers for utility 'generalised",
+        ),
+    ],
+)
+def test_numbers_by_name_that_do_not_fit_are_refused(name: str, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make_utility(name, ("time", "energy"), **arguments)

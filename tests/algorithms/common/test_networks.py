@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import random
-from typing import TYPE_CHECKING
+import re
+import sys
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -12,14 +14,26 @@ import scipy.stats
 import torch
 from torch import distributions, nn
 
-from algorithms.common.networks import CategoricalActor, GaussianActor, mlp
+from algorithms.common.hyperparameters import NetworkSettings
+from algorithms.common.networks import ACTIVATIONS, CategoricalActor, GaussianActor, make_network, mlp
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4
-ACTORS = pytest.mark.parametrize("kind", [CategoricalActor, GaussianActor])
+
+
+def categorical(inputs: int, hidden: list[int], actions: int, generator: torch.Generator) -> CategoricalActor:
+    return CategoricalActor(mlp(inputs, hidden, actions, generator, output_gain=0.01))
+
+
+def gaussian(inputs: int, hidden: list[int], actions: int, generator: torch.Generator) -> GaussianActor:
+    return GaussianActor(mlp(inputs, hidden, actions, generator, output_gain=0.01), actions)
+
+
+ACTORS = pytest.mark.parametrize("kind", [categorical, gaussian])
 
 
 def seeded(seed: int) -> torch.Generator:
@@ -45,7 +59,7 @@ def with_outputs(actor: CategoricalActor | GaussianActor, outputs: list[float]) 
     [[0.5, 0.5], [0.1, 0.2, 0.3, 0.4], [0.97, 0.01, 0.01, 0.01], [1 / 22] * 22, [0.9] + [0.1 / 21] * 21],
 )
 def test_actions_are_drawn_as_often_as_their_probabilities_say(probabilities: list[float], seed: int) -> None:
-    actor = CategoricalActor(3, [4], len(probabilities), seeded(0))
+    actor = categorical(3, [4], len(probabilities), seeded(0))
     with_outputs(actor, [math.log(p) + 5.0 for p in probabilities])
     draws = 50_000
     actions = actor.sample(torch.zeros(draws, 3), seeded(seed))
@@ -54,7 +68,7 @@ def test_actions_are_drawn_as_often_as_their_probabilities_say(probabilities: li
 
 
 def test_every_row_is_drawn_independently_from_its_own_probabilities() -> None:
-    actor = CategoricalActor(2, [], 3, seeded(0))
+    actor = categorical(2, [], 3, seeded(0))
     logits = torch.tensor([[1.0, -1.0, 0.0], [-2.0, 0.5, 0.0]])
     with torch.no_grad():
         linear_layers(actor.body)[0].weight.copy_(logits.T)
@@ -68,13 +82,13 @@ def test_every_row_is_drawn_independently_from_its_own_probabilities() -> None:
 
 
 def test_an_action_without_probability_is_never_drawn() -> None:
-    actor = with_outputs(CategoricalActor(3, [4], 3, seeded(0)), [0.0, -200.0, 0.0])
+    actor = with_outputs(categorical(3, [4], 3, seeded(0)), [0.0, -200.0, 0.0])
     assert not (actor.sample(torch.zeros(20_000, 3), seeded(0)) == 1).any()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_continuous_actions_are_drawn_from_the_normal_distribution(seed: int) -> None:
-    actor = with_outputs(GaussianActor(3, [4], 2, seeded(0)), [0.3, -2.0])
+    actor = with_outputs(gaussian(3, [4], 2, seeded(0)), [0.3, -2.0])
     with torch.no_grad():
         actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
     actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
@@ -83,7 +97,7 @@ def test_continuous_actions_are_drawn_from_the_normal_distribution(seed: int) ->
     assert scipy.stats.pearsonr(actions[:, 0], actions[:, 1]).pvalue > SIGNIFICANCE
 
 
-def randomised(kind: type, inputs: int, actions: int) -> CategoricalActor | GaussianActor:
+def randomised(kind: Callable[..., Any], inputs: int, actions: int) -> CategoricalActor | GaussianActor:
     """An actor far from its initial, nearly uniform policy."""
     actor = kind(inputs, [16, 8], actions, seeded(1))
     with torch.no_grad():
@@ -95,7 +109,7 @@ def randomised(kind: type, inputs: int, actions: int) -> CategoricalActor | Gaus
 
 @pytest.mark.parametrize("shape", [(), (5,), (4, 3), (2, 1, 3)])
 def test_categorical_log_probabilities_and_entropies_are_those_of_torch(shape: tuple[int, ...]) -> None:
-    actor = randomised(CategoricalActor, 6, 22)
+    actor = randomised(categorical, 6, 22)
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
     reference = distributions.Categorical(logits=actor.body(x))
     actions = torch.randint(22, shape, generator=seeded(3))
@@ -106,7 +120,7 @@ def test_categorical_log_probabilities_and_entropies_are_those_of_torch(shape: t
 
 @pytest.mark.parametrize("shape", [(), (5,), (4, 3), (2, 1, 3)])
 def test_gaussian_log_densities_and_entropies_are_those_of_torch(shape: tuple[int, ...]) -> None:
-    actor = randomised(GaussianActor, 6, 3)
+    actor = randomised(gaussian, 6, 3)
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
     reference = distributions.Independent(distributions.Normal(actor.body(x), actor.log_std.exp()), 1)
     actions = torch.randn(*shape, 3, generator=seeded(3), dtype=torch.float64)
@@ -116,10 +130,10 @@ def test_gaussian_log_densities_and_entropies_are_those_of_torch(shape: tuple[in
 
 
 @ACTORS
-def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: type) -> None:
+def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: Callable[..., Any]) -> None:
     actor = randomised(kind, 6, 4)
     x = torch.randn(7, 6, generator=seeded(2), dtype=torch.float64)
-    if kind is CategoricalActor:
+    if kind is categorical:
         actions = torch.randint(4, (7,), generator=seeded(3))
         reference: distributions.Distribution = distributions.Categorical(logits=actor.body(x))
     else:
@@ -136,7 +150,7 @@ def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: type) -> None:
 
 
 def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradients() -> None:
-    actor = with_outputs(CategoricalActor(2, [4], 3, seeded(0)), [1e4, 0.0, -1e4])
+    actor = with_outputs(categorical(2, [4], 3, seeded(0)), [1e4, 0.0, -1e4])
     log_prob, entropy = actor.log_prob_and_entropy(torch.zeros(3, 2), torch.arange(3))
     assert log_prob.tolist() == [0.0, -1e4, -2e4]
     assert entropy.tolist() == [0.0, 0.0, 0.0]
@@ -146,13 +160,12 @@ def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradie
 
 
 def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
-    categorical = randomised(CategoricalActor, 6, 22)
-    gaussian = randomised(GaussianActor, 6, 3)
+    softmax, normal = randomised(categorical, 6, 22), randomised(gaussian, 6, 3)
     x = torch.randn(50, 6, generator=seeded(4), dtype=torch.float64)
-    assert torch.equal(categorical.greedy(x), categorical.body(x).argmax(-1))
-    assert len(set(categorical.greedy(x).tolist())) > 1
-    assert torch.equal(gaussian.greedy(x), gaussian.body(x))
-    fixed = with_outputs(CategoricalActor(3, [4], 4, seeded(0)), [0.0, 0.3, 2.0, 0.1])
+    assert torch.equal(softmax.greedy(x), softmax.body(x).argmax(-1))
+    assert len(set(softmax.greedy(x).tolist())) > 1
+    assert torch.equal(normal.greedy(x), normal.body(x))
+    fixed = with_outputs(categorical(3, [4], 4, seeded(0)), [0.0, 0.3, 2.0, 0.1])
     assert fixed.greedy(torch.zeros(2, 5, 3)).tolist() == [[2] * 5] * 2
 
 
@@ -161,14 +174,14 @@ def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
 def test_actions_have_one_row_per_row_of_inputs(kind: type, shape: tuple[int, ...]) -> None:
     actor = kind(6, [8], 3, seeded(0))
     x = torch.zeros(*shape, 6)
-    expected = shape if kind is CategoricalActor else (*shape, 3)
+    expected = shape if kind is categorical else (*shape, 3)
     for actions in (actor.sample(x, seeded(0)), actor.greedy(x)):
         assert actions.shape == expected
-        assert actions.dtype == (torch.int64 if kind is CategoricalActor else torch.float32)
+        assert actions.dtype == (torch.int64 if kind is categorical else torch.float32)
 
 
 @ACTORS
-def test_the_generator_determines_weights_and_samples(kind: type) -> None:
+def test_the_generator_determines_weights_and_samples(kind: Callable[..., Any]) -> None:
     actors = [kind(6, [64, 32], 4, seeded(seed)) for seed in (7, 7, 8)]
     states = [actor.state_dict() for actor in actors]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
@@ -180,7 +193,7 @@ def test_the_generator_determines_weights_and_samples(kind: type) -> None:
 
 
 @ACTORS
-def test_successive_draws_from_one_generator_differ(kind: type) -> None:
+def test_successive_draws_from_one_generator_differ(kind: Callable[..., Any]) -> None:
     generator = seeded(7)
     first, second = kind(6, [8], 4, generator), kind(6, [8], 4, generator)
     assert not torch.equal(linear_layers(first)[0].weight, linear_layers(second)[0].weight)
@@ -214,14 +227,14 @@ def test_weights_begin_orthogonal_with_their_gains_and_biases_at_zero(hidden: li
 
 def test_policies_begin_nearly_uniform_and_nearly_centred() -> None:
     x = torch.randn(100, 15, generator=seeded(1))
-    probabilities = CategoricalActor(15, [64, 32], 22, seeded(0)).body(x).softmax(-1)
+    probabilities = categorical(15, [64, 32], 22, seeded(0)).body(x).softmax(-1)
     assert (probabilities * 22 - 1).abs().max() < 0.1
-    gaussian = GaussianActor(15, [64, 32], 3, seeded(0))
-    assert gaussian.greedy(x).abs().max() < 0.1
-    assert torch.equal(gaussian.log_std, torch.full((3,), -0.5))
+    means = gaussian(15, [64, 32], 3, seeded(0))
+    assert means.greedy(x).abs().max() < 0.1
+    assert torch.equal(means.log_std, torch.full((3,), -0.5))
 
 
-def everything(kind: type) -> Callable[[], None]:
+def everything(kind: Callable[..., Any]) -> Callable[[], None]:
     def use() -> None:
         actor = kind(6, [8], 4, seeded(0))
         x = torch.zeros(10, 6)
@@ -235,7 +248,7 @@ def everything(kind: type) -> Callable[[], None]:
 
 
 @ACTORS
-def test_neither_building_nor_sampling_touches_any_global_generator(kind: type) -> None:
+def test_neither_building_nor_sampling_touches_any_global_generator(kind: Callable[..., Any]) -> None:
     before = torch.get_rng_state(), random.getstate(), np.random.get_state()[1].copy()  # noqa: NPY002
     everything(kind)()
     assert torch.equal(torch.get_rng_state(), before[0])
@@ -244,7 +257,7 @@ def test_neither_building_nor_sampling_touches_any_global_generator(kind: type) 
 
 
 @ACTORS
-def test_the_global_seed_does_not_matter(kind: type) -> None:
+def test_the_global_seed_does_not_matter(kind: Callable[..., Any]) -> None:
     results = []
     state = torch.get_rng_state()
     for seed in (0, 1):
@@ -254,3 +267,79 @@ def test_the_global_seed_does_not_matter(kind: type) -> None:
     torch.set_rng_state(state)
     assert all(torch.equal(results[0][0][name], results[1][0][name]) for name in results[0][0])
     assert torch.equal(results[0][1], results[1][1])
+
+
+# --------------------------------------------------------------------------------- activations and networks of a user
+
+NETWORKS = """
+import torch
+from torch import nn
+
+def layer_norm(inputs, outputs, generator):
+    return nn.Sequential(nn.Linear(inputs, 7), nn.LayerNorm(7), nn.Tanh(), nn.Linear(7, outputs))
+
+def seeded(inputs, outputs, generator):
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, generator=generator)
+    return layer
+
+def wrong_shape(inputs, outputs, generator):
+    return nn.Linear(inputs, outputs + 1)
+
+def wrong_type(inputs, outputs, generator):
+    return lambda x: x
+
+def broken(inputs, outputs, generator):
+    raise RuntimeError("no\\nnetwork")
+"""
+
+
+@pytest.fixture
+def users_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The module users_networks, which can be imported in this test."""
+    (tmp_path / "users_networks.py").write_text(NETWORKS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "users_networks", raising=False)
+
+
+@pytest.mark.parametrize("name", ACTIVATIONS)
+def test_an_activation_is_chosen_by_name(name: Any) -> None:
+    network = make_network(NetworkSettings(hidden=[8, 4], activation=name), 3, 2, seeded(0))
+    assert [type(module) for module in network if not isinstance(module, nn.Linear)] == 2 * [ACTIVATIONS[name]]
+
+
+@pytest.mark.usefixtures("users_module")
+@pytest.mark.parametrize("function", ["layer_norm", "seeded"])
+def test_a_users_network_is_determined_by_the_generator(function: str) -> None:
+    config = NetworkSettings(network=f"users_networks:{function}")
+    before = torch.get_rng_state()
+    first, second, other = (make_network(config, 3, 2, seeded(seed)).state_dict() for seed in (0, 0, 1))
+    assert torch.equal(torch.get_rng_state(), before)
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert not all(torch.equal(first[name], other[name]) for name in first)
+
+
+@pytest.mark.usefixtures("users_module")
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (
+            "no_such_module:f",
+            "'no_such_module' cannot be imported: ModuleNotFoundError: No module named 'no_such_module'",
+        ),
+        (
+            "users_networks:seedet",
+            "'users_networks' has no 'seedet'; did you mean 'seeded'? known: broken, layer_norm, ",
+        ),
+        (
+            "users_networks:wrong_shape",
+            "(3, 2, generator) returns a network from shape (3, 2, 3) to (3, 2, 3), not (3, 2, 2)",
+        ),
+        ("users_networks:wrong_type", "(3, 2, generator) returns <function"),
+        ("users_networks:broken", "(3, 2, generator) fails: RuntimeError: no network"),
+    ],
+)
+def test_a_users_network_that_cannot_be_used_is_refused_in_one_line(path: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(f"algorithm.network = {path!r}: {message}")) as caught:
+        make_network(NetworkSettings(network=path), 3, 2, seeded(0))
+    assert "\n" not in str(caught.value)

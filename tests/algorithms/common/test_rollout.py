@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -609,3 +610,37 @@ def test_any_other_id_makes_a_vector_environment_with_vector_rewards() -> None:
     assert isinstance(env, MOSyncVectorEnv)
     assert env.single_observation_space.dtype == np.float32
     assert EnvAdapter(env).objectives == ("objective_0", "objective_1")
+
+
+class Named(gymnasium.Wrapper):
+    """An environment with names of objectives."""
+
+    def __init__(self, names: object):
+        super().__init__(mo_gymnasium.make(SEA))
+        self.objectives = names
+
+
+def named(names: object) -> EnvAdapter:
+    return EnvAdapter(MOSyncVectorEnv([lambda: gymnasium.wrappers.TimeLimit(Named(names), 5)] * 2))
+
+
+@pytest.mark.parametrize("names", [("treasure", "time"), ["treasure", "time"]])
+def test_an_attribute_of_the_environment_names_its_objectives(names: Any) -> None:
+    adapter = named(names)
+    assert (adapter.objectives, adapter.named) == (("treasure", "time"), True)
+
+
+@pytest.mark.parametrize("names", [{"treasure", "time"}, 3, None, "treasure, time"])
+def test_an_attribute_that_is_no_list_does_not_name_objectives(names: object) -> None:
+    adapter = named(names)
+    assert (adapter.objectives, adapter.named) == (("objective_0", "objective_1"), False)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("a",), ("a", "b", "c"), ("a", "a"), ("a", ""), ("a", 3), ("a", "b/c"), ("a", "b=1"), ("a", "b c"), ["a", ["b"]]],
+)
+def test_names_that_are_not_one_per_objective_are_refused(names: Any) -> None:
+    message = f"environment '{SEA}' has objectives = {names!r}; they must be 2 distinct names"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        named(names)

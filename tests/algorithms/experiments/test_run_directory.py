@@ -84,6 +84,13 @@ def test_two_processes_do_not_train_in_one_directory(tmp_path: Path, experiment:
     second.unlock()
 
 
+def test_the_default_directory_of_a_users_algorithm_is_named_after_its_class(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    own = experiment.model_copy(update={"algorithm": {"name": "package.module:Own"}})
+    assert default_directory(tmp_path, "fast.yaml", own).name.startswith("Own-seed3-")
+
+
 def test_default_directories_are_named_after_the_run_and_are_unique(tmp_path: Path, experiment: Experiment) -> None:
     paths = [default_directory(tmp_path, "configs/x/fast.yaml", experiment) for _ in range(3)]
     assert len(set(paths)) == 3
@@ -142,6 +149,8 @@ OWN: dict[str, Any] = {"name": "own_code:utility"}
             "own_code:utility",
         ),
         ({"environment": {"id": "own_code:own-v0"}}, "environment.id", "own_code:own-v0"),
+        ({"algorithm": {"name": "own_code:Own"}}, "algorithm.name", "own_code:Own"),
+        ({"algorithm": {"name": "a2c", "network": "own_code:network"}}, "algorithm.network", "own_code:network"),
     ],
 )
 def test_a_run_that_names_code_is_opened_only_if_it_is_trusted(
@@ -149,6 +158,7 @@ def test_a_run_that_names_code_is_opened_only_if_it_is_trusted(
 ) -> None:
     (tmp_path / "own_code.py").write_text(
         f"open({str(tmp_path / 'imported')!r}, 'w').close()\ndef utility(returns):\n    return returns[..., 0]\n"
+        "from algorithms import A2C\nclass Own(A2C):\n    pass\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "own_code", raising=False)
@@ -167,6 +177,9 @@ def test_what_an_experiment_would_import_is_found_whatever_its_form() -> None:
         "environment.id": "mo_deepdrive.own:x-v0"
     }
     assert imported_paths({"environment": 3, "utility": ["a:b"]}) == {}
+    assert imported_paths({"utility": {"name": "mo_deepdrive:f"}}) == {"utility.name": "mo_deepdrive:f"}
+    assert imported_paths({"algorithm": {"name": 3, "network": ["a:b"]}}) == {}
+    assert imported_paths({"algorithm": ["a:b"]}) == {}
     assert imported_paths({"environment": {"id": 3}, "utility": {"name": None, "vehicles": "a:b"}}) == {}
 
 

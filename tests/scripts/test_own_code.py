@@ -1,0 +1,350 @@
+"""The worked examples in docs/examples: an own algorithm and an own environment, through all commands."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import signal
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.metrics_file import read_metrics
+from algorithms.evaluation.policy_driver import PolicyDriver
+from algorithms.experiments.build import build, load_policy
+from algorithms.experiments.config import load_experiment, make_experiment
+from algorithms.experiments.run_directory import Run
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import interrupt, refused
+from tests.helpers.short_runs import assert_same_run
+from tests.helpers.sweep_files import forked_workers
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.helpers.script_runs import Call
+
+EXAMPLES = REPOSITORY / "docs" / "examples"
+MODULES = ("reinforce", "commute", "constants")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory: a folder with the examples, outside of the repository."""
+    for path in EXAMPLES.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in MODULES:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return tmp_path
+
+
+def shorten(path: Path, changes: dict[str, dict[str, Any]]) -> None:
+    """Change the YAML file of an experiment."""
+    values = yaml.safe_load(path.read_text())
+    for section, settings in changes.items():
+        values[section] = {**values.get(section, {}), **settings}
+    path.write_text(yaml.safe_dump(values))
+
+
+SHORT: dict[str, dict[str, Any]] = {
+    "environment": {"arguments": {"time_limit": 2}},
+    "algorithm": {"steps": 20, "hidden": [8]},
+    "training": {"total_timesteps": 960, "num_envs": 4},
+    "evaluation": {"episodes": 2, "final_episodes": 4, "interval": 320},
+    "logging": {"interval": 2, "checkpoint_interval": 80, "save_figures": False},
+}
+
+
+def documented_commands(document: str) -> list[list[str]]:
+    """The words of the commands in the ``sh`` blocks of a document."""
+    blocks = re.findall(r"^```sh\n(.*?)^```$", (REPOSITORY / document).read_text(), flags=re.DOTALL | re.MULTILINE)
+    return [shlex.split(line) for block in blocks for line in block.splitlines()]
+
+
+def test_examples_are_as_short_as_the_documentation_says() -> None:
+    lines = [line for line in (EXAMPLES / "reinforce.py").read_text().splitlines() if line.strip()]
+    assert 40 <= len(lines) <= 60
+    for document, example in (("own_algorithm", "reinforce"), ("own_environment", "commute")):
+        text = (REPOSITORY / "docs" / f"{document}.md").read_text()
+        shown = yaml.safe_load(re.findall(r"^```yaml\n(environment:.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)[0])
+        assert shown == yaml.safe_load((EXAMPLES / f"{example}.yaml").read_text())
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_tutorial_train_resume_evaluate_sweep_and_plot_an_own_algorithm(
+    folder: Path, call: Call
+) -> None:
+    shorten(folder / "reinforce.yaml", SHORT)
+    shorten(folder / "reinforce_sweep.yaml", {"grid": {"algorithm.learning_rate": [0.002]}})
+    sweep = yaml.safe_load((folder / "reinforce_sweep.yaml").read_text())
+    (folder / "reinforce_sweep.yaml").write_text(yaml.safe_dump({**sweep, "seeds": 2}))
+    printed = []
+    with forked_workers():
+        for program, name, *words in documented_commands("docs/own_algorithm.md"):
+            code, out, error = call(name, *words)
+            assert (program, code, error) == ("mo-deepdrive", 0, ""), out + error
+            printed.append(out)
+    assert len(printed) == 6
+    assert "finished: runs/first" in printed[0]
+    assert "runs/first is finished" in printed[1]
+    assert "100 episodes of the test split" in printed[2]
+    assert "2 done, 0 running, 0 failed, 0 waiting of 2" in printed[3]
+    names = sorted(path.name for path in (folder / "runs" / "sweep" / "runs").iterdir())
+    assert [re.sub("-[0-9a-f]+$", "", name) for name in names] == ["REINFORCE-seed0", "REINFORCE-seed1"]
+    assert "1 of 1 cells" in printed[4]
+    (figure,) = folder.glob("*.png")
+    assert figure.name in printed[5]
+
+
+@pytest.mark.slow
+def test_an_own_algorithm_that_is_killed_resumes_to_the_same_run_and_needs_trust(folder: Path, call: Call) -> None:
+    shorten(folder / "reinforce.yaml", SHORT)
+    arguments = ("--config", "reinforce.yaml", "--training.total_timesteps=8000", "--evaluation.interval=2000")
+    assert call("train", *arguments, "--output", "whole")[0] == 0
+    code, *_ = interrupt(folder / "killed", 1000, signal.SIGKILL, *arguments, "--output", "killed")
+    assert code == -signal.SIGKILL
+    assert yaml.safe_load((folder / "killed" / "status.json").read_text())["state"] == "running"
+    untrusted = ("config.yaml' has algorithm.name = 'reinforce:REINFORCE', code that", "add --trust if")
+    refused(call("train", "--resume", "killed"), *untrusted)
+    assert call("train", "--resume", "killed", "--trust")[0] == 0
+    assert_same_run(folder / "whole", folder / "killed")
+
+    for arguments in (
+        ("evaluate", "whole"),
+        ("play", "--env", "mo-deepdrive-intersection-v0", "--against", "whole"),
+        ("gif", "whole", "--output", "x.gif"),
+        ("choose", "whole", "--weights", "distance=1"),
+    ):
+        refused(call(*arguments), *untrusted)
+    for name in ("table", "plot"):
+        code, out, error = call(name, "whole")
+        assert (code, error) == (0, ""), out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", ["deep-sea-treasure-v0", "commute:commute-v0"])
+def test_the_example_learns_in_environments_of_others(env_id: str) -> None:
+    weights = [1.0, 1.0] if env_id.startswith("deep") else {"time": 1, "energy": 2}
+    experiment = make_experiment(
+        {
+            "environment": {"id": env_id},
+            "utility": {"name": "linear", "arguments": {"weights": weights}},
+            "algorithm": {"name": "reinforce:REINFORCE", "steps": 30 if env_id.startswith("deep") else 10},
+            "training": {"total_timesteps": 10_000, "num_envs": 16},
+        }
+    )
+    agent = build(experiment)
+    rows: list[dict[str, float]] = []
+    agent.train(experiment.training.total_timesteps, log=lambda _, row: rows.append(row), log_interval=1)
+    utilities = [row["train/utility"] for row in rows]
+    assert np.mean(utilities[-5:]) > np.mean(utilities[:5]) + 2.0
+
+
+def test_an_episode_counts_with_the_utility_of_its_whole_return(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loss of one update against plain sums over the episodes."""
+    experiment = load_experiment("reinforce.yaml", ["--training.num_envs=3", "--algorithm.gamma=0.9"])
+    agent = build(experiment)
+    taken: list[Any] = []
+    collect = agent.collector.collect
+    monkeypatch.setattr(agent.collector, "collect", lambda act: taken.append(collect(act)) or taken[-1])
+    initial = {name: tensor.clone() for name, tensor in agent.actor.state_dict().items()}
+    loss = agent.update(0.0)["policy_loss"]
+    agent.actor.load_state_dict(initial)
+    rollout, _ = taken[0]
+    values, log_probs, count = [], [], 0
+    for n in range(3):
+        ended = (rollout.terminated | rollout.truncated)[:, n, 0].nonzero()
+        length = int(ended[0]) + 1 if len(ended) else len(rollout.rewards)
+        total = sum(0.9**t * rollout.rewards[t, n, 0] for t in range(length))
+        values.append(float(agent.utilities[0](total)))
+        x = agent.inputs(rollout.observations[:length, n, 0], rollout.accrued[:length, n, 0])
+        log_probs.append(float(agent.actor.log_prob_and_entropy(x, rollout.actions[:length, n, 0])[0].sum().detach()))
+        count += length
+    weights = (np.array(values) - np.mean(values)) / (np.std(values) + 1e-8)
+    assert loss == pytest.approx(-float(weights @ log_probs) / count, rel=1e-3)
+
+
+def test_an_own_algorithm_drives_both_vehicles_and_the_other_one_in_play(folder: Path) -> None:
+    changes = [
+        "--environment.id=mo-deepdrive-intersection-v0",
+        "--utility.name=intersection_linear",
+        "--algorithm.steps=5",
+    ]
+    experiment = load_experiment("reinforce.yaml", [*changes, "--training.num_envs=2", "--training.total_timesteps=20"])
+    run = Run.create(experiment, folder / "run")
+    agent = build(experiment)
+    agent.train(20)
+    agent.save(run.checkpoint)
+    run.unlock()
+    loaded = load_policy(Run.open(run.path, trust=True))
+    adapter = EnvAdapter(loaded.env.vector_env)
+    actions = PolicyDriver(loaded).act(adapter.reset(1))
+    assert actions.shape == (1, 2)
+    assert np.array_equal(actions, PolicyDriver(agent).act(adapter.reset(1)))
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "--algorithm.name=reinforce:Reinforce",
+            "algorithm.name = 'reinforce:Reinforce': 'reinforce' has no 'Reinforce'",
+        ),
+        ("--algorithm.name=reinforced:REINFORCE", "'reinforced' cannot be imported: ModuleNotFoundError: "),
+        ("--algorithm.name=reinforce:Collector", "algorithm.name = 'reinforce:Collector' must be a subclass of"),
+        ("--algorithm.learning_rat=1", "hyperparameters of algorithm 'reinforce:REINFORCE': 'learning_rat' is unknown"),
+        (
+            "--algorithm.network=reinforce:nothing",
+            "algorithm.network = 'reinforce:nothing': 'reinforce' has no 'nothing'",
+        ),
+        ("--algorithm.network=nothing", "'network' = 'nothing'"),
+        ("--algorithm.activation=tan", "'activation' = 'tan'"),
+        ("--utility.arguments.weights={tme: 1}", "takes no arguments"),
+    ],
+)
+def test_a_mistake_is_one_line_before_anything_is_written(
+    folder: Path, call: Call, override: str, message: str
+) -> None:
+    done = call("train", "--config", "reinforce.yaml", override, "--output", "run")
+    refused(done, message)
+    assert len(done[2].strip().splitlines()) == 1
+    assert not (folder / "run").exists()
+
+
+# --------------------------------------------------------------------------------------------- networks and activations
+
+
+@pytest.mark.parametrize("algorithm", ["a2c", "ppo", "mo_a2c", "mo_ppo"])
+@pytest.mark.parametrize("setting", [{"activation": "tanh"}, {"network": "own_networks:layer_norm"}])
+def test_another_network_is_trained_saved_and_told_from_the_default(
+    folder: Path, algorithm: str, setting: dict[str, str]
+) -> None:
+    text = (REPOSITORY / "docs" / "own_algorithm.md").read_text()
+    (folder / "own_networks.py").write_text(next(code for code in blocks(text) if "def layer_norm" in code))
+    sections = {name: SHORT[name] for name in ("training", "evaluation")}
+    driving = {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {"time_limit": 1}}
+    values = {"environment": driving, "utility": {"name": "one_waypoint_linear"}, **sections}
+    settings = {"name": algorithm, "steps": 4, "hidden": [8]}
+    experiment = make_experiment({**values, "algorithm": {**settings, **setting}})
+    assert make_experiment(experiment.to_dict()) == experiment
+    agents = [build(experiment) for _ in range(2)]
+    for agent in agents:
+        agent.train(320)
+    agents[0].save(folder / "whole")
+    agents[0].train(640)
+    agents[1].load(folder / "whole")
+    agents[1].train(640)
+    for name, tensor in agents[0].get_state().items():
+        assert torch.equal(tensor, agents[1].get_state()[name]), name
+    default = make_experiment({**values, "algorithm": settings})
+    assert not {"activation", "network"} & default.algorithm.keys()  # as in the runs of earlier versions
+    ((key, value),) = setting.items()
+    with pytest.raises(ValueError, match=f"has {key} = '{value}'; this agent has"):
+        build(default).load(folder / "whole", policy_only=True)
+
+
+def blocks(text: str) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
+
+
+# ------------------------------------------------------------------------------------------- an own front of policies
+
+CONSTANTS = """
+from dataclasses import dataclass
+import numpy as np
+import torch
+from algorithms import FrontAgent
+from algorithms.common.rollout import Episodes
+from mo_deepdrive.config import Settings
+
+class Constants(FrontAgent):
+    class Config(Settings):
+        policies: int = 4
+    condition_names = ("action",)
+    def conditions(self):
+        return np.arange(self.config.policies, dtype=np.float32)[:, None]
+    def policies(self, conditions):
+        return Constant(self, conditions[:, 0].astype(int))
+    def update(self, progress):
+        self.step += 100
+        self.updates += 1
+        return {"policy_loss": 0.0}
+    def get_state(self):
+        return {"nothing": torch.zeros(1)}
+    def set_state(self, state):
+        pass
+
+@dataclass
+class Constant:
+    agent: Constants
+    action: np.ndarray
+    utilities = ()
+    gamma = 1.0
+    env = property(lambda self: self.agent.env)
+    device = property(lambda self: self.agent.device)
+    def act(self, observations, accrued_reward, generator):
+        return np.broadcast_to(self.action, len(observations))[:, None].copy()
+"""
+FRONT = """
+environment: {id: deep-sea-treasure-v0}
+algorithm: {name: "constants:Constants"}
+training: {total_timesteps: 400, num_envs: 2}
+evaluation: {episodes: 1, final_episodes: 1, interval: 200, reference_point: [0.0, -150.0]}
+logging: {save_figures: false}
+"""
+
+
+@pytest.mark.slow
+def test_an_own_algorithm_learns_a_front_from_which_is_chosen(folder: Path, call: Call) -> None:
+    (folder / "constants.py").write_text(CONSTANTS)
+    (folder / "front.yaml").write_text(FRONT)
+    assert call("train", "--config", "front.yaml", "--output", "run")[0] == 0
+    header, *rows = (folder / "run" / "front.csv").read_text().splitlines()
+    assert "action" in header
+    assert rows
+    refused(call("choose", "run", "--weights", "objective_0=1"), "algorithm.name = 'constants:Constants'", "--trust")
+    code, out, error = call(
+        "choose", "run", "--weights", "objective_0=1", "objective_1=0.01", "--episodes", 1, "--trust"
+    )
+    assert code == 0, error
+    assert "chosen" in out
+    assert call("evaluate", "run", "--trust")[0] == 0
+
+
+def test_acting_without_a_condition_is_refused(folder: Path) -> None:
+    (folder / "constants.py").write_text(CONSTANTS)
+    (folder / "front.yaml").write_text(FRONT)
+    agent = build(load_experiment("front.yaml"))
+    with pytest.raises(TypeError, match=r"Constants acts under a condition: agent.policy\(condition\).act"):
+        agent.act(np.zeros((1, 1, 2), np.float32), AccruedReward.begin(1, 1, 2), None)
+    assert agent.policy([3.0]).act(np.zeros((2, 1, 2), np.float32), None, None).tolist() == [[3], [3]]
+
+
+# -------------------------------------------------------------------------------------------------- an own environment
+
+
+@pytest.mark.slow
+def test_an_own_environment_is_trained_by_yaml_with_its_names_and_weights_by_name(folder: Path, call: Call) -> None:
+    short = {"training": {"total_timesteps": 2560, "num_envs": 8}, "logging": {"save_figures": False}}
+    shorten(folder / "commute.yaml", {**short, "evaluation": {"episodes": 4, "final_episodes": 4}})
+    assert call("train", "--config", "commute.yaml", "--output", "run")[0] == 0
+    metrics = read_metrics(folder / "run" / "metrics.csv")
+    assert {"eval/greedy/return/time", "eval/greedy/return/energy"} <= metrics.keys()
+    assert not [name for name in metrics if "objective_" in name]
+    at = {name: metrics[f"eval/greedy/{name}"][0] for name in ("return/time", "return/energy", "utility_ser")}
+    assert at["utility_ser"] == pytest.approx(at["return/time"] + 2 * at["return/energy"])
+    refused(call("evaluate", "run"), "environment.id = 'commute:commute-v0'", "--trust")
+    assert call("evaluate", "run", "--trust")[0] == 0
+    refused(
+        call("train", "--config", "commute.yaml", "--utility.arguments.weights={enrgy: 1}", "--output", "other"),
+        "weights of utility 'linear' has 'enrgy'; did you mean 'energy'? known: energy, time",
+    )
