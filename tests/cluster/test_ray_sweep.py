@@ -22,6 +22,7 @@ from tests.helpers.sweep_files import (
     broken_utility,
     eventually,
     interrupt,
+    own_algorithm,
     run_sweep,
     runs,
     runs_in_progress,
@@ -130,6 +131,12 @@ def test_a_run_that_fails_is_reported_with_its_reason(tmp_path: Path) -> None:
     assert "1 done, 0 running, 1 failed" in done.stdout
     assert "FAILED utility.name=broken:utility seed 0" in done.stdout
     assert "no licence on this node" in done.stdout
+
+
+def test_an_own_algorithm_is_trained(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, grid={"algorithm.name": ["mo_a2c", own_algorithm(tmp_path)]})
+    done = run_sweep(file, "--on", "ray", "--output", tmp_path / "ray")
+    assert (done.returncode, [status(run)["state"] for run in runs(tmp_path / "ray")]) == (0, ["finished"] * 2)
 
 
 class Head:

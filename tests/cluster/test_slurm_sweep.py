@@ -20,6 +20,7 @@ from tests.helpers.sweep_files import (
     broken_utility,
     eventually,
     interrupt,
+    own_algorithm,
     run_sweep,
     runs,
     runs_in_progress,
@@ -76,6 +77,13 @@ def test_slurm_gives_the_same_results(cluster: SlurmCluster, short: Reference, t
         assert done.returncode == 0, log(sweep)
         assert len(jobs(sweep)) == 3  # an array of three tasks, of two runs each
     assert_same_sweep(sweep, short.directory)
+
+
+def test_an_own_algorithm_is_trained(cluster: SlurmCluster, tmp_path: Path) -> None:
+    sweep = tmp_path / "slurm"
+    file = write_sweep(tmp_path, grid={"algorithm.name": ["mo_a2c", own_algorithm(tmp_path)]})
+    done = run_sweep(file, "--on", "slurm", "--output", sweep, environment=cluster.environment)
+    assert (done.returncode, [status(run)["state"] for run in runs(sweep)]) == (0, ["finished"] * 2), log(sweep)
 
 
 def test_the_dry_run_prints_a_script_that_sbatch_accepts(cluster: SlurmCluster, tmp_path: Path) -> None:

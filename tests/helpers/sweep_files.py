@@ -126,6 +126,12 @@ def broken_utility(folder: Path, where: str) -> str:
     return "broken:utility"
 
 
+def own_algorithm(folder: Path) -> str:
+    """Copy the worked example of an own algorithm; returns its name for the YAML file."""
+    (folder / "reinforce.py").write_bytes((ROOT / "docs" / "examples" / "reinforce.py").read_bytes())
+    return "reinforce:REINFORCE"
+
+
 def eventually(condition: Callable[[], Any], seconds: float = 120.0) -> None:
     """Wait until the condition holds; fails after ``seconds``."""
     deadline = time.monotonic() + seconds
