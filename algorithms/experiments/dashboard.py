@@ -143,7 +143,7 @@ class Dashboard:
         head = Table.grid(padding=(0, 2))
         done, left = self._steps_done(), self._steps_left()
         head.add_row(
-            Text(self._title, style="bold"),
+            Text(self._title, style="bold", overflow="fold"),
             ProgressBar(max(1, done + left), done if left else max(1, done), width=30),
             Text(self.summary()),
         )

@@ -22,6 +22,7 @@ def split_columns(rows: Rows, labels: int, width: int) -> tuple[list[Rows], int]
     """Split a table that is too wide into parts, each of which begins with the labels.
 
     Labels that take too much of the width are joined in one column ("name=value, name=value"), which may be wrapped.
+    Rows without any value in a part are left out of it.
 
     Args:
         rows: of equal length.
@@ -31,13 +32,13 @@ def split_columns(rows: Rows, labels: int, width: int) -> tuple[list[Rows], int]
     Returns:
         The parts in the order of the columns, and the number of labels in each.
     """
-    widths = [max(cell_len(row[i]) for row in rows) + PADDING for i in range(len(rows[0]))]
+    widths = _widths(rows)
     if sum(widths) + MARGIN <= width:
         return [rows], labels
     values, most = widths[labels:], int(LABEL_SHARE * width)
     if labels > 1 and sum(widths[:labels]) > most:
         rows, labels = _join(rows, labels), 1
-        widths = [max(cell_len(row[0]) for row in rows) + PADDING]
+        widths = _widths(rows)
     room = width - MARGIN - min(sum(widths[:labels]), most)
     parts: list[list[int]] = [[]]
     used = 0
@@ -47,7 +48,21 @@ def split_columns(rows: Rows, labels: int, width: int) -> tuple[list[Rows], int]
             used = 0
         parts[-1].append(i)
         used += each
-    return [[[*row[:labels], *(row[i] for i in part)] for row in rows] for part in parts], labels
+    tables = [[[*row[:labels], *(row[i] for i in part)] for row in rows] for part in parts]
+    return [[row for row in table if any(row[labels:])] for table in tables], labels
+
+
+def _widths(rows: Rows) -> list[int]:
+    return [max(cell_len(row[i]) for row in rows) + PADDING for i in range(len(rows[0]))]
+
+
+def _lift(rows: Rows, labels: int) -> tuple[str, Rows, int]:
+    """The labels that all rows share, as text; the rows without these, and how many labels are left."""
+    header, *body = rows
+    shared = [i for i in range(labels) if all(row[i] == body[0][i] for row in body)]
+    text = ", ".join(f"{header[i]} {body[0][i]}" for i in shared if body[0][i])
+    kept = [i for i in range(len(header)) if i not in shared]
+    return text, [[row[i] for i in kept] for row in rows], labels - len(shared)
 
 
 def _join(rows: Rows, labels: int) -> Rows:
@@ -79,6 +94,8 @@ def fitted_tables(rows: Rows, labels: int, width: int) -> list[Table]:
 def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: str | None = None) -> None:
     """Print a table below its title, in parts that fit the console.
 
+    If it does not fit, first the labels that all rows share move to the title; then columns follow in further parts.
+
     Args:
         console: where to print.
         rows: header first.
@@ -87,6 +104,9 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
         rest: how to see all columns; if it is given, the first part alone is printed, then the names of the columns
             that are not in it, and this.
     """
+    if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
+        shared, rows, labels = _lift(rows, labels)
+        title = ", ".join(filter(None, [title, shared]))
     console.print(Text(title, style="bold"))
     tables = fitted_tables(rows, labels, console.width)
     for table in tables[: None if rest is None else 1]:

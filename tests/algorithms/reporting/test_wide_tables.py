@@ -70,3 +70,13 @@ def test_with_another_place_for_all_columns_the_rest_is_named() -> None:
     assert 0 < len(shown) < len(METRICS)
     assert f"not shown: {', '.join(METRICS[len(shown) :])}; --output FILE.csv writes every column" in note
     assert "not shown" not in "".join(printed(ROWS, 4, 1000, "--output FILE.csv"))
+
+
+def test_labels_that_all_rows_share_move_to_the_title_and_rows_without_values_are_left_out() -> None:
+    rows = [ROWS[0], *ROWS[1:], ["ppo", "greedy", "", "0 1 2 3 4", "", "", *ROWS[1][6:]]]
+    lines = printed(rows, 4, 100)
+    assert lines[0] == "a title, policy greedy, seeds 0 1 2 3 4"
+    assert lines[2].split() == ["algorithm", "vehicle", *METRICS[:2]]
+    assert [sum(line.strip().startswith(name) for line in lines) for name in ("ppo", "a2c")] == [4, 10]
+    (only,) = [line for line in printed(rows[:2], 4, 60) if METRICS[8] in line]
+    assert only.split() == [METRICS[8]]  # one row shares all its labels
