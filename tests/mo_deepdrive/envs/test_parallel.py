@@ -476,7 +476,6 @@ def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_neares
     ("arguments", "message"),
     [
         ({"scenario": "roundabout"}, "scenario"),
-        ({"end_togther": True}, "'end_togther'.*did you mean 'end_together'"),
         ({"keep_finished": 1}, "keep_finished = 1 must be True or False"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
         ({"scenario": "one_waypoint", "end_together": True}, "no effect in OneWaypoint"),
@@ -486,6 +485,11 @@ def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) 
     for make in (mo_deepdrive.parallel_env, mo_deepdrive.env, mo_deepdrive.raw_env):
         with pytest.raises(ValueError, match=message):
             make(**arguments)
+
+
+def test_an_unknown_keyword_is_a_type_error_that_names_the_nearest() -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'end_togther'.*did you mean 'end_together'"):
+        mo_deepdrive.parallel_env(end_togther=True)
 
 
 # ------------------------------------------------------------------------------------------- without MOMAland, and docs
