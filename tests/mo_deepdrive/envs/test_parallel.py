@@ -488,8 +488,21 @@ def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) 
 
 
 def test_an_unknown_keyword_is_a_type_error_that_names_the_nearest() -> None:
-    with pytest.raises(TypeError, match="unexpected keyword argument 'end_togther'.*did you mean 'end_together'"):
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'end_togther'.*did you mean 'end_together'"):
         mo_deepdrive.parallel_env(end_togther=True)
+
+
+def test_the_environments_can_be_made_by_the_name_of_their_version() -> None:
+    from mo_deepdrive import parallel_v0
+
+    assert mo_deepdrive.parallel_v0 is parallel_v0
+    env = parallel_v0.parallel_env(time_limit=3.0)
+    assert type(env) is type(parallel_v0.raw_env()) is type(mo_deepdrive.parallel_env())
+    assert env.metadata["name"].endswith("_v0")
+    assert env.config.time_limit == 3.0
+    aec = parallel_v0.env()
+    aec.reset(seed=0)
+    assert aec.agent_selection == "vehicle_0"
 
 
 # ------------------------------------------------------------------------------------------- without MOMAland, and docs
