@@ -50,8 +50,8 @@ def record_dataset(
     """Record episodes of a policy as a Minari data set, which ``minari.load_dataset(dataset_id)`` opens again.
 
     An episode of T decisions has observations (T + 1, ...), actions (T, ...) and float32 vector rewards (T, d) as the
-    Gymnasium environment returns and takes them, and its seed as metadata. Minari needs the same infos at every step: an
-    info that comes only at some steps, such as "end" and "success" at the last, is empty, False or 0 at the others.
+    Gymnasium environment returns and takes them, and its seed as metadata. Minari needs the same infos at every step:
+    one that comes only at some steps, such as "end" and "success" at the last, is empty, False or 0 at the others.
 
     Args:
         policy: an agent or a function, as :func:`algorithms.evaluation.evaluate` takes it.
