@@ -5,7 +5,6 @@ It needs Minari, which nothing else in the package imports: ``pip install "mo-de
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
@@ -92,24 +91,31 @@ def record_dataset(
 def _episode(env: gymnasium.Env[Any, Any], adapter: EnvAdapter, driver: PolicyDriver, seed: int) -> EpisodeBuffer:
     observation, info = env.reset(seed=seed)
     driver.reset()
-    buffer = EpisodeBuffer(seed=seed, observations=[observation], actions=[])
-    infos = [info]
+    observations, infos = [observation], [info]
+    actions: list[Any] = []
+    rewards: list[Any] = []
+    terminations: list[bool] = []
+    truncations: list[bool] = []
     over = False
     while not over:
         action = driver.act(adapter.policy_observations(np.asarray(observation)[None]))[0]
-        observation, vector, terminated, truncated, info = env.step(action)
-        rewards = np.asarray(vector, dtype=np.float32)
-        driver.observe(rewards[None, None])
-        for column, value in (
-            (buffer.observations, observation),
-            (buffer.actions, action),
-            (buffer.rewards, rewards),
-            (buffer.terminations, terminated),
-            (buffer.truncations, truncated),
-            (infos, info),
-        ):
-            column.append(value)
+        observation, reward, terminated, truncated, info = env.step(action)
+        vector = np.asarray(reward, dtype=np.float32)
+        driver.observe(vector[None, None])
+        observations.append(observation)
+        actions.append(action)
+        rewards.append(vector)
+        terminations.append(terminated)
+        truncations.append(truncated)
+        infos.append(info)
         over = terminated or truncated
-    known = {name: np.zeros_like(value)[()] for each in infos for name, value in each.items()}
-    columns = {name: [each.get(name, nothing) for each in infos] for name, nothing in known.items()}
-    return replace(buffer, infos=columns)
+    absent = {name: np.zeros_like(value)[()] for each in infos for name, value in each.items()}
+    return EpisodeBuffer(
+        seed=seed,
+        observations=observations,
+        actions=actions,
+        rewards=rewards,
+        terminations=terminations,
+        truncations=truncations,
+        infos={name: [each.get(name, value) for each in infos] for name, value in absent.items()},
+    )

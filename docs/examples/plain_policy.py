@@ -8,13 +8,13 @@ NEXT_ANGLE, SPEED = 0, 11  # columns of the observation: see mo_deepdrive.observ
 CRUISE = 5.0  # m/s
 
 
-def drive(observations, accrued, discounts):
+def drive(observations, _accrued, _discounts):
     """Turn to the destination and hold the speed.
 
     Args:
         observations: (N, 15).
-        accrued: (N, 4) accrued reward: distance, destination, g-force and jerk.
-        discounts: (N,) gamma^t.
+        _accrued: (N, 4) accrued reward: distance, destination, g-force and jerk.
+        _discounts: (N,) gamma^t.
 
     Returns:
         (N, 3) steer, acceleration and brake in [-1, 1].

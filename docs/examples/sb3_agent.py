@@ -5,7 +5,6 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-import mo_deepdrive  # registers the ids
 from algorithms.evaluation import evaluate
 from mo_deepdrive.wrappers import UtilityReward
 
@@ -22,7 +21,7 @@ def main(total_timesteps=100_000, episodes=1000):
     envs = VecNormalize(make_vec_env(make_env, n_envs=8, seed=0), norm_reward=False)
     model = PPO("MlpPolicy", envs, n_steps=256, batch_size=256, seed=0, device="cpu").learn(total_timesteps)
 
-    def policy(observations, accrued, discounts):
+    def policy(observations, _accrued, _discounts):
         return model.predict(envs.normalize_obs(observations), deterministic=True)[0]
 
     evaluation = evaluate(policy, ENV_ID, split="test", episodes=episodes, utility=UTILITY)

@@ -513,3 +513,16 @@ def test_the_names_of_the_package_are_listed() -> None:
     assert {"Evaluation", "evaluate", "record_dataset"} <= set(dir(algorithms.evaluation))
     with pytest.raises(AttributeError, match="has no attribute 'evaluat'"):
         algorithms.evaluation.evaluat  # noqa: B018  (the access itself raises)
+
+
+@pytest.mark.slow
+def test_without_minari_the_error_names_the_extra(run_python: Callable[[str], str]) -> None:
+    said = run_python(
+        "import sys\n"
+        "sys.modules['minari'] = None\n"
+        "try:\n"
+        "    from algorithms.evaluation import record_dataset\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
+    )
+    assert said == 'recording a data set needs Minari: pip install "mo-deepdrive[minari]"\n'
