@@ -26,7 +26,7 @@ from algorithms.common.checkpoints import (
 )
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
-from algorithms.evaluation.evaluate import evaluate, evaluate_each
+from algorithms.evaluation.episodes import evaluate, evaluate_each
 from algorithms.evaluation.front import Front, measure_front
 from algorithms.evaluation.metrics import (
     FRONT,
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.evaluation.evaluate import Evaluation, Policy
+    from algorithms.evaluation.episodes import Evaluation, Policy
 
 EVALUATION_INTERVALS = 20
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet

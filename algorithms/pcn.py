@@ -482,7 +482,7 @@ class PCN(FrontAgent):
 
 @dataclass(frozen=True)
 class CommandPolicy:
-    """PCN under one command per environment: a policy in the sense of `algorithms.evaluation.evaluate.Policy`.
+    """PCN under one command per environment: a policy in the sense of `algorithms.evaluation.episodes.Policy`.
 
     Attributes:
         agent: whose network acts.
