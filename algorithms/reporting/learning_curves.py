@@ -39,7 +39,7 @@ from algorithms.evaluation.metrics import (
 )
 from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
 from algorithms.evaluation.statistics import bootstrap
-from algorithms.reporting.style import DIM, DPI, STYLE, curve_colour, surround
+from algorithms.reporting.style import DIM, DPI, STYLE, TRAINING, algorithm_order, group_colours, surround
 from mo_deepdrive.objectives import INDEX
 
 if TYPE_CHECKING:
@@ -92,6 +92,9 @@ class CurveGroup:
 def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone (:mod:`algorithms.evaluation.seed_groups`).
 
+    Groups are in the order of their algorithms (:data:`algorithms.reporting.style.ALGORITHM_COLOURS`), those of one
+    algorithm in the order of the ``directories``.
+
     Raises:
         ValueError: if a directory is not a run or has no metrics yet, or two runs of a group have the same seed.
     """
@@ -110,6 +113,7 @@ def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
         configs.append(config)
         metrics.append(columns)
     groups = group_by_experiment(paths, configs)
+    groups.sort(key=lambda members: algorithm_order(configs[members[0]]["algorithm"]["name"]))
     labels = _labels([configs[members[0]] for members in groups])
     return [
         CurveGroup(label, configs[members[0]], tuple(metrics[i] for i in members))
@@ -270,8 +274,13 @@ def _quantities(present: set[str], configs: Sequence[Mapping[str, Any]]) -> list
     return found
 
 
+def _colours(groups: Sequence[CurveGroup]) -> list[str]:
+    return group_colours([group.config["algorithm"]["name"] for group in groups])
+
+
 def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> None:
     alone = len(groups) == 1
+    colours = _colours(groups)
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
     late: list[NDArray[Any]] = []
     every: list[NDArray[Any]] = []
@@ -285,7 +294,7 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
             steps, mean, low, high = found
             every.append(mean)
             late.append(mean[steps >= SETTLED * steps.max()])
-            colour = curve_colour(g, len(groups), k)
+            colour = TRAINING if k == 0 else colours[g]
             marker = "o" if len(steps) < 4 else ""
             axis.plot(
                 steps, mean, kind.line, color=colour, linewidth=kind.width, marker=marker, markersize=3.5, zorder=3
@@ -328,7 +337,7 @@ def _utilities(settings: Mapping[str, Any] | None) -> list[str]:
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     """Add title, notes and legend around the panels."""
     config = groups[0].config
-    alone = len(groups) == 1
+    alone, colours = len(groups) == 1, _colours(groups)
     ids = dict.fromkeys(group.config["environment"]["id"] for group in groups)
     utilities = dict.fromkeys(name for group in groups for name in _utilities(group.config.get("utility")))
     heading = f"{config['algorithm']['name']} on {', '.join(ids)}" if alone else ", ".join(ids)
@@ -342,13 +351,13 @@ def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     note += ", bands: 95% bootstrap interval of the mean" if seeds[-1] > 1 else ""
     notes = [remark, note] if remark else [note]
     handles = [
-        Line2D([], [], color=curve_colour(g, len(groups), 1), linewidth=2.4, label=group.label)
-        for g, group in enumerate(groups)
+        Line2D([], [], color=colour, linewidth=2.4, label=group.label)
+        for colour, group in zip(colours, groups, strict=True)
         if not alone
     ]
     present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
         if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
-            colour = curve_colour(0, len(groups), k) if alone else DIM
+            colour = DIM if not alone else TRAINING if k == 0 else colours[0]
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
     surround(figure, heading, notes, handles)

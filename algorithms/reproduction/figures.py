@@ -15,7 +15,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
 from algorithms.reporting.learning_curves import curve
-from algorithms.reporting.style import COLOURS, DPI, STYLE, surround
+from algorithms.reporting.style import ALGORITHM_COLOURS, DPI, STYLE, surround
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
 
 if TYPE_CHECKING:
@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from algorithms.reproduction.results import ReproductionResults
 
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
-ALGORITHMS = {BASELINE: ("A2C", COLOURS[1]), MULTI_OBJECTIVE: ("MO-A2C", COLOURS[0])}
+ALGORITHMS = {
+    BASELINE: ("A2C", ALGORITHM_COLOURS["a2c"]),
+    MULTI_OBJECTIVE: ("MO-A2C", ALGORITHM_COLOURS["mo_a2c"]),
+}
 
 
 @dataclass(frozen=True)
