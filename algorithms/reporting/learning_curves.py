@@ -33,13 +33,23 @@ from algorithms.evaluation.metrics import (
     UTILITY,
     UTILITY_ESR,
     evaluation_prefix,
+    nominal_scale,
     return_of,
     split_name,
     title_of,
 )
 from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
 from algorithms.evaluation.statistics import bootstrap
-from algorithms.reporting.style import DIM, DPI, STYLE, TRAINING, algorithm_order, group_colours, surround
+from algorithms.reporting.style import (
+    DIM,
+    DPI,
+    STYLE,
+    TRAINING,
+    algorithm_order,
+    group_colours,
+    limits_of_min_span,
+    surround,
+)
 from mo_deepdrive.objectives import INDEX
 
 if TYPE_CHECKING:
@@ -302,7 +312,7 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
             if np.isfinite(low).all():
                 alpha = faint * (0.16 if alone or k == 1 else 0.07)
                 axis.fill_between(steps, low, high, color=colour, alpha=alpha, linewidth=0, zorder=2)
-    axis.set_title(panel.title + _cut_off(axis, every, late))
+    axis.set_title(panel.title + _limit_y_axis(axis, every, late, nominal_scale(panel.names[0])))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
@@ -313,17 +323,27 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _cut_off(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[Any]]) -> str:
-    """Limit the axis to the settled values if the first steps would flatten them; returns a suffix for the title."""
+def _limit_y_axis(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[Any]], scale: float) -> str:
+    """Limit the axis to the settled values if the first steps would flatten them, but never to noise.
+
+    Args:
+        axis: with its curves.
+        every: values of each curve.
+        late: those after the start.
+        scale: magnitude that they usually have.
+
+    Returns:
+        A suffix for the title.
+    """
     if not every:
         return ""
     values, settled = np.concatenate(every), np.concatenate(late)
     low, high = np.nanmin(settled), np.nanmax(settled)
-    pad = 0.25 * max(high - low, 0.05 * abs(high), 1e-6)
-    if np.nanmax(values) - np.nanmin(values) < CUT_RATIO * (high - low + 2 * pad):
-        return ""
-    axis.set_ylim(low - pad, high + pad)
-    return " (start cut off)"
+    pad = 0.25 * (high - low)
+    low, high = limits_of_min_span(low - pad, high + pad, max(scale, 1e-6))
+    cut = np.ptp(values[np.isfinite(values)]) >= CUT_RATIO * (high - low)
+    axis.set_ylim(*((low, high) if cut else limits_of_min_span(*axis.get_ylim(), scale)))
+    return " (start cut off)" if cut else ""
 
 
 def _utilities(settings: Mapping[str, Any] | None) -> list[str]:

@@ -36,6 +36,9 @@ LABEL, GRID = "#3C434C", "#E4E7EB"
 # Captions of videos, which look like the panel of readings beside a map.
 VIDEO_BACKGROUND, VIDEO_INK = "#181C24", "#F0F3F8"
 
+# The smallest span of an axis, relative to the largest magnitude on it: less would zoom into noise.
+MIN_SPAN = 0.1
+
 DPI = 160  # of figures
 VIDEO_DPI = 100  # of captions of videos
 LINE = 0.19  # in, height of a line of text
@@ -92,6 +95,18 @@ def group_colours(algorithms: Sequence[str]) -> list[str]:
     rest = [group for group in range(len(algorithms)) if group not in found]
     found |= {group: free[k % len(free)] for k, group in enumerate(rest)}
     return [found[group] for group in range(len(algorithms))]
+
+
+def limits_of_min_span(low: float, high: float, scale: float = 0.0) -> tuple[float, float]:
+    """Limits of an axis around ``low`` to ``high`` whose span is at least MIN_SPAN of the largest magnitude.
+
+    Args:
+        low: lower limit.
+        high: upper limit.
+        scale: magnitude that the values usually have, which counts if it is larger than those drawn.
+    """
+    missing = MIN_SPAN * max(abs(low), abs(high), scale) - (high - low)
+    return (low - missing / 2, high + missing / 2) if missing > 0.0 else (low, high)
 
 
 def text_width(text: str) -> float:

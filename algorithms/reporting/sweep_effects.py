@@ -25,6 +25,7 @@ from algorithms.reporting.style import (
     TITLE_SIZE,
     algorithm_order,
     group_colours,
+    limits_of_min_span,
     text_width,
 )
 
@@ -245,7 +246,7 @@ def score_limits(scores: NDArray[np.float64], effects: Sequence[KeyEffect]) -> t
     near = every[(every >= low - reach) & (every <= high + reach)]
     low, high = near.min(), near.max()
     pad = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-    return float(low - pad), float(high + pad)
+    return limits_of_min_span(float(low - pad), float(high + pad))
 
 
 def is_logarithmic(values: NDArray[np.float64]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -161,3 +162,27 @@ def test_metrics_that_are_drawn_can_be_selected(make: Make) -> None:
     (group,) = load_groups([make("a")])
     names = ["step", "eval/greedy/success", "loss/policy", "train/utility", "eval/greedy/max_jerk"]
     assert drawn(names, group.config) == ["eval/greedy/success", "train/utility"]
+
+
+def test_axes_show_noise_as_noise_and_cut_off_the_start_where_it_would_flatten_the_rest(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = saved_figures(monkeypatch)
+    (group,) = load_groups([make("a")])
+    columns = {
+        "step": np.arange(50.0),
+        "eval/greedy/utility_esr": np.linspace(24.31, 24.35, 50),
+        "eval/greedy/success": np.linspace(0.998, 1.0, 50),
+        "eval/greedy/return/lane_violation": np.linspace(-1e-3, 0.0, 50),
+        "eval/greedy/return/jerk": np.where(np.arange(50) < 2, -1e5, -100.0),
+    }
+    plot([replace(group, runs=(columns,))], tmp_path / "curves.png")
+    titles = [axis.get_title(loc="left") for axis in found[0].axes]
+    assert titles == [
+        *("Utility per episode", "Arrival rate", "Jerk (sum, m/s³) (start cut off)", "Lane violation (sum, m)"),
+    ]
+    utility, success, jerk, lane = (axis.get_ylim() for axis in found[0].axes)
+    assert np.ptp(utility) > 2.4
+    assert np.ptp(success) > 1.0
+    assert jerk == pytest.approx((-125.0, -75.0))
+    assert np.ptp(lane) == pytest.approx(1.0)

@@ -15,6 +15,7 @@ from algorithms.reporting.style import (
     algorithm_colour,
     algorithm_order,
     group_colours,
+    limits_of_min_span,
 )
 
 # Linear RGB as people without green or without red receptors see it (Machado et al. 2009, severity 1).
@@ -72,3 +73,10 @@ def test_algorithms_whose_colours_coincide_differ_within_a_figure() -> None:
     first = "peer_0"
     second = next(name for k in range(1, 99) if algorithm_colour(name := f"peer_{k}") == algorithm_colour(first))
     assert len(set(group_colours([first, second]))) == 2
+
+
+def test_axes_do_not_zoom_into_noise() -> None:
+    assert limits_of_min_span(0.998, 1.0) == pytest.approx((0.949, 1.049))
+    assert limits_of_min_span(-1.3e-3, 0.0, scale=10.0) == pytest.approx((-0.50065, 0.49935))
+    assert limits_of_min_span(0.0, 10.0, scale=10.0) == (0.0, 10.0)
+    assert limits_of_min_span(0.0, 0.0) == (0.0, 0.0)

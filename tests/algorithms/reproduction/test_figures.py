@@ -37,3 +37,19 @@ def test_a_figure_shows_every_seed_in_the_colours_of_both_algorithms(
         assert colours.count(orange) == colours.count(blue) == len(colours) / 2 > 2
     assert not draw_curves(5, plan, results, tmp_path / "nothing.png")
     assert not (tmp_path / "nothing.png").exists()
+
+
+def test_curves_that_differ_in_the_third_digit_are_not_magnified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = {name: {"utility_esr": evenly_spread(9.25, 0.02)} for name in ("a2c", "mo_a2c")}
+    parts = [make_results(task, scores) for task in CURVE_FIGURES[4].tasks]
+    results = ReproductionResults(
+        [row for part in parts for row in part.scores], [row for part in parts for row in part.curves]
+    )
+    found = saved_figures(monkeypatch)
+    assert draw_curves(4, load_plan(PLAN), results, tmp_path / "figure.png")
+    for axis in found[0].axes:
+        low, high = axis.get_ylim()
+        assert high - low > 0.9
+        assert low < 9.2 < 9.3 < high
