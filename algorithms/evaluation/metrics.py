@@ -187,6 +187,15 @@ def title_of(name: str) -> str:
     return _TITLES.get(metric, metric.replace("_", " "))
 
 
+def nominal_scale(name: str) -> float:
+    """The magnitude that a metric usually has: 1 for rates, an objective's scale for its return; 0 where unknown."""
+    metric = split_name(name).metric
+    if metric == SUCCESS or metric.startswith(END):
+        return 1.0
+    objective = metric.removeprefix(DISCOUNTED_RETURN).removeprefix(RETURN)
+    return OBJECTIVES[INDEX[objective]].scale if metric != objective and objective in INDEX else 0.0
+
+
 def name_and_unit(objective: str) -> tuple[str, str]:
     """The plain name of an objective and the unit of its return; an unknown objective has no unit ("")."""
     if objective not in INDEX:

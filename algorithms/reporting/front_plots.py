@@ -12,7 +12,15 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
+from algorithms.evaluation.metrics import (
+    SUCCESS,
+    discounted_return_of,
+    label,
+    name_and_unit,
+    nominal_scale,
+    return_of,
+    title_of,
+)
 from algorithms.reporting.front_layout import (
     add_colour_bar,
     arrival_names,
@@ -25,7 +33,7 @@ from algorithms.reporting.front_layout import (
     returns_note,
 )
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
-from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE
+from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE, limits_of_min_span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -255,6 +263,9 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
         axis.xaxis.set_major_locator(MaxNLocator(4))
         axis.yaxis.set_major_locator(MaxNLocator(4))
         axis.margins(0.08)
+        x_scale, y_scale = (nominal_scale(discounted_return_of(front.objectives[i])) for i in pair)
+        axis.set_xlim(*limits_of_min_span(*axis.get_xlim(), x_scale))
+        axis.set_ylim(*limits_of_min_span(*axis.get_ylim(), y_scale))
         if row == d - 2:
             axis.set_xlabel(label(front.objectives[pair[0]], "discounted"))
         if column == 0:
@@ -302,7 +313,9 @@ def _bars(view: FrontView) -> Figure:
         axis.grid(visible=False, axis="y")
         axis.tick_params(axis="y", length=0)
         axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
-        if i >= d:
+        if i < d:
+            axis.set_xlim(*limits_of_min_span(*axis.get_xlim(), nominal_scale(return_of(front.objectives[i]))))
+        else:
             axis.set_xlim(0.0, 1.0)
             axis.xaxis.set_major_formatter(PercentFormatter(1.0))
         axis.set_yticks(range(n), [f"policy {policy}" for policy in shown], color=INK)

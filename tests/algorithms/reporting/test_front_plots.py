@@ -141,5 +141,10 @@ def test_bars_show_means_intervals_and_arrival_rates() -> None:
     rates = figure.axes[4]
     np.testing.assert_array_equal([bar.get_width() for bar in rates.patches], front.success[shown])
     assert any("95% bootstrap intervals" in text for text in texts(figure))
+    few = front_of([[10.0, -0.001], [9.99, 0.0]], ("distance", "collision"))
+    assert np.ptp(front_plots._bars(FrontView(few)).axes[1].get_xlim()) >= 0.1, "a rate of 0.1% is a short bar"
+    (pair, *_) = front_plots._scatter(FrontView(few), None).axes
+    assert np.ptp(pair.get_xlim()) >= 0.99
+    assert np.ptp(pair.get_ylim()) >= 0.1
     alone = front_plots._bars(FrontView(front_of([[1.0, -2.0]], episodes=1)))
     assert not any("bootstrap" in text for text in texts(alone))

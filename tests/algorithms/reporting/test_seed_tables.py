@@ -10,6 +10,7 @@ import pytest
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting.seed_tables import (
+    comparison_table,
     environment_label,
     group_runs,
     scores_table,
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 
 
-def make_run(path: Path, seed: int, **training: Any) -> None:
+def make_run(path: Path, seed: int, algorithm: str = "mo_a2c", **training: Any) -> None:
     values = {
         "environment": {"id": ONE},
         "utility": {"name": "one_waypoint_linear"},
-        "algorithm": {"name": "mo_a2c"},
+        "algorithm": {"name": algorithm},
         "training": {"total_timesteps": 1000, "num_envs": 2, "seed": seed},
     }
     config = make_experiment(values).to_dict()
@@ -46,6 +47,22 @@ def test_runs_on_another_device_or_with_more_threads_share_a_row(tmp_path: Path)
     first, second = group_runs([tmp_path], pytest.fail)
     assert (first.seeds, second.seeds) == ([0, 1, 2], [0])
     assert first.scores["greedy", "", "success"] == pytest.approx([0.0, 0.1, 0.2])  # type: ignore[index]
+
+
+def test_algorithms_are_in_the_order_of_figures_and_compared_with_the_ones_before(tmp_path: Path) -> None:
+    for name in ("mo_ppo", "ppo", "mo_a2c", "a2c"):
+        for seed in range(2):
+            path = tmp_path / f"{name}-{seed}"
+            make_run(path, seed, name)
+            scores = {"utility_esr": {"value": 1.0 + seed, "low": None, "high": None}}
+            (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    groups = group_runs([tmp_path], pytest.fail)
+    assert [group.algorithm for group in groups] == ["a2c", "mo_a2c", "ppo", "mo_ppo"]
+    pairs = [row[3] for row in comparison_table(groups)[1:]]
+    assert pairs == [
+        *("mo_a2c - a2c", "ppo - a2c", "mo_ppo - a2c"),
+        *("ppo - mo_a2c", "mo_ppo - mo_a2c", "mo_ppo - ppo"),
+    ]
 
 
 def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: Path) -> None:
