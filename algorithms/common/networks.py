@@ -73,21 +73,33 @@ def make_network(
     """
     if config.network is None:
         return mlp(inputs, config.hidden, outputs, generator, output_gain, config.activation)
-    function = import_named("algorithm.network", config.network)
-    call = f"algorithm.network = {config.network!r}: ({inputs}, {outputs}, generator)"
+    return _users_network(config.network, inputs, outputs, generator)
+
+
+def _users_network(path: str, inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
+    function = import_named("algorithm.network", path)
+    call = f"algorithm.network = {path!r}: ({inputs}, {outputs}, generator)"
     # Layers initialise themselves from the global generator, which is seeded for the call and then restored.
-    with torch.random.fork_rng(devices=()):  # noqa: TID251
+    with torch.random.fork_rng(devices=()), torch.enable_grad():  # noqa: TID251
         torch.manual_seed(int(torch.randint(2**62, (1,), generator=generator)))  # noqa: TID251
         try:
             network = function(inputs, outputs, generator)
-            found = tuple(network(torch.zeros(3, 2, inputs)).shape) if isinstance(network, nn.Module) else None
+            if not isinstance(network, nn.Module):
+                raise TypeError(f"it returns {network!r}, not a torch.nn.Module")
+            state = torch.get_rng_state()
+            result = network(torch.zeros(3, 2, inputs))
+            if result.shape != (3, 2, outputs):
+                raise TypeError(f"it maps shape {(3, 2, inputs)} to {tuple(result.shape)}, not {(3, 2, outputs)}")
+            if not torch.equal(torch.get_rng_state(), state):
+                raise TypeError("the network draws random numbers when it is called, as dropout does")
+            result.sum().backward()
+            unused = [name for name, parameter in network.named_parameters() if parameter.grad is None]
+            if unused:
+                raise TypeError(f"the network does not learn its parameters {', '.join(unused)}")
         except Exception as error:
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            raise ValueError(f"{call} fails: {reason}") from error
-    if not isinstance(network, nn.Module):
-        raise ValueError(f"{call} returns {network!r}, not a torch.nn.Module")
-    if found != (3, 2, outputs):
-        raise ValueError(f"{call} returns a network from shape {(3, 2, inputs)} to {found}, not {(3, 2, outputs)}")
+            raise ValueError(f"{call} cannot be used: {reason}") from error
+    network.zero_grad()
     return network
 
 

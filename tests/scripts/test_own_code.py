@@ -223,6 +223,7 @@ def test_a_mistake_is_one_line_before_anything_is_written(
 # --------------------------------------------------------------------------------------------- networks and activations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["a2c", "ppo", "mo_a2c", "mo_ppo"])
 @pytest.mark.parametrize("setting", [{"activation": "tanh"}, {"network": "own_networks:layer_norm"}])
 def test_another_network_is_trained_saved_and_told_from_the_default(

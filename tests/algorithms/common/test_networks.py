@@ -289,6 +289,14 @@ def wrong_shape(inputs, outputs, generator):
 def wrong_type(inputs, outputs, generator):
     return lambda x: x
 
+def dropout(inputs, outputs, generator):
+    return nn.Sequential(nn.Linear(inputs, outputs), nn.Dropout(0.5))
+
+def frozen(inputs, outputs, generator):
+    layers = nn.Sequential(nn.Linear(inputs, 4), nn.Linear(4, outputs))
+    layers[0].requires_grad_(False)
+    return layers
+
 def broken(inputs, outputs, generator):
     raise RuntimeError("no\\nnetwork")
 """
@@ -329,14 +337,22 @@ def test_a_users_network_is_determined_by_the_generator(function: str) -> None:
         ),
         (
             "users_networks:seedet",
-            "'users_networks' has no 'seedet'; did you mean 'seeded'? known: broken, layer_norm, ",
+            "'users_networks' has no 'seedet'; did you mean 'seeded'? known: broken, dropout, ",
         ),
         (
             "users_networks:wrong_shape",
-            "(3, 2, generator) returns a network from shape (3, 2, 3) to (3, 2, 3), not (3, 2, 2)",
+            "(3, 2, generator) cannot be used: TypeError: it maps shape (3, 2, 3) to (3, 2, 3), not (3, 2, 2)",
         ),
-        ("users_networks:wrong_type", "(3, 2, generator) returns <function"),
-        ("users_networks:broken", "(3, 2, generator) fails: RuntimeError: no network"),
+        ("users_networks:wrong_type", "(3, 2, generator) cannot be used: TypeError: it returns <function"),
+        ("users_networks:broken", "(3, 2, generator) cannot be used: RuntimeError: no network"),
+        (
+            "users_networks:dropout",
+            "(3, 2, generator) cannot be used: TypeError: the network draws random numbers when",
+        ),
+        (
+            "users_networks:frozen",
+            "(3, 2, generator) cannot be used: TypeError: the network does not learn its parameters ",
+        ),
     ],
 )
 def test_a_users_network_that_cannot_be_used_is_refused_in_one_line(path: str, message: str) -> None:

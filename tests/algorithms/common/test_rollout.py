@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import re
 from dataclasses import dataclass
@@ -629,6 +630,16 @@ def test_any_other_id_makes_a_vector_environment_with_vector_rewards() -> None:
     assert isinstance(env, MOSyncVectorEnv)
     assert env.single_observation_space.dtype == np.float32
     assert EnvAdapter(env).objectives == ("objective_0", "objective_1")
+
+
+def test_the_vector_entry_point_of_another_library_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rewards and autoreset are not known; copies of the single environment are."""
+    spec = copy.deepcopy(gymnasium.spec(SEA))
+    spec.id, spec.name, spec.vector_entry_point = "own-sea-v0", "own-sea", "own_package:OwnVectorEnv"
+    monkeypatch.setitem(gymnasium.registry, spec.id, spec)
+    env = make_env(spec.id, 2)
+    assert isinstance(env, MOSyncVectorEnv)
+    assert EnvAdapter(env).name == spec.id
 
 
 class Named(gymnasium.Wrapper):
