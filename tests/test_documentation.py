@@ -9,6 +9,7 @@ import runpy
 import subprocess
 import sys
 from fnmatch import fnmatch
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -138,11 +139,11 @@ def commands() -> Iterator[tuple[Block, list[str]]]:
             yield block, line.rstrip("\0").split("\0")
 
 
-COMMANDS = [(str(block), words) for block, words in commands()]
+COMMAND_LINES = [(str(block), words) for block, words in commands()]
 
 
 def of_program(program: str) -> list[tuple[str, list[str]]]:
-    return [(where, words[1:]) for where, words in COMMANDS if words[0] == program]
+    return [(where, words[1:]) for where, words in COMMAND_LINES if words[0] == program]
 
 
 class Parsed(BaseException):
@@ -171,11 +172,12 @@ def parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> Parsed:
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop_if_all_known)
     monkeypatch.setattr(sys, "argv", words)
     monkeypatch.setattr(sys, "path", [str(REPOSITORY / "scripts"), *sys.path])
+    if words[0] in COMMANDS:
+        start = partial(importlib.import_module(f"algorithms.commands.{words[0]}").main, words[1:])
+    else:
+        start = partial(runpy.run_path, str(REPOSITORY / words[0]), run_name="__main__")
     with pytest.raises(Parsed) as caught:
-        if words[0] in COMMANDS:
-            importlib.import_module(f"algorithms.commands.{words[0]}").main(words[1:])
-        else:
-            runpy.run_path(str(REPOSITORY / words[0]), run_name="__main__")
+        start()
     return caught.value
 
 

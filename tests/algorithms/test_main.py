@@ -1,0 +1,97 @@
+"""The command line: mo-deepdrive, python -m algorithms and the scripts run the same commands."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from algorithms import __main__ as command_line
+from algorithms.commands import COMMANDS
+from algorithms.experiments.cli import as_called
+from mo_deepdrive import __version__
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(autouse=True)
+def _process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands change the environment and the path of their process."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("SDL_AUDIODRIVER", "dummy")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.chdir(tmp_path)
+
+
+def called(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["mo-deepdrive", *words])
+    try:
+        return command_line.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+def test_help_lists_every_command_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert called(monkeypatch, "--help") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "usage: mo-deepdrive COMMAND ..."
+    for name, what in COMMANDS.items():
+        assert f"  {name:12}{what}" in lines
+    assert max(map(len, lines)) < 100
+    assert called(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out == f"mo-deepdrive {__version__}\n"
+
+
+def test_an_unknown_command_is_refused_with_those_that_exist(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert called(monkeypatch, "trian") == 2
+    error = capsys.readouterr().err
+    assert "invalid choice: 'trian'" in error
+    assert all(name in error for name in COMMANDS)
+    assert called(monkeypatch) == 2
+
+
+def test_messages_name_commands_as_they_were_called() -> None:
+    text = "use mo-deepdrive train or mo-deepdrive sweep --verify; pip install 'mo-deepdrive[train]'"
+    assert as_called(text, "mo-deepdrive {}") == text
+    expected = "use python scripts/train.py or python scripts/sweep.py --verify; pip install 'mo-deepdrive[train]'"
+    assert as_called(text, "python scripts/{}.py") == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("program", ["python -m algorithms {}", "python scripts/{}.py"])
+def test_help_and_errors_name_commands_as_they_were_called(program: str, repository: Path, tmp_path: Path) -> None:
+    def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        _, *words = program.format(name).replace("scripts/", f"{repository}/scripts/").split()
+        return subprocess.run(
+            [sys.executable, *words, *arguments],
+            env={**os.environ, "PYTHONPATH": str(repository)},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    said = run("train", "--help").stdout
+    assert said.startswith(f"usage: {program.format('train')} ")
+    assert f"{program.format('train')} --resume runs/" in said
+    assert "mo-deepdrive train" not in said
+    refused = run("choose", "one_waypoint_linear-ppo", "--weights", "jerk=1")
+    assert refused.returncode == 2
+    assert f"{program.format('evaluate')} shows it" in refused.stderr
+
+
+def test_a_command_whose_package_is_not_installed_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "rich.box", None)
+    monkeypatch.delitem(sys.modules, "algorithms.commands.choose", raising=False)
+    assert called(monkeypatch, "choose", "--help") == 2
+    assert capsys.readouterr().err == "error: mo-deepdrive choose needs rich: pip install 'mo-deepdrive[train]'\n"

@@ -1,0 +1,244 @@
+"""The sdist and the wheel as users get them: in new environments, and outside the checkout.
+
+Packages are downloaded from pip's index. On Linux, ``PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu`` saves
+the CUDA packages.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+from algorithms.commands import COMMANDS
+from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.slow
+
+TIMEOUT = 600
+CONSTRAINTS = ["--constraint", str(REPOSITORY / "constraints.txt")]
+WRONG = "raise SystemExit('imported from the working directory')\n"
+SHORT = ["--training.total_timesteps=4096", "--training.num_envs=16", "--evaluation.final_episodes=4"]
+SHORT += ["--evaluation.episodes=2", "--utility.name=own_utility:utility"]
+SWEEP = """
+config: one_waypoint/mo_a2c_linear
+overrides:
+  training.total_timesteps: 2048
+  training.num_envs: 16
+  evaluation.episodes: 2
+  evaluation.final_episodes: 2
+  logging.save_figures: false
+  utility.name: own_utility:utility
+seeds: 2
+"""
+# Starts the command play, and presses Escape after ten frames.
+PLAY = """
+from algorithms.commands import play
+from mo_deepdrive.quiet_pygame import pygame
+shown = []
+def flip():
+    shown.append(True)
+    if len(shown) == 10:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+pygame.display.flip = flip
+raise SystemExit(play.main(["--env", "mo-deepdrive-intersection-v0"]))
+"""
+ENVIRONMENTS = """
+import gymnasium, mo_gymnasium, numpy, mo_deepdrive
+for name in ("one-waypoint", "static-obstacle", "intersection"):
+    env = mo_gymnasium.make(f"mo-deepdrive-{name}-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert numpy.asarray(env.step(env.action_space.sample())[1]).shape == env.unwrapped.reward_space.shape
+    assert env.render().ndim == 3
+    gymnasium.make_vec(f"mo-deepdrive-{name}-v0", num_envs=3).reset(seed=0)
+mo_deepdrive.parallel_env().reset(seed=0)
+print(len(mo_deepdrive.reference_front("one_waypoint")) > 10, mo_deepdrive.reference_point("one_waypoint").values.shape)
+"""
+
+
+@dataclass(frozen=True)
+class Installed:
+    """A virtual environment, and a folder to work in, which has packages of the project's names."""
+
+    bin: Path
+    folder: Path
+
+    def run(self, program: str, *arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+        """Run a program of the environment in the folder, and check its exit code."""
+        kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+        done = subprocess.run(
+            [str(self.bin / program), *arguments],
+            cwd=self.folder,
+            env={**kept, "SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "WANDB_MODE": "disabled"},
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT,
+            check=False,
+        )
+        assert done.returncode == code, f"{program} {' '.join(arguments)}\n{done.stdout}\n{done.stderr}"
+        return done
+
+    def pip(self, *arguments: str) -> str:
+        """Run pip; returns its output."""
+        return self.run("python", "-m", "pip", "--disable-pip-version-check", *arguments).stdout
+
+    def command(self, *arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+        """Run ``mo-deepdrive``."""
+        return self.run("mo-deepdrive", *arguments, code=code)
+
+
+def make_environment(folder: Path) -> Installed:
+    subprocess.run([sys.executable, "-m", "venv", str(folder / "venv")], check=True, timeout=TIMEOUT)
+    work = folder / "work"
+    work.mkdir()
+    return Installed(folder / "venv" / "bin", work)
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the sdist, and the wheel that is built from it."""
+    tools = make_environment(tmp_path_factory.mktemp("tools"))
+    tools.pip("install", "--quiet", *CONSTRAINTS, "build", "twine")
+    output = tools.folder / "dist"
+    tools.run("python", "-m", "build", "--outdir", str(output), str(REPOSITORY))
+    assert sorted(path.suffix for path in output.iterdir()) == [".gz", ".whl"]
+    checked = tools.run("twine", "check", "--strict", *map(str, output.iterdir())).stdout
+    assert checked.count("PASSED") == 2, checked
+    return output
+
+
+@pytest.fixture(scope="module")
+def core(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel without extras."""
+    installed = make_environment(tmp_path_factory.mktemp("installed"))
+    (wheel,) = dist.glob("*.whl")
+    installed.pip("install", "--quiet", *CONSTRAINTS, str(wheel))
+    for name in ("algorithms", "mo_deepdrive"):
+        (installed.folder / name).mkdir()
+        (installed.folder / name / "__init__.py").write_text(WRONG)
+    (installed.folder / "own_utility.py").write_text("def utility(returns):\n    return returns[..., 0]\n")
+    (installed.folder / "sweep.yaml").write_text(SWEEP)
+    return installed
+
+
+@pytest.fixture(scope="module")
+def everything(core: Installed, dist: Path) -> Installed:
+    """The same environment with ``[train]``, and a run in the folder ``run``."""
+    (wheel,) = dist.glob("*.whl")
+    core.pip("install", "--quiet", *CONSTRAINTS, f"{wheel}[train]")
+    said = core.command("train", "--config", "one_waypoint/mo_a2c_linear", "--output", "run", *SHORT).stdout
+    assert "finished: run" in said
+    return core
+
+
+def test_links_and_images_lead_somewhere_on_a_package_index(dist: Path) -> None:
+    (sdist,) = dist.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        metadata = next(member for member in archive.getmembers() if member.name.endswith("/PKG-INFO"))
+        file = archive.extractfile(metadata)
+        assert file is not None
+        text = file.read().decode()
+    links = [rest.partition(")")[0] for rest in text.split("](")[1:]]
+    assert len(links) > 15
+    assert all(link.startswith("https://") for link in links), links
+    assert any(link.startswith("https://raw.githubusercontent.com/") and link.endswith(".gif") for link in links)
+    assert "Project-URL: Homepage, https://github.com/" in text
+
+
+def test_the_tests_pass_from_the_sdist(dist: Path, tmp_path: Path) -> None:
+    """Those that read files of the project: documentation, configs, contracts, recorded trajectories."""
+    (sdist,) = dist.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path)
+    (source,) = tmp_path.iterdir()
+    tests = ["test_architecture.py", "test_documentation.py", "mo_deepdrive/test_extras.py", "mo_deepdrive/simulation"]
+    tests += ["algorithms/experiments/test_config.py", "algorithms/reproduction/test_plan.py"]
+    options = ["-q", "-m", "not slow", "--hypothesis-profile", "fast", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, *(f"tests/{name}" for name in tests)],
+        cwd=source,
+        env={**os.environ, "PYTHONPATH": str(source)},
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert " passed" in done.stdout
+
+
+def test_the_core_is_light_and_has_every_environment(core: Installed, tmp_path: Path) -> None:
+    packages = {each["name"].lower() for each in json.loads(core.pip("list", "--format=json"))}
+    assert len(packages - {"pip", "setuptools", "mo-deepdrive"}) <= 22, packages
+    assert not packages & {"torch", "ray", "wandb", "matplotlib", "tensorboard", "polars", "rich"}
+    assert Installed(core.bin, tmp_path).run("python", "-c", ENVIRONMENTS).stdout == "True (4,)\n"
+
+
+def test_a_command_without_its_extra_says_what_to_install(core: Installed) -> None:
+    refused = core.command("train", "--config", "one_waypoint/mo_a2c_linear", code=2)
+    assert refused.stderr == "error: mo-deepdrive train needs torch: pip install 'mo-deepdrive[train]'\n"
+    listed = core.command("--help").stdout
+    assert all(f"\n  {name} " in listed for name in COMMANDS)
+
+
+def test_one_can_play_without_torch(core: Installed, tmp_path: Path) -> None:
+    assert "vehicle 1: W A S D" in Installed(core.bin, tmp_path).run("python", "-c", PLAY).stdout
+
+
+def test_a_run_is_trained_evaluated_drawn_and_tabulated(everything: Installed) -> None:
+    run = everything.folder / "run"
+    assert {"checkpoint.safetensors", "evaluation.json", "curves.png", "video.mp4", "tensorboard"} <= {
+        path.name for path in run.iterdir()
+    }
+    assert "run is finished" in everything.command("train", "--resume", "run", "--trust").stdout
+    assert "success" in everything.command("evaluate", "run", "--trust", "--episodes", "2").stdout
+    everything.command("plot", "run", "--output", "curves.png")
+    assert (everything.folder / "curves.png").stat().st_size > 10_000
+    assert (
+        "own_utility"
+        in everything.command("table", "run", "--output", "table.csv").stdout
+        + (everything.folder / "table.csv").read_text()
+    )
+
+
+def test_a_sweep_is_trained_by_workers(everything: Installed) -> None:
+    assert "2 done" in everything.command("sweep", "--config", "sweep.yaml", "--output", "sweep").stdout
+    everything.command("table", "sweep")
+    shipped = everything.command("sweep", "--config", "sweeps/one_waypoint", "--on", "manifest", "--output", "grid")
+    assert "40 runs" in shipped.stdout
+
+
+def test_policies_of_the_zoo_come_with_the_wheel(everything: Installed) -> None:
+    assert "one_waypoint_front-pcn" in everything.command("zoo").stdout
+    chosen = everything.command("choose", "one_waypoint_front-pcn", "--weights", "distance=1", "--episodes", "1").stdout
+    assert "chosen" in chosen
+
+
+def test_other_libraries_and_the_reproduction_are_found_by_name(everything: Installed) -> None:
+    assert "mo-deepdrive[peers]" in everything.command("peers", "--list").stdout
+    refused = everything.command("peers", "--config", "peers/envelope", code=2)
+    assert "cannot run here: it needs morl_baselines: pip install 'mo-deepdrive[peers]'" in refused.stderr
+    refused = everything.command("reproduce", "--figure", "4", "--plan", "reproduc", code=2)
+    assert "the nearest names of shipped ones: reproduce" in refused.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_prints_its_help_under_the_name_by_which_it_is_called(everything: Installed, name: str) -> None:
+    said = everything.command(name, "--help").stdout
+    assert said.startswith(f"usage: mo-deepdrive {name} ")
+    assert "scripts/" not in said
+
+
+def test_the_package_can_be_called_as_a_module(everything: Installed, tmp_path: Path) -> None:
+    arguments = ["choose", "one_waypoint_linear-ppo", "--weights", "jerk=1"]
+    refused = Installed(everything.bin, tmp_path).run("python", "-m", "algorithms", *arguments, code=2)
+    assert "python -m algorithms evaluate shows it" in refused.stderr
