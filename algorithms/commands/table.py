@@ -9,12 +9,12 @@ row for each and one for all together (success: all arrived). Fronts have their 
 the algorithm alone are compared: the difference of the mean utilities (hypervolumes) with its interval, and the p-value
 of a two-sided Mann-Whitney test. Columns that do not fit the terminal follow in further tables.
 
-A sweep (a directory with a manifest, made by mo-deepdrive sweep) has a row per cell, or per trial of a search, the best
-first; cells with another environment or utility are in separate tables. The terminal shows the best cells, the policy
-by which they are sorted, and as many columns as fit, and names the others; the CSV has everything. With several
-vehicles the row of all together has the sum of their utilities. Cells that differ in the algorithm alone are compared by
-the same policy. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet
-files, which are updated here; algorithms/sweeps/collection.py describes them.
+A sweep (a directory with a manifest, made by mo-deepdrive sweep) has a row per cell, or per trial of a search, the
+best first; cells with another environment or utility are in separate tables. The terminal shows the best cells, the
+policy by which they are sorted, and as many columns as fit, and names the others; the CSV has everything. With several
+vehicles the row of all together has the sum of their utilities. Cells that differ in the algorithm alone are compared
+by the same policy. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as
+Parquet files, which are updated here; algorithms/sweeps/collection.py describes them.
 """
 
 from __future__ import annotations

@@ -37,8 +37,5 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
     if path.exists():
         return path  # what is wrong with it is said by who reads it
     near = ", ".join(difflib.get_close_matches(wanted, names, n=3, cutoff=0.0))
-    places = ", ".join(str(candidate) for candidate in dict.fromkeys(candidates))
-    raise ValueError(
-        f"config file {str(name)!r} does not exist: looked for {places} and among the shipped ones, whose nearest "
-        f"names are {near}"
-    )
+    places = f" (looked for {' and '.join(map(str, candidates))})" if len(candidates) > 1 else ""
+    raise ValueError(f"config file {str(name)!r} does not exist{places}; the nearest names of shipped ones: {near}")
