@@ -24,7 +24,7 @@ from algorithms.common.checkpoints import (
 )
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
-from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.front import Front
 from algorithms.evaluation.metrics import (
     GREEDY,

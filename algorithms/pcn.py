@@ -53,7 +53,7 @@ from algorithms.common.optimisers import linear_schedule, optimiser_state, set_l
 from algorithms.common.pareto import farthest_point_subset
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation import metrics
-from algorithms.evaluation.evaluate import Evaluation, evaluate_each
+from algorithms.evaluation.episodes import Evaluation, evaluate_each
 from algorithms.evaluation.front import Front, measure_front
 from mo_deepdrive.config import Settings
 
@@ -525,7 +525,7 @@ class PCN(Agent):
 
 @dataclass(frozen=True)
 class CommandPolicy:
-    """PCN under one command per environment: a policy in the sense of `algorithms.evaluation.evaluate.Policy`.
+    """PCN under one command per environment: a policy in the sense of `algorithms.evaluation.episodes.Policy`.
 
     Attributes:
         agent: whose network acts.

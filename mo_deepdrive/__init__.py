@@ -52,7 +52,9 @@ gymnasium.register(
 
 
 def __getattr__(name: str) -> Any:
-    """Import ``reference_front`` and ``reference_point`` when they are first used."""
+    """Import ``reference_front``, ``reference_point`` and the module ``parallel_v0`` when they are first used."""
+    if name == "parallel_v0":
+        return importlib.import_module("mo_deepdrive.parallel_v0")
     if name in _LAZY:
         return getattr(importlib.import_module(_LAZY[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

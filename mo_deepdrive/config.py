@@ -176,3 +176,19 @@ class EnvConfig(Settings):
     def max_decisions(self) -> int:
         """Number of decisions after which an episode is truncated."""
         return round(self.time_limit * self.decision_frequency)
+
+
+def parse_arguments(scenario: str, options: Mapping[str, Any]) -> EnvConfig:
+    """The configuration of an environment from its keyword arguments.
+
+    Raises:
+        TypeError: if an argument is unknown, as Python raises it; it names every invalid argument too.
+        ValueError: with every invalid argument, its value and what is allowed.
+    """
+    try:
+        return parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+    except ValueError as error:
+        unknown = [name for name in options if name not in EnvConfig.model_fields]
+        if unknown:
+            raise TypeError(f"got an unexpected keyword argument {unknown[0]!r}; {error}") from None
+        raise

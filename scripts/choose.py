@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.evaluate import Evaluation
+    from algorithms.evaluation.episodes import Evaluation
 
 RUNNERS_UP = 4
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.evaluation.evaluate import Evaluation
+    from algorithms.evaluation.episodes import Evaluation
 
 FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"
 CONDITION = "condition/"  # prefix of columns of front.csv

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.evaluate import Policy
+    from algorithms.evaluation.episodes import Policy
 
 
 class PolicyDriver:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.evaluation.evaluate import Policy
+    from algorithms.evaluation.episodes import Policy
     from algorithms.evaluation.front import Front
     from algorithms.experiments.config import Experiment
 

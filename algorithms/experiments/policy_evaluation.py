@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.evaluation.evaluate import Evaluation, Policy, evaluate
+from algorithms.evaluation.episodes import Evaluation, Policy, evaluate
 from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import Experiment, find_environment, is_ours

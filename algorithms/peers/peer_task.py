@@ -206,7 +206,7 @@ class PeerPolicies:
 
 @dataclass(frozen=True)
 class PeerPolicy:
-    """Policies of a peer behind the interface of our own (:class:`algorithms.evaluation.evaluate.Policy`).
+    """Policies of a peer behind the interface of our own (:class:`algorithms.evaluation.episodes.Policy`).
 
     Attributes:
         policies: all policies of the peer.

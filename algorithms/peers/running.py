@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from algorithms.common.env_adapter import EnvAdapter
-from algorithms.evaluation.evaluate import evaluate_each
+from algorithms.evaluation.episodes import evaluate_each
 from algorithms.evaluation.front import Front, check_reference_point
 from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.evaluation.metrics import FRONT, evaluation_prefix

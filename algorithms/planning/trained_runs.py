@@ -19,7 +19,7 @@ from mo_deepdrive.reference_fronts import front_config
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.evaluate import Policy
+    from algorithms.evaluation.episodes import Policy
 
 
 @dataclass(frozen=True)

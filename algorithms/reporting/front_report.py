@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.evaluation.evaluate import Policy
+    from algorithms.evaluation.episodes import Policy
 
 FILMED_POLICIES = 4
 MAX_FRAMES = 300  # of every policy that is filmed

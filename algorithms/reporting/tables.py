@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from algorithms.evaluation.evaluate import Evaluation
+    from algorithms.evaluation.episodes import Evaluation
 
 
 def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:

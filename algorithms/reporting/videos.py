@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.evaluate import Policy
+    from algorithms.evaluation.episodes import Policy
 
 MAX_FRAMES = 750  # of a video; the rest is cut off
 HOLD = 0.5  # s for which the last frame of an episode is shown

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.wrappers import BaseWrapper
 
-from mo_deepdrive.config import EnvConfig, nearest, parse
+from mo_deepdrive.config import nearest, parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import option_names
 from mo_deepdrive.envs.streams import checked_seed
@@ -63,7 +63,8 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         state_space: the space of :meth:`state`.
 
     Raises:
-        ValueError: for unknown arguments or wrong types.
+        TypeError: for unknown arguments.
+        ValueError: for invalid values.
     """
 
     metadata: dict[str, Any] = {
@@ -83,7 +84,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
     ):
         if not isinstance(keep_finished, bool):
             raise ValueError(f"keep_finished = {keep_finished!r} must be True or False")
-        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        config = parse_arguments(scenario, options)
         self.config = config
         self.render_mode = render_mode
         self.keep_finished = keep_finished

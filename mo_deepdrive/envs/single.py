@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs.world import WorldEnv
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -82,7 +82,7 @@ class DrivingEnv(WorldEnv):
     ``action_type``, ``fixed_destination``, ``fixed_obstacle`` (StaticObstacle), ``time_limit``, ``objectives``,
     ``cost_sign``, ``simulation_frequency``, ``decision_frequency``, ``constrain_controls``, ``ignore_brake``,
     ``harmful_g_force``, ``harmful_jerk``. ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise
-    ValueError.
+    TypeError, invalid values ValueError.
 
     ## Version History
 
@@ -93,7 +93,7 @@ class DrivingEnv(WorldEnv):
     """
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
-        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        config = parse_arguments(scenario, options)
         if SCENARIOS[config.scenario].vehicles > 1:
             raise ValueError(
                 f"scenario = {scenario!r} has two vehicles; use gymnasium.make('mo-deepdrive-intersection-v0'), where "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs.world import WorldEnv
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class TurnBasedEnv(WorldEnv):
     ``action_type``, ``time_limit``, ``objectives``, ``cost_sign``, ``simulation_frequency``, ``decision_frequency``,
     ``constrain_controls``, ``ignore_brake``, ``harmful_g_force``, ``harmful_jerk``, ``lane_margin``,
     ``end_on_lane_violation``, ``yield_to_oncoming``, ``end_together``. ``render_mode`` is None, "rgb_array" or
-    "human". Unknown arguments raise ValueError. (Gymnasium's ``max_episode_steps`` counts turns.)
+    "human". Unknown arguments raise TypeError. (Gymnasium's ``max_episode_steps`` counts turns.)
 
     ## Version History
 
@@ -120,7 +120,7 @@ class TurnBasedEnv(WorldEnv):
     """
 
     def __init__(self, scenario: str, render_mode: str | None = None, **options: Any):
-        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        config = parse_arguments(scenario, options)
         super().__init__(config, render_mode)
         self.vehicles = self.batch.scenario.vehicles
         # Turns per second, so that a video with a frame per turn plays in real time.

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from mo_deepdrive.batch import WorldBatch
-from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams, checked_seed
@@ -77,7 +77,8 @@ class DrivingVectorEnv(VectorEnv):
         **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
 
     Raises:
-        ValueError: for unknown arguments or wrong types.
+        TypeError: for unknown arguments.
+        ValueError: for invalid values.
     """
 
     metadata: dict[str, Any] = {
@@ -100,11 +101,11 @@ class DrivingVectorEnv(VectorEnv):
         num_envs, threads = _positive("num_envs", num_envs), _positive("threads", threads)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
-        config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+        config = parse_arguments(scenario, options)
         if max_episode_steps is not None:
             most = _positive("max_episode_steps", max_episode_steps)
             options["time_limit"] = min(config.time_limit, most / config.decision_frequency)
-            config = parse(EnvConfig, {"scenario": scenario, **options}, "environment arguments")
+            config = parse_arguments(scenario, options)
         self.num_envs = num_envs
         self.config = config
         self.render_mode = render_mode

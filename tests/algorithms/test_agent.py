@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, ALGORITHMS, MOA2C, MOPPO, PCN, PPO
 from algorithms.common.env_adapter import make_env
-from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,

@@ -19,7 +19,7 @@ from algorithms import MOA2C, PCN
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import hypervolume, non_dominated
-from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.front import indicators
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment

@@ -14,7 +14,7 @@ import torch
 from algorithms import PCN, zoo
 from algorithms.actor_critic import ActorCritic
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.episodes import evaluate
 from algorithms.experiments.build import build, make_environment
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front

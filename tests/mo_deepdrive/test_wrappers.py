@@ -9,10 +9,11 @@ import mo_gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
 
-import mo_deepdrive  # noqa: F401  (registers the ids)
+import mo_deepdrive
 from mo_deepdrive.utilities import make_utility
-from mo_deepdrive.wrappers import UtilityReward
+from mo_deepdrive.wrappers import ParallelUtilityReward, UtilityReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
@@ -131,3 +132,89 @@ def test_unsuitable_utilities_are_refused(arguments: dict[str, Any], message: st
 def test_an_environment_without_vector_rewards_is_refused() -> None:
     with pytest.raises(ValueError, match="no reward_space"):
         UtilityReward(gymnasium.make("CartPole-v1"), "linear", weights=[1.0])
+    with pytest.raises(ValueError, match="no reward_space"):
+        UtilityReward(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear"), "one_waypoint_linear")
+
+
+def test_the_reward_space_is_that_of_the_scalar() -> None:
+    env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear")
+    assert env.reward_dim == env.get_wrapper_attr("reward_dim") == 1
+    assert env.reward_space.shape == ()
+    assert all(np.array(step[1], dtype=np.float32) in env.reward_space for step in play(env, 2)[1:])
+    assert env.unwrapped.reward_space.shape == (4,)
+
+
+# ----------------------------------------------------------------------------------------------------------- parallel
+
+
+def drive(env: Any, seed: int) -> list[Any]:
+    """The results of the steps of one episode of random actions."""
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    steps = []
+    while env.agents:
+        steps.append(env.step({agent: int(rng.integers(22)) for agent in env.agents}))
+    return steps
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:unknown reset option")
+@pytest.mark.parametrize("keep_finished", [False, True])
+def test_pettingzoos_test_of_parallel_environments_passes_with_scalar_rewards(keep_finished: bool) -> None:
+    env = ParallelUtilityReward(mo_deepdrive.parallel_env(keep_finished=keep_finished), "intersection_linear")
+    parallel_api_test(env, num_cycles=700)
+
+
+def test_everything_but_the_rewards_is_that_of_the_wrapped_parallel_environment() -> None:
+    utility = make_utility("intersection_nonlinear", mo_deepdrive.parallel_env().objectives)
+    plain = drive(mo_deepdrive.parallel_env(), seed=3)
+    wrapped = drive(ParallelUtilityReward(mo_deepdrive.parallel_env(), "intersection_nonlinear"), seed=3)
+    assert len(plain) == len(wrapped)
+    for before, after in zip(plain, wrapped, strict=True):
+        assert before[1].keys() == after[1].keys() == after[4].keys()
+        assert (before[2], before[3]) == (after[2], after[3])
+        for agent, reward in after[1].items():
+            vector = after[4][agent].pop("vector_reward")
+            np.testing.assert_array_equal(before[1][agent], vector)
+            np.testing.assert_array_equal(before[0][agent], after[0][agent])
+            assert type(reward) is float
+            assert reward == float(utility(vector))
+            assert before[4][agent] == after[4][agent]
+
+
+def test_agents_may_have_different_utilities_and_weights() -> None:
+    env = mo_deepdrive.parallel_env()
+    weights = make_utility("linear", env.objectives, weights=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    wrapped = ParallelUtilityReward(env, {"vehicle_0": weights, "vehicle_1": "intersection_linear"}, of="return")
+    linear = wrapped.utilities["vehicle_1"]
+    for seed in (1, 2):  # the second episode starts from zero again
+        steps = drive(wrapped, seed)
+        for agent, utility in (("vehicle_0", weights), ("vehicle_1", linear)):
+            own = [step for step in steps if agent in step[1]]
+            total = np.sum([step[4][agent]["vector_reward"] for step in own], axis=0, dtype=np.float64)
+            assert sum(step[1][agent] for step in own) == pytest.approx(float(utility(total)), rel=1e-5)
+
+
+def test_the_reward_spaces_of_agents_are_those_of_scalars() -> None:
+    env = ParallelUtilityReward(mo_deepdrive.parallel_env(), "linear", weights=[1.0] * 6)
+    assert env.reward_dim == 1
+    assert env.reward_space("vehicle_1") is env.reward_spaces["vehicle_1"]
+    assert env.reward_space("vehicle_0").shape == ()
+    assert env.unwrapped.reward_space("vehicle_0").shape == (6,)
+
+
+@pytest.mark.parametrize(
+    ("utility", "message"),
+    [
+        ("intersection_linaer", "did you mean 'intersection_linear'"),
+        ({"vehicle_0": "intersection_linear"}, "utility is missing for 'vehicle_1'"),
+        ({"vehicle_2": "intersection_linear"}, "'vehicle_2', which is unknown; did you mean 'vehicle_"),
+        (make_utility("linear", ["a"], weights=[1.0]), "takes"),
+    ],
+)
+def test_unsuitable_utilities_of_agents_are_refused(utility: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ParallelUtilityReward(mo_deepdrive.parallel_env(), utility)
+    scalar = ParallelUtilityReward(mo_deepdrive.parallel_env(), "intersection_linear")
+    with pytest.raises(ValueError, match="no reward_space"):
+        ParallelUtilityReward(scalar, "intersection_linear")

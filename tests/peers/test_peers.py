@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.evaluate import evaluate, evaluate_each
+from algorithms.evaluation.episodes import evaluate, evaluate_each
 from algorithms.peers import PEERS, PeerTask
 from algorithms.peers.peer_env import Recorder
 from mo_deepdrive.utilities import make_utility

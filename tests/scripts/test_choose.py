@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from algorithms.common.env_adapter import make_env
-from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.front import Front
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from algorithms.evaluation.evaluate import Evaluation
+from algorithms.evaluation.episodes import Evaluation
 from algorithms.evaluation.front import Front
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from algorithms.common.env_adapter import make_env
-from algorithms.evaluation.evaluate import evaluate_each
+from algorithms.evaluation.episodes import evaluate_each
 from algorithms.peers.peer_task import PeerPolicies, PolicyInputs
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import FIXED, ONE_WAYPOINT, constant_policies, make_task

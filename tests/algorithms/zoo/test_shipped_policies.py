@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from algorithms import zoo
-from algorithms.evaluation.evaluate import evaluate
+from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.front import Front
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.run_directory import Run

@@ -476,7 +476,6 @@ def test_an_unknown_reset_option_is_ignored_with_a_warning_that_names_the_neares
     ("arguments", "message"),
     [
         ({"scenario": "roundabout"}, "scenario"),
-        ({"end_togther": True}, "'end_togther'.*did you mean 'end_together'"),
         ({"keep_finished": 1}, "keep_finished = 1 must be True or False"),
         ({"render_mode": "ascii"}, "render_mode = 'ascii'"),
         ({"scenario": "one_waypoint", "end_together": True}, "no effect in OneWaypoint"),
@@ -486,6 +485,24 @@ def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) 
     for make in (mo_deepdrive.parallel_env, mo_deepdrive.env, mo_deepdrive.raw_env):
         with pytest.raises(ValueError, match=message):
             make(**arguments)
+
+
+def test_an_unknown_keyword_is_a_type_error_that_names_the_nearest() -> None:
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'end_togther'.*did you mean 'end_together'"):
+        mo_deepdrive.parallel_env(end_togther=True)
+
+
+def test_the_environments_can_be_made_by_the_name_of_their_version() -> None:
+    from mo_deepdrive import parallel_v0
+
+    assert mo_deepdrive.parallel_v0 is parallel_v0
+    env = parallel_v0.parallel_env(time_limit=3.0)
+    assert type(env) is type(parallel_v0.raw_env()) is type(mo_deepdrive.parallel_env())
+    assert env.metadata["name"].endswith("_v0")
+    assert env.config.time_limit == 3.0
+    aec = parallel_v0.env()
+    aec.reset(seed=0)
+    assert aec.agent_selection == "vehicle_0"
 
 
 # ------------------------------------------------------------------------------------------- without MOMAland, and docs

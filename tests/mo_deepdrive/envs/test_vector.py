@@ -729,7 +729,6 @@ BAD_ARGUMENTS: dict[str, tuple[str, dict[str, Any], str]] = {
         "no effect in Intersection",
     ),
     "an unknown objective": ("intersection", {"objectives": ("lane_violations",)}, "did you mean 'lane_violation'"),
-    "an unknown argument": ("intersection", {"yield_to_oncomming": False}, "did you mean 'yield_to_oncoming'"),
     "a negative lane margin": ("intersection", {"lane_margin": -0.1}, "lane_margin"),
     "an unknown render mode": ("intersection", {"render_mode": "ascii"}, "render_mode = 'ascii'"),
 }
@@ -742,6 +741,11 @@ def test_invalid_environment_arguments_are_refused(what: str) -> None:
     scenario, options, message = BAD_ARGUMENTS[what]
     with pytest.raises(ValueError, match=message):
         DrivingVectorEnv(scenario=scenario, **options)
+
+
+def test_an_unknown_keyword_is_a_type_error_that_names_the_nearest() -> None:
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'yield_to_oncomming'.*'yield_to_oncoming'"):
+        gymnasium.make_vec("mo-deepdrive-intersection-v0", num_envs=2, yield_to_oncomming=False)
 
 
 def test_make_vec_gives_the_native_environment() -> None:

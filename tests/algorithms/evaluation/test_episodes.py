@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from algorithms import A2C, MOA2C
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.evaluate import Evaluation, evaluate
+from algorithms.evaluation.episodes import Evaluation, evaluate
 from mo_deepdrive.utilities import Utility, make_utility
 
 if TYPE_CHECKING:
