@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import mo_gymnasium.wrappers
@@ -55,7 +54,7 @@ def test_rewards_are_normalised_and_clipped(env_id: str) -> None:
     clipped = np.array([reward for reward, _ in episode(MOClipReward(single(env_id), idx=jerk, min_r=-1.0, max_r=0.0))])
     np.testing.assert_array_equal(clipped[:, jerk], np.maximum(plain[:, jerk], -1.0))
     normal = np.array([reward for reward, _ in episode(MONormalizeReward(single(env_id), idx=jerk))])
-    assert np.abs(normal[:, jerk]).max() < np.abs(plain[:, jerk]).max()
+    assert len(np.unique((normal[:, jerk] / plain[:, jerk]).round(3))) > 5
     np.testing.assert_array_equal(np.delete(normal, jerk, axis=1), np.delete(plain, jerk, axis=1))
 
 
@@ -90,15 +89,12 @@ def test_the_vector_environment_agrees_with_the_native_one() -> None:
 
 @row(
     "`MOAsyncVectorEnv`",
-    breaks="AttributeError or TypeError: its worker has not followed Gymnasium's `AsyncVectorEnv`",
+    breaks="ValueError: a custom `worker` must accept 8 arguments; its worker accepts 7",
     whose="MO-Gymnasium, on Gymnasium 1.4",
 )
-@pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")
 def test_the_asynchronous_vector_environment_does_not_run_on_this_gymnasium() -> None:
-    with pytest.raises((AttributeError, TypeError)):
-        env = MOAsyncVectorEnv([single] * 2)
-        env.reset(seed=0)
-        env.step(np.array([3, 3]))
+    with pytest.raises(ValueError, match="`worker` must accept 8 arguments"):
+        MOAsyncVectorEnv([single] * 2)
 
 
 @row("vector `MORecordEpisodeStatistics`: undiscounted returns, lengths")

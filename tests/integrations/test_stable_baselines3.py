@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from tests.integrations.envs import SHORT, WEIGHTS, scalar, single, vector
+from mo_deepdrive.wrappers import ParallelUtilityReward
+from tests.integrations.envs import SHORT, scalar, single, vector
 from tests.integrations.matrix import Library, row
 
 LIBRARY = Library(
@@ -22,7 +23,7 @@ LIBRARY = Library(
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 PPO_ARGUMENTS = {"n_steps": 64, "batch_size": 32, "n_epochs": 1}
-OFF_POLICY = {"learning_starts": 50, "policy_kwargs": {"net_arch": [8]}}
+OFF_POLICY = {"learning_starts": 50, "batch_size": 32}
 ALGORITHMS: dict[str, tuple[str, dict[str, Any]]] = {
     "A2C": ("discrete", {}),
     "PPO": ("discrete", PPO_ARGUMENTS),
@@ -99,15 +100,21 @@ def test_gymnasiums_vector_environments_are_refused() -> None:
         A2C("MlpPolicy", vector(), device="cpu")
 
 
-@row("two vehicles that share a policy", how="MOMAland's `LinearizeReward`, then SuperSuit's `concat_vec_envs_v1`")
+@row(
+    "two vehicles that share a policy",
+    how="`ParallelUtilityReward`, then SuperSuit's `concat_vec_envs_v1`, and no `seed=` for the algorithm",
+    breaks="`seed=`: AttributeError: 'ConcatVecEnv' object has no attribute 'seed'",
+    whose="SuperSuit",
+)
 def test_two_vehicles_learn_one_policy() -> None:
     supersuit = pytest.importorskip("supersuit")
-    wrappers = pytest.importorskip("momaland.utils.parallel_wrappers")
     from stable_baselines3 import PPO
 
-    env = wrappers.LinearizeReward(mo_deepdrive.parallel_env(keep_finished=True, **SHORT), WEIGHTS)
+    env = ParallelUtilityReward(mo_deepdrive.parallel_env(keep_finished=True, **SHORT), "intersection_linear")
     vehicles = supersuit.pettingzoo_env_to_vec_env_v1(env)
     envs = supersuit.concat_vec_envs_v1(vehicles, 2, num_cpus=0, base_class="stable_baselines3")
-    model = PPO("MlpPolicy", envs, seed=0, device="cpu", n_steps=32, batch_size=32, n_epochs=1).learn(256)
+    with pytest.raises(AttributeError, match="'ConcatVecEnv' object has no attribute 'seed'"):
+        PPO("MlpPolicy", envs, seed=0)
+    model = PPO("MlpPolicy", envs, device="cpu", n_steps=32, batch_size=32, n_epochs=1).learn(256)
     assert envs.num_envs == 4
     assert model.num_timesteps == 256
