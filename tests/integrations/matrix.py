@@ -98,7 +98,8 @@ def row(what: str, *, how: str = "", breaks: str = "", whose: str = "") -> Calla
 
 def _rllib() -> tuple[Library, list[Row]]:
     """RLlib pins an older Gymnasium, so its tests are elsewhere: ``make test-ray``."""
-    how = "`mo_deepdrive.envs.rllib.DrivingMultiAgentEnv`, in an environment with Gymnasium 1.2.2 (`make test-ray`)"
+    older = Library("Gymnasium", "gymnasium", "gymnasium", "", ("constraints-ray.txt",)).version()
+    how = f"`mo_deepdrive.envs.rllib.DrivingMultiAgentEnv`, in an environment with Gymnasium {older} (`make test-ray`)"
     file = "tests/ray/test_rllib.py"
     rows = [
         Row("PPO, one vehicle", "", "", "", ("test_ppo_trains_one_vehicle",), file),
@@ -174,9 +175,9 @@ def tables() -> str:
         sections += [f"## {title}", "", f"How: {library.how}.", ""]
         sections += [_line("", "works", "how", "what breaks", "whose", "test"), "|---|---|---|---|---|---|"]
         for each in rows:
-            links = ", ".join(f"[{test.removeprefix('test_')}](../{each.file})" for test in each.tests)
+            links = ", ".join(f"[`{test}`](../{each.file})" for test in each.tests)
             cells = (each.what, each.works, each.how, each.breaks, each.whose)
-            sections.append(_line(*(cell or "-" for cell in cells), links.replace("_", " ", 0)))
+            sections.append(_line(*(cell or "-" for cell in cells), links))
         sections.append("")
     return "\n".join([*overview, "", *sections])
 

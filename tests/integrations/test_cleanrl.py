@@ -79,7 +79,7 @@ def test_a_loop_trains_on_the_native_vector_environment() -> None:
     assert len(returns) >= 16
 
 
-@row("the wrappers of `ppo_continuous_action.py`", how="`UtilityReward` below `NormalizeReward`")
+@row("the wrappers of CleanRL's continuous PPO", how="`UtilityReward` below `NormalizeReward`")
 def test_the_wrappers_of_cleanrls_continuous_ppo_run() -> None:
     def thunk() -> Any:
         env = gymnasium.wrappers.FlattenObservation(scalar(action_type="continuous"))

@@ -293,7 +293,9 @@ def test_single_policies_train(name: str) -> None:
     assert agent.global_step == STEPS
 
 
-@row("MO Q-learning, MPMOQLearning", how="with `DiscretizeObservation(env, bins, multidiscrete=True)`: they are tabular")
+@row(
+    "MO Q-learning, MPMOQLearning", how="with `DiscretizeObservation(env, bins, multidiscrete=True)`: they are tabular"
+)
 def test_tabular_q_learning_trains() -> None:
     def tabular() -> Any:
         return gymnasium.wrappers.DiscretizeObservation(discrete(), 4, multidiscrete=True)

@@ -16,7 +16,7 @@ LIBRARY = Library(
     "Tianshou",
     "tianshou",
     "tianshou",
-    "`DummyVectorEnv([lambda: WithoutTexts(UtilityReward(...))] * n)`, where `WithoutTexts` drops `info[\"end\"]`",
+    '`DummyVectorEnv([lambda: WithoutTexts(UtilityReward(...))] * n)`, where `WithoutTexts` drops `info["end"]`',
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -135,9 +135,7 @@ def test_a_collector_keeps_vector_rewards() -> None:
 
     env = single()
     net = Net(state_shape=env.observation_space.shape, action_shape=env.action_space.n, hidden_sizes=[8])
-    policy = DiscreteQLearningPolicy(
-        model=net, action_space=env.action_space, observation_space=env.observation_space
-    )
+    policy = DiscreteQLearningPolicy(model=net, action_space=env.action_space, observation_space=env.observation_space)
     collector = Collector(policy, DummyVectorEnv([single] * 2), VectorReplayBuffer(200, 2))
     collector.reset()
     statistics = collector.collect(n_step=100)
@@ -161,13 +159,11 @@ def test_the_aec_environment_runs_in_turns() -> None:
 @row(
     "`make_vec(id)` in a `Collector`",
     how="`DummyVectorEnv` or `SubprocVectorEnv`",
-    breaks="it has a vector API of its own, and resets rows",
-    whose="Tianshou",
+    breaks="TypeError: object of type 'DrivingVectorEnv' has no len()",
+    whose="Tianshou: it has a vector API of its own",
 )
 def test_gymnasiums_vector_environment_is_none_of_its_own() -> None:
     from tianshou.data import Collector
-    from tianshou.env import BaseVectorEnv
 
-    assert not isinstance(vector(), BaseVectorEnv)
-    with pytest.raises(Exception):  # noqa: B017
-        Collector(object(), vector()).reset()
+    with pytest.raises(TypeError, match="has no len"):
+        Collector(object(), vector())
