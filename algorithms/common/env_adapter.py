@@ -26,7 +26,16 @@ from mo_deepdrive.objectives import scales as objective_scales
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from gymnasium.envs.registration import EnvSpec
     from numpy.typing import NDArray
+
+
+def find_spec(env_id: str) -> EnvSpec:
+    """The specification of a registered id, or of ``module:id`` after importing the module that registers it."""
+    module, _, name = env_id.rpartition(":")
+    if module:
+        importlib.import_module(module)
+    return gymnasium.spec(name)
 
 
 def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None) -> VectorEnv:
@@ -37,10 +46,7 @@ def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None
         num_envs: N.
         arguments: keyword arguments of the environment.
     """
-    module, _, name = env_id.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    spec = gymnasium.spec(name)
+    spec = find_spec(env_id)
     arguments = arguments or {}
     if spec.vector_entry_point is not None:
         return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
@@ -188,6 +194,11 @@ class EnvAdapter:
             return np.asarray(scaled).astype(self.vector_env.single_action_space.dtype)
         return actions + self._first_action
 
+    def policy_actions(self, actions: NDArray[Any]) -> NDArray[Any]:
+        """The inverse of :meth:`environment_actions`."""
+        own = (actions - self._centre) / self._reach if self.continuous else actions - self._first_action
+        return np.asarray(own[:, None] if self.vehicles == 1 else own)
+
     def _native_step(self, actions: NDArray[Any]) -> Step:
         observations, rewards, terminated, truncated, infos = self.vector_env.step(actions)
         final = infos.get("final_obs", observations)
@@ -218,6 +229,15 @@ class EnvAdapter:
         if self.native:
             return array if self.vehicles > 1 else array[:, None]
         return array.reshape(len(array), 1, -1)
+
+    def environment_observations(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        """The inverse of :meth:`policy_observations`: observations of n environments as these return them."""
+        space = self.vector_env.single_observation_space
+        if self.native:
+            return observations if self.vehicles > 1 else observations[:, 0]
+        if isinstance(space, spaces.Discrete):
+            return np.asarray(observations[:, 0].argmax(axis=-1) + space.start)
+        return observations.reshape(len(observations), *(space.shape or ())).astype(space.dtype)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """The exact state of the environments as arrays; empty where they cannot be saved."""

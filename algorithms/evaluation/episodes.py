@@ -1,25 +1,38 @@
-"""Evaluation of policies, separate from learning: on raw environments, with its own seeds and its own discount."""
+"""Evaluation of policies, separate from learning: on raw environments, with its own seeds and its own discount.
+
+:func:`evaluate` takes an agent of this package, or a policy of any other library as a function of NumPy arrays; the
+latter does not need torch.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
-import torch
 
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter
+from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
+from algorithms.evaluation.function_policy import FunctionPolicy
 from algorithms.evaluation.metrics import SUCCESS, end_rates, summarise, vehicle_prefix
-from algorithms.evaluation.splits import SPLITS
+from algorithms.evaluation.splits import first_seed
+from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    import torch
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from mo_deepdrive.utilities import Utility
+    from algorithms.evaluation.function_policy import PolicyFunction
+    from algorithms.evaluation.splits import Split
+    from algorithms.evaluation.statistics import Estimate
+
+    UtilityLike = str | Utility | Callable[[Any], Any]
+
+# Parallel environments: this package's cost next to nothing, others a Python step each.
+OUR_ENVS, OTHER_ENVS = 256, 8
 
 
 class Policy(Protocol):
@@ -79,6 +92,12 @@ class Evaluation:
         """Share of the episodes of vehicle ``v`` per reason of their end."""
         return end_rates(self.ends[:, v])
 
+    def estimates(self) -> dict[str, Estimate]:
+        """Every metric with its 95% interval (:func:`algorithms.evaluation.estimates.estimate_metrics`)."""
+        from algorithms.evaluation.estimates import estimate_metrics  # SciPy, which evaluating does not need
+
+        return estimate_metrics(self)
+
     def metrics(self) -> dict[str, float]:
         """Every metric by name (:mod:`algorithms.evaluation.metrics`).
 
@@ -105,11 +124,14 @@ class Evaluation:
 
 
 def evaluate(
-    policy: Policy,
-    env: VectorEnv,
+    policy: Policy | PolicyFunction,
+    env: str | VectorEnv,
     *,
+    split: Split | None = None,
     episodes: int = 100,
-    seed: int = SPLITS["validation"].start,
+    seed: int | None = None,
+    utility: UtilityLike | Sequence[UtilityLike] | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
     greedy: bool = True,
     gamma: float = 0.99,
 ) -> Evaluation:
@@ -120,17 +142,113 @@ def evaluate(
     ``seed + i``.
 
     Args:
-        policy: an agent, or any other policy.
-        env: a raw environment from :func:`algorithms.common.env_adapter.make_env`, not the one used for training.
-        episodes: E.
-        seed: of the first episode.
-        greedy: take the most likely (or mean) action instead of sampling.
-        gamma: discount factor of the discounted returns; the policy observes rewards accrued with its own.
+        policy: an agent, or a function ``policy(observations, accrued, discounts) -> actions`` on batches of N
+            episodes: observations (N, o) and actions (N,) or (N, k) as the environment returns and takes them, the
+            accrued reward R_t = sum_{i<t} gamma^i r_i (N, d), and gamma^t (N,). With V vehicles in an environment each
+            has a second axis: (N, V, o), (N, V) or (N, V, k), (N, V, d), (N, V).
+        env: an id, also as ``module:id``; or a raw vector environment from
+            :func:`algorithms.common.env_adapter.make_env`, not the one used for training.
+        split: the scenarios: "validation" (default), or "test" for final scores.
+        episodes: E; the test split has 1,000.
+        seed: of the first episode, instead of a split.
+        utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, a utility, or a function of returns
+            (..., d); or a list with one per vehicle. By default the agent's; a function has none.
+        env_kwargs: arguments of the environment, if ``env`` is an id.
+        greedy: of an agent, take the most likely (or mean) action instead of sampling.
+        gamma: discount factor of the discounted returns, and of the accrued reward that a function is given; an agent
+            observes rewards accrued with its own.
+
+    Raises:
+        TypeError: for an unknown environment argument, or a policy that is neither an agent nor a function.
+        ValueError: for invalid arguments, or actions of the wrong shape.
     """
+    if not (isinstance(episodes, int) and episodes > 0):
+        raise ValueError(f"episodes = {episodes!r} must be a positive integer")
+    first = first_seed(split, seed, episodes)
+    if not isinstance(env, str):
+        if env_kwargs is not None:
+            raise ValueError("env_kwargs are for an environment given by its id")
+        return _evaluate(policy, env, first + np.arange(episodes), utility, greedy, gamma)
+    made = _make_env(env, episodes, dict(env_kwargs or {}))
+    try:
+        return _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
+    finally:
+        made.close()
+
+
+def as_policy(
+    policy: Policy | PolicyFunction,
+    env: EnvAdapter,
+    utility: UtilityLike | Sequence[UtilityLike] | None = None,
+    gamma: float = 0.99,
+) -> Policy:
+    """An agent as it is, a function as a policy; the arguments are those of :func:`evaluate`.
+
+    Raises:
+        TypeError: for anything else.
+        ValueError: if a utility does not fit the environment.
+    """
+    if hasattr(policy, "act"):
+        return cast("Policy", policy)
+    if not callable(policy):
+        raise TypeError(
+            f"policy = {policy!r} must be an agent or a function policy(observations, accrued, discounts) -> actions, "
+            "such as lambda observations, *_: model.predict(observations)[0]"
+        )
+    return FunctionPolicy(policy, env, _utilities(utility, env), gamma)
+
+
+def _evaluate(
+    policy: Policy | PolicyFunction,
+    env: VectorEnv,
+    seeds: NDArray[np.int64],
+    utility: UtilityLike | Sequence[UtilityLike] | None,
+    greedy: bool,
+    gamma: float,
+) -> Evaluation:
     adapter = EnvAdapter(env)
-    generator = None if greedy else torch.Generator(policy.device).manual_seed(seed)
-    columns = _in_batches(lambda _: policy, adapter, seed + np.arange(episodes), gamma, generator)
-    return Evaluation(adapter.objectives, tuple(policy.utilities), *columns)
+    actor = as_policy(policy, adapter, utility, gamma)
+    if not greedy and isinstance(actor, FunctionPolicy):
+        raise ValueError("greedy = False is for agents; a function samples its actions itself")
+    utilities = tuple(actor.utilities) if utility is None else _utilities(utility, adapter)
+    columns = _in_batches(
+        lambda _: actor, adapter, seeds, gamma, None if greedy else seeded_generator(actor, int(seeds[0]))
+    )
+    return Evaluation(adapter.objectives, utilities, *columns)
+
+
+def seeded_generator(policy: Policy, seed: int) -> torch.Generator:
+    """A generator on the policy's device."""
+    import torch
+
+    return torch.Generator(policy.device).manual_seed(seed)
+
+
+def _make_env(env_id: str, episodes: int, arguments: dict[str, Any]) -> VectorEnv:
+    """A raw environment for evaluations of ``episodes`` episodes."""
+    ours = find_spec(env_id).vector_entry_point is not None
+    return make_env(env_id, min(episodes, OUR_ENVS if ours else OTHER_ENVS), arguments)
+
+
+def _utilities(utility: UtilityLike | Sequence[UtilityLike] | None, env: EnvAdapter) -> tuple[Utility, ...]:
+    """One utility per vehicle; none for None."""
+    if utility is None:
+        return ()
+    each: list[Any] = list(utility) if isinstance(utility, (list, tuple)) else [utility] * env.vehicles
+    if len(each) != env.vehicles:
+        raise ValueError(f"{len(each)} utilities are given for {env.vehicles} vehicles")
+    return tuple(_utility(one, env) for one in each)
+
+
+def _utility(utility: UtilityLike, env: EnvAdapter) -> Utility:
+    if isinstance(utility, str):
+        return make_utility(utility, env.objectives, env.cost_sign)
+    if not isinstance(utility, Utility):
+        utility = Utility(getattr(utility, "__name__", "utility"), env.objectives, utility)
+    if len(utility.objectives) != len(env.objectives):
+        raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; the environment has {env.objectives}")
+    check_utility(utility, np.zeros)
+    return utility
 
 
 def evaluate_each(

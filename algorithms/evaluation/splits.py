@@ -40,6 +40,23 @@ def check_episodes(name: str, episodes: int, split: Split) -> None:
         raise ValueError(f"{name} = {episodes} exceeds the {len(SPLITS[split]):,} scenarios of the {split} split")
 
 
+def first_seed(split: Split | None, seed: int | None, episodes: int) -> int:
+    """The seed of the first of ``episodes`` episodes: that of a split (default: "validation"), or a given one.
+
+    Raises:
+        ValueError: for an unknown split, one that is too small, or a split and a seed.
+    """
+    if seed is not None:
+        if split is not None:
+            raise ValueError(f"split = {split!r} and seed = {seed!r} are both given; give one of them")
+        return seed
+    split = "validation" if split is None else split
+    if split not in SPLITS:
+        raise ValueError(f"split = {split!r} must be one of {list(SPLITS)}")
+    check_episodes("episodes", episodes, split)
+    return SPLITS[split].start
+
+
 def describe_episodes(episodes: int, seed: int) -> str:
     """The episodes of an evaluation as text, for example "1000 episodes of the test split"."""
     for split, seeds in SPLITS.items():

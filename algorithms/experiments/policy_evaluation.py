@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.evaluation.episodes import Evaluation, Policy, evaluate
+from algorithms.evaluation.episodes import OTHER_ENVS, OUR_ENVS, Evaluation, Policy, evaluate
 from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import Experiment, find_environment, is_ours
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from algorithms.pcn import PCN
 
 POLICIES = (GREEDY, STOCHASTIC)
-# Parallel environments: this package's cost next to nothing, others a Python step each.
-OUR_ENVS, OTHER_ENVS = 256, 8
 FRONT_EPISODES = 256  # parallel environments for the episodes of all policies of a front
 
 

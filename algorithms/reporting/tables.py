@@ -5,85 +5,19 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
+from algorithms.evaluation.estimates import estimate_metrics
 from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import (
-    ARRIVED,
-    COLLISION,
-    COMFORT,
-    DISCOUNTED_UTILITY_ESR,
-    DISCOUNTED_UTILITY_SER,
-    LENGTH,
-    SUCCESS,
-    USUAL_FAILURES,
-    UTILITY,
-    UTILITY_ESR,
-    UTILITY_SER,
-    discounted_return_of,
-    end_by,
-    maximum_of,
-    mean_of,
-    return_of,
-    vehicle_prefix,
-)
-from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
+from algorithms.evaluation.metrics import LENGTH, SUCCESS, UTILITY, discounted_return_of, return_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
     from algorithms.evaluation.episodes import Evaluation
-
-
-def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
-    """Every metric of a final evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
-
-    With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided.
-
-    Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
-    decision have none.
-    """
-    estimates: dict[str, Estimate] = {}
-    vehicles = evaluation.returns.shape[1]
-    if vehicles > 1:
-        estimates[SUCCESS] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
-        estimates[end_by(COLLISION)] = rate(np.array([COLLISION in ends for ends in evaluation.ends.tolist()]))
-    for v in range(vehicles):
-        prefix = vehicle_prefix(v, vehicles)
-        estimates |= {prefix + name: value for name, value in _estimate_vehicle(evaluation, v).items()}
-    return estimates
-
-
-def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
-    utility = evaluation.utilities[v]
-    returns, discounted = evaluation.returns[:, v], evaluation.discounted[:, v]
-    lengths, ends = evaluation.lengths[:, v], evaluation.ends[:, v]
-    estimates = {
-        UTILITY_ESR: mean(np.asarray(utility(returns))),
-        UTILITY_SER: utility_of_mean(returns, utility),
-        DISCOUNTED_UTILITY_ESR: mean(np.asarray(utility(discounted))),
-        DISCOUNTED_UTILITY_SER: utility_of_mean(discounted, utility),
-    }
-    known = [str(end) for end in ends if end is not None]
-    if known or evaluation.succeeded[:, v].any():
-        estimates[SUCCESS] = rate(evaluation.succeeded[:, v])
-    if known:
-        others = sorted(set(known) - {ARRIVED, *USUAL_FAILURES})
-        estimates |= {end_by(end): rate(np.asarray(ends == end)) for end in (*USUAL_FAILURES, *others)}
-    estimates[LENGTH] = mean(lengths.astype(np.float64))
-    for i, objective in enumerate(evaluation.objectives):
-        estimates[return_of(objective)] = mean(returns[:, i])
-        estimates[discounted_return_of(objective)] = mean(discounted[:, i])
-    for i, objective in enumerate(evaluation.objectives):
-        if objective in COMFORT:
-            estimates[mean_of(objective)] = mean(np.abs(returns[:, i]) / np.maximum(lengths, 1))
-            estimates[maximum_of(objective)] = Estimate(float(evaluation.largest[:, v, i].max()))
-    return estimates
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:

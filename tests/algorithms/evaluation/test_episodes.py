@@ -11,12 +11,15 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 
+import algorithms.evaluation
 from algorithms import A2C, MOA2C
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.episodes import Evaluation, evaluate
 from mo_deepdrive.utilities import Utility, make_utility
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from algorithms.actor_critic import ActorCritic
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -413,3 +416,113 @@ def test_metrics_are_plain_finite_numbers() -> None:
         agent = make_agent(A2C, env_id)
         metrics = evaluate(agent, make_env(env_id, 3, {"max_episode_steps": 12}), episodes=3).metrics()
         assert all(type(value) is float and np.isfinite(value) for value in metrics.values())
+
+
+# Arguments.
+
+
+def idle(observations: Any, *_: Any) -> Any:
+    return np.zeros(observations.shape[:-1], dtype=np.int64)
+
+
+def test_an_id_with_a_split_is_the_environment_with_the_seeds_of_the_split() -> None:
+    agent = diversified(make_agent(A2C))
+    env = make_env(ONE_WAYPOINT, 5, SHORT)
+    for split, seed in (("validation", 2_000_000), ("test", 3_000_000)):
+        found = evaluate(agent, ONE_WAYPOINT, split=split, episodes=5, env_kwargs=SHORT)
+        assert_same(found, evaluate(agent, env, seed=seed, episodes=5))
+        assert found.utilities == tuple(agent.utilities)
+    assert_same(evaluate(agent, env, episodes=5), evaluate(agent, env, split="validation", episodes=5))
+    named = evaluate(agent, f"mo_deepdrive:{ONE_WAYPOINT}", split="test", episodes=5, env_kwargs=SHORT)
+    assert_same(named, found)
+
+
+@pytest.mark.parametrize(
+    "utility",
+    ["one_waypoint_nonlinear", NONLINEAR, lambda returns: NONLINEAR(returns), [NONLINEAR]],
+    ids=["name", "utility", "function", "list"],
+)
+def test_a_utility_is_given_by_name_as_a_utility_or_as_a_function(utility: Any) -> None:
+    found = evaluate(idle, ONE_WAYPOINT, episodes=3, env_kwargs=SHORT, utility=utility)
+    np.testing.assert_allclose(found.episode_utilities(), NONLINEAR(found.returns[:, 0]))
+    assert found.metrics()["utility_esr"] == found.estimates()["utility_esr"].value
+
+
+def test_a_given_utility_replaces_those_of_an_agent() -> None:
+    agent = make_agent(A2C)
+    found = evaluate(agent, make_env(ONE_WAYPOINT, 3, SHORT), episodes=3, utility="one_waypoint_nonlinear")
+    assert [utility.name for utility in found.utilities] == ["one_waypoint_nonlinear"]
+
+
+def test_vehicles_may_have_different_utilities() -> None:
+    names = ["intersection_nonlinear", "intersection_linear"]
+    found = evaluate(idle, INTERSECTION, episodes=2, env_kwargs=SHORT, utility=names)
+    assert [utility.name for utility in found.utilities] == names
+
+
+def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> None:
+    found = evaluate(idle, ONE_WAYPOINT, episodes=3, env_kwargs=SHORT)
+    estimates = found.estimates()
+    assert not any("utility" in name for name in [*estimates, *found.metrics()])
+    assert estimates["return/jerk"].value == pytest.approx(found.metrics()["return/jerk"])
+    assert estimates["success"].low == 0.0
+    assert estimates["success"].high == pytest.approx(0.56, abs=0.01)  # Wilson's, of 0 in 3
+
+
+@pytest.mark.parametrize(
+    ("policy", "options", "error", "message"),
+    [
+        (idle, {"split": "train"}, ValueError, r"split = 'train' must be one of \['validation', 'test'\]"),
+        (idle, {"split": "test", "seed": 3}, ValueError, "split = 'test' and seed = 3 are both given"),
+        (idle, {"split": "test", "episodes": 1001}, ValueError, "episodes = 1001 exceeds the 1,000 scenarios"),
+        (idle, {"episodes": 0}, ValueError, "episodes = 0 must be a positive integer"),
+        (idle, {"greedy": False}, ValueError, "greedy = False is for agents"),
+        (idle, {"utility": "one_waypoint_linaer"}, ValueError, "did you mean 'one_waypoint_linear'"),
+        (idle, {"utility": [NONLINEAR] * 2}, ValueError, "2 utilities are given for 1 vehicles"),
+        (idle, {"utility": lambda returns: returns}, ValueError, "utility '<lambda>' gives"),
+        (idle, {"utility": make_utility("linear", ["a"], weights=[1.0])}, ValueError, "the environment has"),
+        (idle, {"env_kwargs": {"time_limt": 3.0}}, TypeError, "did you mean 'time_limit'"),
+        ("ppo", {}, TypeError, "policy = 'ppo' must be an agent or a function"),
+    ],
+)
+def test_invalid_arguments_are_refused(policy: Any, options: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        evaluate(policy, ONE_WAYPOINT, **options)
+
+
+def test_arguments_of_an_environment_that_exists_are_refused() -> None:
+    with pytest.raises(ValueError, match="env_kwargs are for an environment given by its id"):
+        evaluate(idle, make_env(ONE_WAYPOINT, 1), env_kwargs={})
+
+
+@pytest.mark.slow
+def test_a_function_is_evaluated_without_torch(run_python: Callable[[str], str]) -> None:
+    loaded = run_python(
+        "import sys, algorithms.evaluation\n"
+        "assert not {'torch', 'numpy', 'gymnasium'} & set(sys.modules)\n"
+        "from algorithms.evaluation import Evaluation, evaluate\n"
+        "import numpy as np\n"
+        "policy = lambda observations, accrued, discounts: np.zeros(len(observations), dtype=int)\n"
+        f"assert isinstance(evaluate(policy, '{ONE_WAYPOINT}', episodes=2), Evaluation)\n"
+        "print([name for name in ('torch', 'algorithms.evaluation.estimates', 'minari') if name in sys.modules])"
+    )
+    assert loaded == "[]\n"
+
+
+def test_the_names_of_the_package_are_listed() -> None:
+    assert {"Evaluation", "evaluate", "record_dataset"} <= set(dir(algorithms.evaluation))
+    with pytest.raises(AttributeError, match="has no attribute 'evaluat'"):
+        algorithms.evaluation.evaluat  # noqa: B018  (the access itself raises)
+
+
+@pytest.mark.slow
+def test_without_minari_the_error_names_the_extra(run_python: Callable[[str], str]) -> None:
+    said = run_python(
+        "import sys\n"
+        "sys.modules['minari'] = None\n"
+        "try:\n"
+        "    from algorithms.evaluation import record_dataset\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
+    )
+    assert said == 'recording a data set needs Minari: pip install "mo-deepdrive[minari]"\n'

@@ -1,0 +1,125 @@
+"""Functions of NumPy arrays as policies: what they are given, and that they act as the same agent does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mo_gymnasium
+import numpy as np
+import pytest
+import torch
+
+from algorithms import MOA2C
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.evaluation import evaluate
+from algorithms.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.utilities import make_utility
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
+INTERSECTION = "mo-deepdrive-intersection-v0"
+SEA = "deep-sea-treasure-v0"
+ROOMS = "four-room-v0"
+
+
+def idle(observations: Any, _accrued: Any, _discounts: Any) -> Any:
+    return np.zeros(observations.shape[:-1], dtype=np.int64)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments"),
+    [
+        (ONE_WAYPOINT, {"time_limit": 3.0}),
+        (ONE_WAYPOINT, {"time_limit": 3.0, "action_type": "continuous"}),
+        (INTERSECTION, {"time_limit": 3.0}),
+        (INTERSECTION, {"time_limit": 3.0, "action_type": "continuous"}),
+        (SEA, {"max_episode_steps": 9}),
+        (ROOMS, {"max_episode_steps": 9}),
+    ],
+    ids=str,
+)
+def test_a_function_that_acts_as_an_agent_gets_its_evaluation(env_id: str, arguments: dict[str, Any]) -> None:
+    env = make_env(env_id, 4, arguments)
+    adapter = EnvAdapter(env)
+    d = len(adapter.objectives)
+    agent = MOA2C(env, make_utility("linear", adapter.objectives, weights=np.linspace(1.0, 0.1, d)), gamma=0.9)
+    for learner in agent.learners:  # actions that depend on the observation and on the accrued reward
+        with torch.no_grad():
+            learner.actor.body[-1].weight.mul_(100.0)
+    vehicles = adapter.vehicles
+
+    def function(observations: Any, accrued: Any, discounts: Any) -> Any:
+        if vehicles == 1:
+            accrued, discounts = accrued[:, None], discounts[:, None]
+        past = AccruedReward(accrued, discounts, np.zeros(discounts.shape, dtype=np.int64))
+        return adapter.environment_actions(agent.act(adapter.policy_observations(observations), past, None))
+
+    expected = evaluate(agent, env, episodes=6, seed=40, gamma=0.9)
+    found = evaluate(function, env_id, episodes=6, seed=40, gamma=0.9, env_kwargs=arguments)
+    for name, array in vars(expected).items():
+        if isinstance(array, np.ndarray):
+            np.testing.assert_array_equal(getattr(found, name), array, err_msg=name)
+    assert found.utilities == ()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "shapes"),
+    [
+        (ONE_WAYPOINT, [(5, 15), (5, 4), (5,)]),
+        (INTERSECTION, [(5, 2, 29), (5, 2, 6), (5, 2)]),
+        (ROOMS, [(5, 14), (5, 3), (5,)]),
+    ],
+)
+def test_a_function_is_given_what_the_documentation_says(env_id: str, shapes: list[tuple[int, ...]]) -> None:
+    calls = []
+
+    def function(*inputs: Any) -> Any:
+        calls.append(inputs)
+        return np.zeros(inputs[2].shape, dtype=np.int64)
+
+    evaluate(function, env_id, episodes=5, seed=1, gamma=0.5)
+    assert [array.shape for array in calls[0]] == shapes
+    assert calls[0][0].dtype == (np.int32 if env_id == ROOMS else np.float32)
+    for i, (_, _, discounts) in enumerate(calls[:4]):  # each call has arrays of its own
+        np.testing.assert_array_equal(discounts, 0.5**i)
+
+
+def test_the_accrued_reward_is_the_discounted_sum_of_the_rewards() -> None:
+    accrued = []
+
+    def function(_observations: Any, rewards: Any, _discounts: Any) -> Any:
+        accrued.append(rewards)
+        return np.full(1, 3)
+
+    evaluate(function, ONE_WAYPOINT, episodes=1, seed=7, gamma=0.9)
+    env = mo_gymnasium.make(ONE_WAYPOINT)
+    env.reset(seed=7)
+    total = np.zeros(4)
+    for t, found in enumerate(accrued):
+        np.testing.assert_allclose(found[0], total, rtol=1e-5, atol=1e-6)
+        total += 0.9**t * env.step(3)[1]
+
+
+def test_the_policy_is_also_one_for_another_number_of_environments() -> None:
+    adapter = EnvAdapter(make_env(INTERSECTION, 1))
+    policy = FunctionPolicy(idle, adapter)
+    observations = np.zeros((3, 2, 29), dtype=np.float32)
+    assert policy.act(observations, AccruedReward.begin(3, 2, 6), None).shape == (3, 2)
+    assert policy.device == torch.device("cpu")
+
+
+@pytest.mark.parametrize(
+    ("env_id", "returned", "message"),
+    [
+        (ONE_WAYPOINT, lambda n: 0, r"the policy returned actions of shape \(\); expected \(3,\)"),
+        (ONE_WAYPOINT, lambda n: np.zeros((n, 1)), r"shape \(3, 1\); expected \(3,\)"),
+        (INTERSECTION, lambda n: np.zeros(n), r"shape \(3,\); expected \(3, 2\)"),
+        (SEA, lambda n: np.zeros(n - 1), r"shape \(2,\); expected \(3,\)"),
+    ],
+)
+def test_actions_of_the_wrong_shape_are_refused(env_id: str, returned: Callable[[int], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        evaluate(lambda observations, *_: returned(len(observations)), env_id, episodes=3)
