@@ -5,15 +5,18 @@ CONFIG ?= configs/one_waypoint/mo_a2c_linear.yaml
 SEED ?= 0
 RAY_VENV ?= .venv-ray
 PEERS_VENV ?= .venv-peers
+INTEGRATIONS_VENV ?= .venv-integrations
 MUTANTS_VENV ?= .venv-mutants
 PIP = $(VENV)/bin/python -m pip --disable-pip-version-check
 READY = $(VENV)/.ready
 TRAIN_READY = $(VENV)/.ready-train
 RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
+INTEGRATIONS_READY = $(INTEGRATIONS_VENV)/.ready
 MUTANTS_READY = $(MUTANTS_VENV)/.ready
 
-.PHONY: install train test test-fast test-ray test-peers test-cluster test-install mutants lint benchmark clean
+.PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-install mutants lint \
+	benchmark clean
 
 install: $(READY)
 
@@ -41,6 +44,16 @@ $(PEERS_READY): pyproject.toml constraints.txt constraints-peers.txt
 	$(PYTHON) -m venv $(PEERS_VENV)
 	$(PEERS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
 		--constraint constraints.txt --constraint constraints-peers.txt --editable ".[peers]" pytest hypothesis
+	touch $@
+
+# Tianshou needs older releases of two packages.
+$(INTEGRATIONS_READY): pyproject.toml constraints.txt constraints-peers.txt constraints-integrations.txt
+	$(PYTHON) -m venv $(INTEGRATIONS_VENV)
+	grep --no-filename --invert-match --extended-regexp '^(filelock|pandas)==' constraints.txt constraints-peers.txt \
+		> $(INTEGRATIONS_VENV)/constraints.txt
+	$(INTEGRATIONS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
+		--constraint $(INTEGRATIONS_VENV)/constraints.txt --constraint constraints-integrations.txt \
+		--editable ".[integrations]" pytest pytest-xdist hypothesis
 	touch $@
 
 # Cosmic Ray installs 16 further packages.
@@ -81,6 +94,10 @@ test-ray: $(RAY_READY)
 test-peers: $(PEERS_READY)
 	$(PEERS_VENV)/bin/python -m pytest tests/peers tests/mo_deepdrive/test_wrappers.py
 
+# Other libraries on our environments; the table of docs/compatibility.md is what these tests declare.
+test-integrations: $(INTEGRATIONS_READY)
+	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/integrations --numprocesses 2 --dist worksteal
+
 # Which small changes of the code the tests notice; more options in MUTANTS, such as MUTANTS="--workers 2 --resume".
 mutants: $(MUTANTS_READY)
 	$(MUTANTS_VENV)/bin/python -m tests.mutation.mutants $(MUTANTS)
@@ -89,4 +106,4 @@ benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(MUTANTS_VENV) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,357 @@
+"""Gymnasium: the checker, every wrapper, the vector environments."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import wrappers
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import vector as vector_wrappers
+
+from mo_deepdrive.wrappers import UtilityReward
+from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, SHORT, scalar, single, vector
+from tests.integrations.matrix import Library, row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+LIBRARY = Library("Gymnasium", "gymnasium", "gymnasium", "`gymnasium.make(id)`, `gymnasium.make_vec(id)`")
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+STEPS = 60
+FAST = {"decision_frequency": 60, "time_limit": 0.4}  # of wrappers that wait for the next frame
+
+
+def pictures() -> Any:
+    return wrappers.AddRenderObservation(single(render_mode="rgb_array"), render_only=True)
+
+
+def rendered() -> Any:
+    return single(render_mode="rgb_array")
+
+
+def continuous() -> Any:
+    return single(action_type="continuous")
+
+
+def names(cases: dict[str, Any]) -> str:
+    return ", ".join(f"`{name}`" for name in cases)
+
+
+# Each wraps a new environment with the reward of decisions (d,).
+SINGLE: dict[str, Callable[[], Any]] = {
+    "AddRenderObservation": pictures,
+    "AddWhiteNoise": lambda: wrappers.AddWhiteNoise(pictures(), 0.5, is_noise_grayscale=False),
+    "ClipAction": lambda: wrappers.ClipAction(continuous()),
+    "ClipReward": lambda: wrappers.ClipReward(single(), -1.0, 1.0),
+    "DelayObservation": lambda: wrappers.DelayObservation(single(), 2),
+    "DiscretizeAction": lambda: wrappers.DiscretizeAction(continuous(), 3),
+    "DiscretizeObservation": lambda: wrappers.DiscretizeObservation(single(), 3),
+    "DtypeObservation": lambda: wrappers.DtypeObservation(single(), np.float64),
+    "FilterObservation": lambda: wrappers.FilterObservation(
+        wrappers.AddRenderObservation(rendered(), render_only=False), ["state"]
+    ),
+    "FlattenObservation": lambda: wrappers.FlattenObservation(single()),
+    "FrameStackObservation": lambda: wrappers.FrameStackObservation(single(), 3),
+    "GrayscaleObservation": lambda: wrappers.GrayscaleObservation(pictures()),
+    "HumanRendering": lambda: wrappers.HumanRendering(single(render_mode="rgb_array", **FAST)),
+    "NormalizeObservation": lambda: wrappers.NormalizeObservation(single()),
+    "ObstructView": lambda: wrappers.ObstructView(pictures(), 0.5, 20),
+    "OrderEnforcing": lambda: wrappers.OrderEnforcing(single()),
+    "PassiveEnvChecker": lambda: wrappers.PassiveEnvChecker(single()),
+    "RecordEpisodeStatistics": lambda: wrappers.RecordEpisodeStatistics(single()),
+    "RecordVideo": lambda: wrappers.RecordVideo(rendered(), "videos"),
+    "RenderCollection": lambda: wrappers.RenderCollection(rendered()),
+    "RescaleAction": lambda: wrappers.RescaleAction(continuous(), np.float32(-2), np.float32(2)),
+    "RescaleObservation": lambda: wrappers.RescaleObservation(single(), np.float32(0), np.float32(1)),
+    "ReshapeObservation": lambda: wrappers.ReshapeObservation(single(), (3, 5)),
+    "ResizeObservation": lambda: wrappers.ResizeObservation(pictures(), (32, 32)),
+    "StickyAction": lambda: wrappers.StickyAction(single(), 0.5),
+    "TimeAwareObservation": lambda: wrappers.TimeAwareObservation(single(max_episode_steps=20)),
+    "TimeLimit": lambda: wrappers.TimeLimit(single(), 4),
+    "TransformAction": lambda: wrappers.TransformAction(continuous(), lambda action: action / 2, None),
+    "TransformObservation": lambda: wrappers.TransformObservation(single(), lambda observation: observation, None),
+    "TransformReward": lambda: wrappers.TransformReward(single(), lambda reward: reward * 2),
+}
+# Wrappers that compute with a float; each is given the function that makes the environment.
+SCALAR: dict[str, Callable[[Any], Any]] = {
+    "ArrayConversion": lambda env: wrappers.ArrayConversion(env, env_xp=np, target_xp=np),
+    "JaxToNumpy": lambda env: wrappers.JaxToNumpy(env),
+    "JaxToTorch": lambda env: wrappers.JaxToTorch(env),
+    "MaxAndSkipObservation": lambda env: wrappers.MaxAndSkipObservation(env, 3),
+    "NormalizeReward": lambda env: wrappers.NormalizeReward(env),
+    "NumpyToTorch": lambda env: wrappers.NumpyToTorch(env),
+    "RepeatAction": lambda env: wrappers.RepeatAction(env, 3),
+}
+CONVERTERS = ("ArrayConversion", "JaxToNumpy", "JaxToTorch", "NumpyToTorch")
+JAX = ("JaxToNumpy", "JaxToTorch")
+NEEDS = {"ResizeObservation": "cv2", "HumanRendering": "cv2", "RecordVideo": "moviepy"}
+
+
+def require(name: str) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    if name in CONVERTERS:
+        pytest.importorskip("array_api_compat")
+
+
+def drive(env: Any, shape: tuple[int, ...]) -> int:
+    """A few episodes at random, with rewards of ``shape``; how many have ended."""
+    env.action_space.seed(0)
+    observation, _ = env.reset(seed=0)
+    ends = 0
+    for _ in range(STEPS):
+        observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        assert np.shape(reward) == shape
+        assert np.isfinite(reward).all()
+        assert observation in env.observation_space
+        if terminated or truncated:
+            ends += 1
+            observation, _ = env.reset()
+    env.close()
+    return ends
+
+
+@row("`check_env`", how="its one warning is that the reward is no float")
+def test_the_checker_warns_of_the_vector_reward_alone() -> None:
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        check_env(single().unwrapped, skip_render_check=True)
+    messages = [str(warning.message) for warning in found]
+    assert [message for message in messages if "The reward returned by `step()` must be" not in message] == []
+
+
+@row(f"wrappers: {names(SINGLE)}")
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_wrapper_runs(name: str) -> None:
+    require(name)
+    assert drive(SINGLE[name](), (4,)) >= 2
+
+
+def test_episode_statistics_have_the_vector_return() -> None:
+    env = wrappers.RecordEpisodeStatistics(single())
+    env.reset(seed=0)
+    total, info = np.zeros(4), {}
+    while "episode" not in info:
+        _, reward, _, _, info = env.step(3)
+        total += reward
+    np.testing.assert_allclose(info["episode"]["r"], total, rtol=1e-5)
+
+
+@row(
+    f"wrappers that compute with the reward as a float: {names(SCALAR)}",
+    how="`UtilityReward` or MO-Gymnasium's `LinearReward` inside; for some MO-Gymnasium has one with vector rewards",
+    breaks="TypeError in the first step: only 0-dimensional arrays can be converted to Python scalars",
+    whose="Gymnasium: rewards are scalars",
+)
+@pytest.mark.parametrize("name", SCALAR)
+def test_a_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
+    require(name)
+    if name in JAX:
+        pytest.importorskip("jax")
+    torch = pytest.importorskip("torch")
+    env = SCALAR[name](single())
+    # The wrapper from JAX are for environments in JAX; they convert the actions, too.
+    action = {"NumpyToTorch": torch.tensor(3), "JaxToTorch": torch.tensor(3)}.get(name, np.array(3))
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match="arrays can be converted to Python scalars"):
+        env.step(action)
+    if name not in JAX:
+        env = SCALAR[name](scalar())
+        env.reset(seed=0)
+        for _ in range(5):
+            assert np.shape(env.step(action)[1]) == ()
+
+
+@row(
+    "`Autoreset`",
+    how="`make_vec`, or `UtilityReward` inside",
+    breaks="the reward of the step that resets is the scalar 0.0",
+    whose="Gymnasium: rewards are scalars",
+)
+def test_autoreset_has_a_scalar_reward_in_the_step_that_resets() -> None:
+    env = wrappers.Autoreset(single())
+    env.reset(seed=0)
+    shapes = [np.shape(env.step(0)[1]) for _ in range(21)]
+    assert shapes == [(4,)] * 20 + [()]  # breaks
+
+
+@row("`AtariPreprocessing`", breaks="needs the observations of an Atari game", whose="Gymnasium: made for Atari")
+def test_atari_preprocessing_is_for_atari() -> None:
+    pytest.importorskip("cv2")
+    with pytest.raises(ValueError, match="frame-skip"):
+        wrappers.AtariPreprocessing(pictures()).reset(seed=0)
+
+
+# ------------------------------------------------------------------------------------------------------------- vector
+
+VECTOR: dict[str, Callable[[Callable[..., Any]], Any]] = {
+    "ClipAction": lambda make: vector_wrappers.ClipAction(make(action_type="continuous")),
+    "ClipReward": lambda make: vector_wrappers.ClipReward(make(), -1.0, 1.0),
+    "DictInfoToList": lambda make: vector_wrappers.DictInfoToList(make()),
+    "DtypeObservation": lambda make: vector_wrappers.DtypeObservation(make(), np.float64),
+    "FlattenObservation": lambda make: vector_wrappers.FlattenObservation(make()),
+    "HumanRendering": lambda make: vector_wrappers.HumanRendering(make(render_mode="rgb_array", **FAST)),
+    "NormalizeObservation": lambda make: vector_wrappers.NormalizeObservation(make()),
+    "RecordVideo": lambda make: vector_wrappers.RecordVideo(make(render_mode="rgb_array"), "videos"),
+    "RescaleAction": lambda make: vector_wrappers.RescaleAction(make(action_type="continuous"), -2.0, 2.0),
+    "RescaleObservation": lambda make: vector_wrappers.RescaleObservation(make(), 0.0, 1.0),
+    "ReshapeObservation": lambda make: vector_wrappers.ReshapeObservation(make(), (3, 5)),
+    "TransformAction": lambda make: vector_wrappers.TransformAction(make(action_type="continuous"), lambda a: a / 2),
+    "TransformObservation": lambda make: vector_wrappers.TransformObservation(make(), lambda o: o),
+    "TransformReward": lambda make: vector_wrappers.TransformReward(make(), lambda r: r * 2),
+    "VectorizeTransformAction": lambda make: vector_wrappers.VectorizeTransformAction(
+        make(action_type="continuous"), wrappers.ClipAction
+    ),
+    "VectorizeTransformObservation": lambda make: vector_wrappers.VectorizeTransformObservation(
+        make(), wrappers.FlattenObservation
+    ),
+    "VectorizeTransformReward": lambda make: vector_wrappers.VectorizeTransformReward(
+        make(), wrappers.TransformReward, func=lambda reward: reward * 2
+    ),
+}
+# TransformReward computes the utility, as in CleanRL-style loops.
+VECTOR_SCALAR: dict[str, Callable[[Any], Any]] = {
+    "NormalizeReward": lambda env: vector_wrappers.NormalizeReward(env),
+    "RecordEpisodeStatistics": lambda env: vector_wrappers.RecordEpisodeStatistics(env),
+}
+VECTOR_IMAGES = ("GrayscaleObservation", "ResizeObservation")
+VECTOR_DICT = ("FilterObservation",)
+
+
+def drive_vector(env: Any, shape: tuple[int, ...]) -> None:
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    for _ in range(STEPS):
+        observations, rewards, *_ = env.step(env.action_space.sample())
+        assert rewards.shape == shape
+        assert np.isfinite(rewards).all()
+        assert observations in env.observation_space
+    env.close()
+
+
+@row(f"vector wrappers: {names(VECTOR)}", how="`make_vec` of OneWaypoint or StaticObstacle; rewards are (N, d)")
+@pytest.mark.parametrize("name", VECTOR)
+def test_a_vector_wrapper_runs(name: str) -> None:
+    require(name)
+    drive_vector(VECTOR[name](vector), (3, 4))
+
+
+@row(
+    f"vector wrappers with one reward per environment: {names(VECTOR_SCALAR)}",
+    how="the utility first: `TransformReward(envs, lambda rewards: rewards @ weights)`; statistics also MO-Gymnasium's",
+    breaks="ValueError: operands could not be broadcast together with shapes (N,) (N, d)",
+    whose="Gymnasium: rewards are scalars",
+)
+@pytest.mark.parametrize("name", VECTOR_SCALAR)
+def test_a_vector_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=r"shape|dimensional"):
+        drive_vector(VECTOR_SCALAR[name](vector()), (3, 4))
+    drive_vector(VECTOR_SCALAR[name](vector_wrappers.TransformReward(vector(), lambda r: r @ np.ones(4))), (3,))
+
+
+@row(
+    f"vector wrappers: {names(dict.fromkeys(CONVERTERS))}",
+    breaks="at the end of an episode: object arrays in `infos`, which also Gymnasium makes of texts, are not converted",
+    whose="Gymnasium",
+)
+@pytest.mark.parametrize("name", CONVERTERS)
+def test_a_vector_converter_does_not_take_texts_in_infos(name: str) -> None:
+    require(name)
+    if name in JAX:
+        pytest.importorskip("jax")
+    torch = pytest.importorskip("torch")
+    options = {"env_xp": np, "target_xp": np} if name == "ArrayConversion" else {}
+    env = getattr(vector_wrappers, name)(vector(), **options)
+    env.reset(seed=0)
+    action = torch.zeros(3, dtype=torch.int64) if name.endswith("Torch") else np.zeros(3, dtype=np.int64)
+    if name in JAX:
+        action = env.action_space.sample() if name == "JaxToNumpy" else action
+    for _ in range(19):
+        env.step(action)
+    with pytest.raises(BufferError, match="DLPack only supports"):
+        env.step(action)
+
+
+def test_the_texts_of_gymnasiums_own_vector_environment_are_not_converted_either() -> None:
+    require("ArrayConversion")
+    env = vector_wrappers.ArrayConversion(gymnasium.vector.SyncVectorEnv([scalar] * 2), env_xp=np, target_xp=np)
+    env.reset(seed=0)
+    for _ in range(19):
+        env.step(np.array([0, 0]))
+    with pytest.raises(BufferError, match="DLPack only supports"):
+        env.step(np.array([0, 0]))
+
+
+@row(
+    f"vector wrappers: {names(dict.fromkeys(VECTOR_DICT + VECTOR_IMAGES))}",
+    breaks="need observations in a dict, or images",
+    whose="Gymnasium: made for other observations",
+)
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [("FilterObservation", (["state"],)), ("GrayscaleObservation", ()), ("ResizeObservation", ((8, 8),))],
+)
+def test_a_vector_wrapper_of_images_or_dicts_refuses_the_observations(name: str, arguments: tuple[Any, ...]) -> None:
+    with pytest.raises(ValueError, match=r"only usable with `Dict`|requires an image|2D or 3D image"):
+        getattr(vector_wrappers, name)(vector(), *arguments)
+
+
+@row(
+    "vector wrappers on the vector environment of Intersection",
+    how="wrappers of observations, actions and rewards work; for the others `parallel_env()`, or the turn-based id",
+    breaks="`RecordEpisodeStatistics`, `NormalizeReward` and `RecordVideo` need flags (N,); Intersection has one per "
+    "vehicle, (N, 2)",
+    whose="mo-deepdrive: two vehicles are no `VectorEnv` in the strict sense",
+)
+@pytest.mark.parametrize("name", [*VECTOR_SCALAR, "RecordVideo"])
+def test_flags_per_vehicle_break_wrappers_with_one_flag_per_environment(name: str) -> None:
+    def make(**options: Any) -> Any:
+        return vector(INTERSECTION, **options)
+
+    if name == "RecordVideo":
+        pytest.importorskip("moviepy")
+    env = VECTOR[name](make) if name in VECTOR else VECTOR_SCALAR[name](make())
+    with pytest.raises(ValueError, match=r"shape|truth value"):
+        drive_vector(env, (3, 2, 6))
+    for other in ("NormalizeObservation", "ClipReward", "RescaleAction", "DictInfoToList"):
+        drive_vector(VECTOR[other](make), (3, 2, 6))
+
+
+def test_every_wrapper_of_gymnasium_is_covered() -> None:
+    assert set(wrappers.__all__) - {"vector"} == {*SINGLE, *SCALAR, "Autoreset", "AtariPreprocessing"}
+    assert set(vector_wrappers.__all__) == {*VECTOR, *VECTOR_SCALAR, *CONVERTERS, *VECTOR_IMAGES, *VECTOR_DICT}
+
+
+@row(
+    "`SyncVectorEnv`, `AsyncVectorEnv`",
+    how="`UtilityReward` in each; for vector rewards `make_vec(id)` or MO-Gymnasium's `MOSyncVectorEnv`",
+    breaks="with vector rewards: setting an array element with a sequence",
+    whose="Gymnasium: rewards are scalars",
+)
+@pytest.mark.parametrize("kind", [gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv])
+def test_gymnasiums_vector_environments_take_scalar_rewards(kind: Any) -> None:
+    if kind is gymnasium.vector.SyncVectorEnv:
+        env = kind([single] * 2)
+        env.reset(seed=0)
+        with pytest.raises((ValueError, TypeError), match=r"array element|scalar"):
+            env.step(np.array([3, 3]))
+    env = kind([scalar] * 2)
+    drive_vector(env, (2,))
+
+
+@row("`make_vec(id, vectorization_mode=...)`", how="the default is this package's compiled vector environment")
+def test_the_default_of_make_vec_is_the_native_environment() -> None:
+    assert type(gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, **SHORT)).__name__ == "DrivingVectorEnv"
+    env = gymnasium.make_vec(
+        ONE_WAYPOINT,
+        num_envs=2,
+        vectorization_mode="sync",
+        wrappers=[lambda env: UtilityReward(env, "one_waypoint_linear")],
+        **SHORT,
+    )
+    drive_vector(env, (2,))

@@ -1,0 +1,142 @@
+"""MO-Gymnasium: every wrapper, single and vector."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mo_gymnasium.wrappers
+import mo_gymnasium.wrappers.vector
+import numpy as np
+import pytest
+from mo_gymnasium.wrappers import (
+    LinearReward,
+    MOClipReward,
+    MOMaxAndSkipObservation,
+    MONormalizeReward,
+    MORecordEpisodeStatistics,
+)
+from mo_gymnasium.wrappers.vector import MOAsyncVectorEnv, MOSyncVectorEnv
+from mo_gymnasium.wrappers.vector import MORecordEpisodeStatistics as VectorStatistics
+
+from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, single, vector
+from tests.integrations.matrix import Library, row
+
+LIBRARY = Library("MO-Gymnasium", "mo-gymnasium", "mo_gymnasium", "`mo_gymnasium.make(id)`")
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+IDS = {ONE_WAYPOINT: 4, INTERSECTION: 6}  # and their objectives
+
+
+def episode(env: Any) -> list[tuple[Any, Any]]:
+    """Rewards and infos of one episode."""
+    env.reset(seed=0)
+    steps = []
+    terminated = truncated = False
+    while not (terminated or truncated):
+        _, reward, terminated, truncated, info = env.step(3)
+        steps.append((reward, info))
+    return steps
+
+
+@row("`LinearReward`", how="`LinearReward(env, weight=...)`; or `UtilityReward` of this package for any utility")
+@pytest.mark.parametrize("env_id", IDS)
+def test_the_linear_reward_is_the_weighted_sum(env_id: str) -> None:
+    weights = np.linspace(0.1, 1.0, IDS[env_id])
+    for reward, info in episode(LinearReward(single(env_id), weight=weights)):
+        assert reward == pytest.approx(float(weights @ info["vector_reward"]))
+
+
+@row("`MONormalizeReward`, `MOClipReward`", how="one per objective, by its index in `env.unwrapped.objectives`")
+@pytest.mark.parametrize("env_id", IDS)
+def test_rewards_are_normalised_and_clipped(env_id: str) -> None:
+    jerk = single(env_id).unwrapped.objectives.index("jerk")
+    plain = np.array([reward for reward, _ in episode(single(env_id))])
+    clipped = np.array([reward for reward, _ in episode(MOClipReward(single(env_id), idx=jerk, min_r=-1.0, max_r=0.0))])
+    np.testing.assert_array_equal(clipped[:, jerk], np.maximum(plain[:, jerk], -1.0))
+    normal = np.array([reward for reward, _ in episode(MONormalizeReward(single(env_id), idx=jerk))])
+    assert len(np.unique((normal[:, jerk] / plain[:, jerk]).round(3))) > 5
+    np.testing.assert_array_equal(np.delete(normal, jerk, axis=1), np.delete(plain, jerk, axis=1))
+
+
+@row("`MORecordEpisodeStatistics`", how="in Intersection it adds up the rewards of both vehicles")
+@pytest.mark.parametrize("env_id", IDS)
+def test_statistics_are_those_of_the_episode(env_id: str) -> None:
+    steps = episode(MORecordEpisodeStatistics(single(env_id), gamma=0.9))
+    rewards = np.array([reward for reward, _ in steps], dtype=np.float64)
+    found = steps[-1][1]["episode"]
+    np.testing.assert_allclose(found["r"], rewards.sum(axis=0), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found["dr"], 0.9 ** np.arange(len(rewards)) @ rewards, rtol=1e-4, atol=1e-4)
+
+
+@row("`MOMaxAndSkipObservation`", how="OneWaypoint, StaticObstacle; in Intersection it would mix the vehicles' turns")
+def test_skipped_decisions_add_up() -> None:
+    skipped = np.array([reward for reward, _ in episode(MOMaxAndSkipObservation(single(), skip=4))])
+    plain = np.array([reward for reward, _ in episode(single())])
+    np.testing.assert_allclose(skipped, plain.reshape(-1, 4, 4).sum(axis=1), rtol=1e-4, atol=1e-5)
+
+
+@row("`MOSyncVectorEnv`", how="or `gymnasium.make_vec(id)`, which is faster and returns the same vector rewards")
+def test_the_vector_environment_agrees_with_the_native_one() -> None:
+    env, native = MOSyncVectorEnv([single] * 3), vector()
+    env.reset(seed=0)
+    native.reset(seed=0)
+    for _ in range(45):
+        step, expected = env.step(np.array([3, 6, 0])), native.step(np.array([3, 6, 0]))
+        for mine, theirs in zip(step[:4], expected[:4], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert expected[1].shape == (3, 4)
+
+
+@row(
+    "`MOAsyncVectorEnv`",
+    breaks="ValueError: a custom `worker` must accept 8 arguments; its worker accepts 7",
+    whose="MO-Gymnasium, on Gymnasium 1.4",
+)
+def test_the_asynchronous_vector_environment_does_not_run_on_this_gymnasium() -> None:
+    with pytest.raises(ValueError, match="`worker` must accept 8 arguments"):
+        MOAsyncVectorEnv([single] * 2)
+
+
+@row("vector `MORecordEpisodeStatistics`: undiscounted returns, lengths")
+@pytest.mark.parametrize("make", [vector, lambda: MOSyncVectorEnv([single] * 3)], ids=["native", "MOSyncVectorEnv"])
+def test_vector_statistics_are_those_of_the_episode(make: Any) -> None:
+    env = VectorStatistics(make(), gamma=0.9)
+    env.reset(seed=0)
+    total = np.zeros((3, 4))
+    for _ in range(20):
+        _, rewards, _, _, infos = env.step(np.array([3, 6, 0]))
+        total += rewards
+    np.testing.assert_allclose(infos["episode"]["r"], total, rtol=1e-4, atol=1e-4)
+    assert infos["episode"]["l"].tolist() == [20, 20, 20]
+
+
+@row(
+    "vector `MORecordEpisodeStatistics`: discounted returns `dr`",
+    breaks="never reset: from the second episode on they include those of the episodes before",
+    whose="MO-Gymnasium",
+)
+def test_vector_statistics_never_reset_the_discounted_return() -> None:
+    env = VectorStatistics(vector(num_envs=1, fixed_destination=True), gamma=0.9)
+    env.reset(seed=0)
+    found = []
+    while len(found) < 2:
+        infos = env.step(np.array([3]))[4]
+        if "episode" in infos:
+            found.append(infos["episode"])
+    np.testing.assert_allclose(found[0]["r"], found[1]["r"], rtol=1e-4)
+    with pytest.raises(AssertionError):
+        np.testing.assert_allclose(found[0]["dr"], found[1]["dr"], rtol=1e-4)
+
+
+def test_every_wrapper_of_mo_gymnasium_is_covered() -> None:
+    def public(module: Any) -> set[str]:
+        return {name for name in dir(module) if name[0].isupper()}
+
+    assert public(mo_gymnasium.wrappers) == {
+        "LinearReward",
+        "MOClipReward",
+        "MOMaxAndSkipObservation",
+        "MONormalizeReward",
+        "MORecordEpisodeStatistics",
+    }
+    assert public(mo_gymnasium.wrappers.vector) == {"MOAsyncVectorEnv", "MORecordEpisodeStatistics", "MOSyncVectorEnv"}

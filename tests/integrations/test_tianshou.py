@@ -1,0 +1,169 @@
+"""Tianshou: scalar rewards, by ``UtilityReward``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import mo_deepdrive
+from tests.integrations.envs import SHORT, scalar, single, vector
+from tests.integrations.matrix import Library, row
+
+LIBRARY = Library(
+    "Tianshou",
+    "tianshou",
+    "tianshou",
+    '`DummyVectorEnv([lambda: WithoutTexts(UtilityReward(...))] * n)`, where `WithoutTexts` drops `info["end"]`',
+)
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+class WithoutTexts(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Tianshou takes a text that only the last step's info has for a missing value in all others."""
+
+    def step(self, action: Any) -> Any:
+        *result, info = self.env.step(action)
+        return *result, {name: value for name, value in info.items() if not isinstance(value, str)}
+
+
+def numeric(**options: Any) -> Any:
+    return WithoutTexts(scalar(**options))
+
+
+def train_dqn(make: Any) -> Any:
+    from tianshou.algorithm import DQN
+    from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
+    from tianshou.algorithm.optim import AdamOptimizerFactory
+    from tianshou.data import Collector, VectorReplayBuffer
+    from tianshou.env import DummyVectorEnv
+    from tianshou.trainer import OffPolicyTrainerParams
+    from tianshou.utils.net.common import Net
+
+    env = make()
+    policy = DiscreteQLearningPolicy(
+        model=Net(state_shape=env.observation_space.shape, action_shape=env.action_space.n, hidden_sizes=[8]),
+        action_space=env.action_space,
+        observation_space=env.observation_space,
+        eps_training=0.1,
+    )
+    algorithm = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.99, target_update_freq=10)
+    training = Collector(algorithm, DummyVectorEnv([make] * 2), VectorReplayBuffer(500, 2), exploration_noise=True)
+    training.reset()
+    return algorithm.run_training(
+        OffPolicyTrainerParams(
+            training_collector=training,
+            test_collector=Collector(algorithm, DummyVectorEnv([make] * 2)),
+            max_epochs=1,
+            epoch_num_steps=200,
+            collection_step_num_env_steps=20,
+            test_step_num_episodes=2,
+            batch_size=16,
+            update_step_num_gradient_steps_per_sample=0.1,
+            show_progress=False,
+            verbose=False,
+        )
+    )
+
+
+def train_ppo(make: Any) -> Any:
+    import torch
+    from tianshou.algorithm import PPO
+    from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
+    from tianshou.algorithm.optim import AdamOptimizerFactory
+    from tianshou.data import Collector, VectorReplayBuffer
+    from tianshou.env import DummyVectorEnv
+    from tianshou.trainer import OnPolicyTrainerParams
+    from tianshou.utils.net.common import Net
+    from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
+
+    env = make()
+    shape = env.observation_space.shape
+    actor = ContinuousActorProbabilistic(
+        preprocess_net=Net(state_shape=shape, hidden_sizes=[8]), action_shape=env.action_space.shape
+    )
+    policy = ProbabilisticActorPolicy(
+        actor=actor,
+        dist_fn=lambda arguments: torch.distributions.Independent(torch.distributions.Normal(*arguments), 1),
+        action_space=env.action_space,
+    )
+    critic = ContinuousCritic(preprocess_net=Net(state_shape=shape, hidden_sizes=[8]))
+    algorithm = PPO(policy=policy, critic=critic, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.99)
+    training = Collector(algorithm, DummyVectorEnv([make] * 2), VectorReplayBuffer(500, 2))
+    training.reset()
+    return algorithm.run_training(
+        OnPolicyTrainerParams(
+            training_collector=training,
+            test_collector=Collector(algorithm, DummyVectorEnv([make] * 2)),
+            max_epochs=1,
+            epoch_num_steps=200,
+            collection_step_num_env_steps=100,
+            test_step_num_episodes=2,
+            batch_size=32,
+            update_step_num_repetitions=1,
+            show_progress=False,
+            verbose=False,
+        )
+    )
+
+
+@row(
+    "DQN (discrete) and PPO (continuous) with its trainers",
+    how='drop `info["end"]`: a wrapper whose `step` removes texts from `info`',
+    breaks="MalformedBufferError at the first end of an episode: `Encountered NaNs in buffer`",
+    whose="Tianshou: infos of some steps alone are missing values in all others",
+)
+def test_its_algorithms_train_if_infos_have_no_texts() -> None:
+    from tianshou.data.buffer.buffer_base import MalformedBufferError
+
+    with pytest.raises(MalformedBufferError, match="Encountered NaNs in buffer"):
+        train_dqn(scalar)
+    for result in (train_dqn(numeric), train_ppo(lambda: numeric(action_type="continuous"))):
+        assert result.train_step >= 200
+        assert np.isfinite(result.best_reward)
+
+
+@row("`Collector` and `VectorReplayBuffer` with vector rewards", how="they are kept: `buffer.rew` is (size, d)")
+def test_a_collector_keeps_vector_rewards() -> None:
+    from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
+    from tianshou.data import Collector, VectorReplayBuffer
+    from tianshou.env import DummyVectorEnv
+    from tianshou.utils.net.common import Net
+
+    env = single()
+    net = Net(state_shape=env.observation_space.shape, action_shape=env.action_space.n, hidden_sizes=[8])
+    policy = DiscreteQLearningPolicy(model=net, action_space=env.action_space, observation_space=env.observation_space)
+    collector = Collector(policy, DummyVectorEnv([single] * 2), VectorReplayBuffer(200, 2))
+    collector.reset()
+    statistics = collector.collect(n_step=100)
+    assert collector.buffer.rew.shape == (200, 4)
+    assert statistics.returns.shape == (4, 4)
+
+
+@row("`PettingZooEnv(mo_deepdrive.env())`", how="rewards are a list with a vector per vehicle")
+def test_the_aec_environment_runs_in_turns() -> None:
+    pytest.importorskip("momaland")
+    from tianshou.env.pettingzoo_env import PettingZooEnv
+
+    env = PettingZooEnv(mo_deepdrive.env(**SHORT))
+    observation, _ = env.reset(seed=0)
+    for vehicle in ("vehicle_0", "vehicle_1") * 5:
+        assert observation["agent_id"] == vehicle
+        observation, rewards, *_ = env.step(3)
+        assert np.shape(rewards) == (2, 6)
+
+
+@row(
+    "`make_vec(id)` in a `Collector`",
+    how="`DummyVectorEnv` or `SubprocVectorEnv`",
+    breaks="TypeError: object of type 'DrivingVectorEnv' has no len()",
+    whose="Tianshou: it has a vector API of its own",
+)
+def test_gymnasiums_vector_environment_is_none_of_its_own() -> None:
+    from tianshou.data import Collector
+
+    with pytest.raises(TypeError, match="has no len"):
+        Collector(object(), vector())
