@@ -57,6 +57,15 @@ def kill(what: str) -> int:
     return len(found)
 
 
+def test_ray_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
+    (tmp_path / "algorithms").mkdir()
+    (tmp_path / "algorithms" / "__init__.py").write_text("raise SystemExit('the wrong package')")
+    (tmp_path / "own.py").write_text("def utility(returns):\n    return returns[..., 0]\n")
+    file = write_sweep(tmp_path, overrides={"utility.name": "own:utility"})
+    assert run_sweep(file, "--on", "ray", "--output", "sweep").returncode == 0
+    assert {status(run)["state"] for run in runs(tmp_path / "sweep")} == {"finished"}
+
+
 def test_embedded_ray_gives_the_same_results_and_reports_every_objective(short: Reference, tmp_path: Path) -> None:
     done = run_sweep(short.file, "--on", "ray", "--output", tmp_path)
     assert done.returncode == 0

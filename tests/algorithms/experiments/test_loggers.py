@@ -249,6 +249,15 @@ def test_training_continues_when_wandb_is_not_installed(tmp_path: Path, monkeypa
     assert len(read_metrics(tmp_path / "metrics.csv")["step"]) == 2
 
 
+def test_a_run_without_wandb_installed_is_told_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    said: list[str] = []
+    with Logger(tmp_path, wandb=WandbSettings(project="p"), say=said.append) as logger:
+        logger.log(0, {"a": 1})
+    reason = "logging.wandb needs wandb: pip install 'mo-deepdrive[wandb]'"
+    assert said == [f"warning: Weights & Biases is disabled: {reason}"]
+
+
 def test_wandb_that_fails_during_training_is_disabled_with_one_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

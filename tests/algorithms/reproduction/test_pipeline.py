@@ -14,6 +14,7 @@ from algorithms.reproduction import pipeline
 from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.report import QUICK, verdict_table
 from algorithms.reproduction.results import ReproductionResults, gather
+from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PLAN, TINY, make_results
 
 if TYPE_CHECKING:
@@ -67,6 +68,15 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     code, _, _ = call("--claim", "1", "--redraw", "--output", str(results))
     assert code == 0
     assert verdict_table(load_plan("plan.yaml"), found) in (results / "reproduction.md").read_text()
+
+
+def test_a_reproduction_of_everything_is_published_in_a_checkout_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = pipeline.ReproductionOptions(None, None, None, False, False, None, None, 1)
+    assert options.output_folder == REPOSITORY / "docs" / "results"
+    monkeypatch.setattr(pipeline, "PUBLISHED", tmp_path / "docs" / "results")
+    assert options.output_folder == Path("runs/reproduce/results")
 
 
 @pytest.mark.parametrize(

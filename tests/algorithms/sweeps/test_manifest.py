@@ -32,6 +32,7 @@ from algorithms.sweeps.manifest import (
     write_manifest,
 )
 from algorithms.sweeps.sweep_settings import load_sweep
+from mo_deepdrive.extras import MissingExtraError
 from tests.helpers.short_runs import VALUES
 from tests.helpers.sweep_files import run_sweep, write_sweep
 
@@ -471,7 +472,7 @@ def test_a_directory_without_a_manifest_is_not_a_sweep(tmp_path: Path) -> None:
 
 def test_the_error_without_optuna_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(ValueError, match=r"pip install 'mo-deepdrive\[sweep\]'"):
+    with pytest.raises(MissingExtraError, match=r"a search needs optuna: pip install 'mo-deepdrive\[sweep\]'"):
         expanded(tmp_path, search={"space": {RATE: [1e-3]}, "metric": METRIC, "trials": 1})
     assert len(expanded(tmp_path)) == 2  # a sweep without a search does not need Optuna
 
