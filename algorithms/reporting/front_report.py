@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from algorithms.evaluation.episodes import Policy
 
 FILMED_POLICIES = 4
-MAX_FRAMES = 300  # of every policy that is filmed
 TABLE_ROWS = 12  # policies in the table; front.csv has all
 
 
@@ -136,7 +134,7 @@ def film_front(
     seed: int,
     policies: ArrayLike | None = None,
 ) -> int:
-    """Record policies of a front side by side, all in the same scenario.
+    """Record whole episodes of policies of a front side by side, all in the same scenario.
 
     Args:
         agent: has the policies.
@@ -161,7 +159,7 @@ def film_front(
         tracks = []
         for k, env in zip(chosen, envs, strict=True):
             frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
-            tracks.append((caption(front, int(k)), islice(frames, MAX_FRAMES)))
+            tracks.append((caption(front, int(k)), frames))
         return write_video_grid(tracks, path, fps)
     finally:
         for env in envs:
