@@ -342,7 +342,7 @@ def _limit_y_axis(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDAr
     pad = 0.25 * (high - low)
     low, high = limits_of_min_span(low - pad, high + pad, max(scale, 1e-6))
     cut = np.ptp(values[np.isfinite(values)]) >= CUT_RATIO * (high - low)
-    axis.set_ylim(*((low, high) if cut else limits_of_min_span(*axis.get_ylim(), scale)))
+    axis.set_ylim(*((low, high) if cut else limits_of_min_span(*axis.get_ylim(), scale=scale)))
     return " (start cut off)" if cut else ""
 
 
