@@ -264,8 +264,9 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
         axis.yaxis.set_major_locator(MaxNLocator(4))
         axis.margins(0.08)
         x_scale, y_scale = (nominal_scale(discounted_return_of(front.objectives[i])) for i in pair)
-        axis.set_xlim(*limits_of_min_span(*axis.get_xlim(), scale=x_scale))
-        axis.set_ylim(*limits_of_min_span(*axis.get_ylim(), scale=y_scale))
+        (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
+        axis.set_xlim(*limits_of_min_span(left, right, x_scale))
+        axis.set_ylim(*limits_of_min_span(bottom, top, y_scale))
         if row == d - 2:
             axis.set_xlabel(label(front.objectives[pair[0]], "discounted"))
         if column == 0:
@@ -314,7 +315,8 @@ def _bars(view: FrontView) -> Figure:
         axis.tick_params(axis="y", length=0)
         axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
         if i < d:
-            axis.set_xlim(*limits_of_min_span(*axis.get_xlim(), scale=nominal_scale(return_of(front.objectives[i]))))
+            left, right = axis.get_xlim()
+            axis.set_xlim(*limits_of_min_span(left, right, nominal_scale(return_of(front.objectives[i]))))
         else:
             axis.set_xlim(0.0, 1.0)
             axis.xaxis.set_major_formatter(PercentFormatter(1.0))
