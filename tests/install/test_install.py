@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from algorithms import zoo
 from algorithms.commands import COMMANDS
 from tests.helpers.paths import REPOSITORY
 
@@ -218,7 +219,8 @@ def test_a_sweep_is_trained_by_workers(everything: Installed) -> None:
 
 
 def test_policies_of_the_zoo_come_with_the_wheel(everything: Installed) -> None:
-    assert "one_waypoint_front-pcn" in everything.command("zoo").stdout
+    listed = everything.command("zoo").stdout
+    assert all(f" {name} " in listed for name in zoo.names())
     chosen = everything.command("choose", "one_waypoint_front-pcn", "--weights", "distance=1", "--episodes", "1").stdout
     assert "chosen" in chosen
 
