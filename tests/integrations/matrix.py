@@ -163,7 +163,10 @@ def _anchor(title: str) -> str:
 
 def tables() -> str:
     """The generated part of the page."""
-    overview = [_line("library", "version", "works", "how", "what does not work, and whose it is"), "|---|---|---|---|---|"]
+    overview = [
+        _line("library", "version", "works", "how", "what does not work, and whose it is"),
+        "|---|---|---|---|---|",
+    ]
     sections = []
     for library, rows in matrix():
         version = library.version() if library.module else ""
