@@ -6,8 +6,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.integrations.matrix import HERE
+
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Importing a library alone takes longer than a second."""
+    for item in items:
+        if item.path.parent == HERE:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(autouse=True)

@@ -163,13 +163,17 @@ def _anchor(title: str) -> str:
 
 def tables() -> str:
     """The generated part of the page."""
-    overview = [_line("library", "version", "works", "how", "what breaks, and whose it is"), "|---|---|---|---|---|"]
+    overview = [
+        _line("library", "version", "works", "how", "what does not work, and whose it is"),
+        "|---|---|---|---|---|",
+    ]
     sections = []
     for library, rows in matrix():
         version = library.version() if library.module else ""
         title = f"{library.name} {version}".strip()
         broken = [f"{each.what} ({each.whose})" for each in rows if each.works == "no"]
-        working = f"{len(rows) - len(broken)} of {len(rows)}"
+        counts = [(sum(each.works == works for each in rows), works) for works in ("yes", "changed", "no")]
+        working = ", ".join(f"{number} {works}" for number, works in counts if number)
         name = f"[{library.name}](#{_anchor(title)})"
         overview.append(_line(name, version, working, library.how, "; ".join(broken) or "-"))
         sections += [f"## {title}", "", f"How: {library.how}.", ""]

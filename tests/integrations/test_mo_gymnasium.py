@@ -75,7 +75,7 @@ def test_skipped_decisions_add_up() -> None:
     np.testing.assert_allclose(skipped, plain.reshape(-1, 4, 4).sum(axis=1), rtol=1e-4, atol=1e-5)
 
 
-@row("`MOSyncVectorEnv`", how="or `gymnasium.make_vec(id)`, which is faster and returns the same vector rewards")
+@row("`MOSyncVectorEnv`", how="or `gymnasium.make_vec(id)`, which returns the same")
 def test_the_vector_environment_agrees_with_the_native_one() -> None:
     env, native = MOSyncVectorEnv([single] * 3), vector()
     env.reset(seed=0)
