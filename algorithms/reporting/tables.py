@@ -17,8 +17,10 @@ from algorithms.evaluation.metrics import (
     COMFORT,
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
+    END,
     LENGTH,
     SUCCESS,
+    TIME_LIMIT,
     USUAL_FAILURES,
     UTILITY,
     UTILITY_ESR,
@@ -27,13 +29,15 @@ from algorithms.evaluation.metrics import (
     end_by,
     maximum_of,
     mean_of,
+    repeated_metric,
     return_of,
+    split_name,
     vehicle_prefix,
 )
 from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from algorithms.evaluation.evaluate import Evaluation
@@ -87,7 +91,12 @@ def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy."""
+    """A table with a row per metric and a column per policy.
+
+    Rows that say nothing are left out: returns that are a rate of another row (the return of ``destination`` is the
+    arrival rate), and reasons of an episode's end that never occurred, except the time limit and, where collisions are
+    an objective, collisions.
+    """
     columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     names: list[str] = []
     for estimates in columns.values():
@@ -96,6 +105,7 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
+    names = [name for name in names if _says_something(name, list(columns.values()))]
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", no_wrap=True, min_width=max(map(len, names)))
     for policy in columns:
@@ -104,6 +114,19 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
         cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return result
+
+
+def _says_something(name: str, columns: Sequence[Mapping[str, Estimate]]) -> bool:
+    """Whether a metric of ``columns`` is neither the same numbers as another one nor an end that cannot be expected."""
+    other, metric = repeated_metric(name), split_name(name).metric
+    if other is not None and all(
+        other in each and np.isclose(abs(each[name].value), each[other].value) for each in columns if name in each
+    ):
+        return False
+    if metric == end_by(TIME_LIMIT) or not metric.startswith(END):
+        return True
+    expected = metric == end_by(COLLISION) and any(return_of(COLLISION) in key for each in columns for key in each)
+    return expected or any(name in each and each[name].value > 0.0 for each in columns)
 
 
 def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
