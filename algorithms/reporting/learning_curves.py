@@ -34,6 +34,7 @@ from algorithms.evaluation.metrics import (
     UTILITY_ESR,
     evaluation_prefix,
     nominal_scale,
+    repeated_metric,
     return_of,
     split_name,
     title_of,
@@ -275,13 +276,20 @@ def _quantities(present: set[str], configs: Sequence[Mapping[str, Any]]) -> list
         wanted += [((return_of(name),) * len(KINDS), False) for name in ordered]
         for names, is_score in wanted:
             metrics = tuple(f"{kind.prefix}{inner}{name}" for kind, name in zip(KINDS, names, strict=True))
-            if present & set(metrics):
+            here = present & set(metrics)
+            if here and not (ours and all(_is_arrival_rate(name, present) for name in here)):
                 text = prefix + title_of(names[0])
                 found.append((text[0].upper() + text[1:], metrics, is_score))
     together = tuple(kind.prefix + SUCCESS for kind in KINDS)
     if len(vehicles) > 1 and present & set(together):
         found.append((f"All vehicles: {title_of(SUCCESS)}", together, False))
     return found
+
+
+def _is_arrival_rate(name: str, present: set[str]) -> bool:
+    """Whether a return is the same number as an arrival rate, which has a panel of its own."""
+    other = repeated_metric(name)
+    return other is not None and split_name(other).metric == SUCCESS and other in present
 
 
 def _colours(groups: Sequence[CurveGroup]) -> list[str]:

@@ -178,8 +178,18 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
+        _remove_impossible_collisions(group, scores[members[0]])
         groups.append(group)
     return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
+
+
+def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estimate]) -> None:
+    """Remove collision rates of 0 where collisions are no objective: there is nothing to collide with."""
+    if any(name.endswith(return_of(COLLISION)) for name in scores):
+        return
+    for place in [place for place in group.scores if place.metric == end_by(COLLISION)]:
+        if not any(group.scores[place]):
+            del group.scores[place]
 
 
 def environment_label(environment: Mapping[str, Any]) -> str:

@@ -186,3 +186,15 @@ def test_axes_show_noise_as_noise_and_cut_off_the_start_where_it_would_flatten_t
     assert np.ptp(success) > 1.0
     assert jerk == pytest.approx((-125.0, -75.0))
     assert np.ptp(lane) == pytest.approx(1.0)
+
+
+def test_a_return_that_is_the_arrival_rate_has_no_panel_beside_it(make: Make) -> None:
+    (group,) = load_groups([make("a")])
+
+    def titles(*names: str) -> list[str]:
+        columns = {name: np.zeros(3) for name in ("step", *names)}
+        return [panel.title for panel in curve_panels([replace(group, runs=(columns,))])]
+
+    rates = ("train/success", "train/return/destination", "eval/greedy/success", "eval/greedy/return/destination")
+    assert titles(*rates, "eval/greedy/return/jerk") == ["Arrival rate", "Jerk (sum, m/s³)"]
+    assert titles("eval/front/return/destination") == ["Destination"], "of fronts there is no arrival rate"

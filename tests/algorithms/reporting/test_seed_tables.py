@@ -103,3 +103,17 @@ def test_utilities_are_named_with_those_of_other_vehicles() -> None:
 
 def test_columns_without_numbers_are_dropped() -> None:
     assert without_empty_columns([["a", "b"], ["1", ""], ["2", ""]]) == [["a"], ["1"], ["2"]]
+
+
+@pytest.mark.parametrize(
+    ("objective", "rate", "shown"), [("jerk", 0.0, False), ("jerk", 0.5, True), ("collision", 0.0, True)]
+)
+def test_collisions_have_a_column_where_there_is_something_to_collide_with(
+    tmp_path: Path, objective: str, rate: float, shown: bool
+) -> None:
+    make_run(tmp_path / "run", 0)
+    metrics = {"success": 0.5, "end/collision": rate, f"return/{objective}": 0.0}
+    scores = {name: {"value": value, "low": None, "high": None} for name, value in metrics.items()}
+    (tmp_path / "run/evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    header, _ = scores_table(group_runs([tmp_path], pytest.fail))
+    assert ("end/collision" in header) is shown
