@@ -168,14 +168,11 @@ def crowding_distances(returns: ArrayLike) -> NDArray[np.float64]:
     return mean
 
 
-def farthest_point_subset(
-    returns: ArrayLike, count: int, scales: ArrayLike | None = None, *, min_distance: float = 0.0
-) -> NDArray[np.intp]:
+def farthest_point_subset(returns: ArrayLike, count: int, scales: ArrayLike | None = None) -> NDArray[np.intp]:
     """Indices of ``count`` of the points ``returns`` (n, d), which cover them: farthest-point sampling (Gonzalez 1985).
 
-    The best point of every objective comes first, then always the point farthest from those chosen before; fewer than
-    ``count`` if all others are nearer than ``min_distance`` to one of them. All indices, in their order, if there are
-    no more than ``count`` points.
+    The best point of every objective comes first, then always the point farthest from those chosen before. All indices,
+    in their order, if there are no more than ``count`` points.
     """
     points = finite_points(returns, "returns")
     if len(points) <= count:
@@ -186,8 +183,6 @@ def farthest_point_subset(
     nearest[chosen] = -1.0  # or equal points would be the same one again
     while len(chosen) < count:
         new = int(nearest.argmax())
-        if nearest[new] < min_distance:
-            break
         chosen.append(new)
         nearest = np.minimum(nearest, np.linalg.norm(points - points[new], axis=-1))
         nearest[new] = -1.0

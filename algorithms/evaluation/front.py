@@ -32,8 +32,6 @@ from algorithms.evaluation.metrics import (
     LENGTH,
     RETURN,
     SUCCESS,
-    repeated_metric,
-    return_of,
 )
 from algorithms.evaluation.statistics import bootstrap
 
@@ -178,11 +176,6 @@ class Front:
 
     def __len__(self) -> int:
         return len(self.returns)
-
-    def is_arrival_rate(self, i: int) -> bool:
-        """Whether the return of objective ``i`` is the arrival rate, as that of ``destination`` is."""
-        same = repeated_metric(return_of(self.objectives[i])) == SUCCESS
-        return same and bool(np.allclose(self.returns[:, i], self.success))
 
     def take(self, indices: ArrayLike) -> Front:
         """The policies at ``indices`` (or under a mask), in this order."""

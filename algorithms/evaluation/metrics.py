@@ -159,8 +159,6 @@ _LOWER_IS_BETTER = frozenset(
         *(maximum_of(objective) for objective in COMFORT),
     )
 )
-# Returns of objectives that are 1 or -1 in the last decision, and the rates that are the same numbers.
-_REPEATED = {return_of("destination"): SUCCESS, return_of(COLLISION): end_by(COLLISION)}
 _TITLES = {
     UTILITY: "utility per episode",
     UTILITY_ESR: "utility per episode",
@@ -187,25 +185,6 @@ def title_of(name: str) -> str:
         objective = metric.removeprefix(RETURN)
         return label(objective) if objective in INDEX else objective.replace("_", " ")
     return _TITLES.get(metric, metric.replace("_", " "))
-
-
-def repeated_metric(name: str) -> str | None:
-    """The metric that says the same as a return: the return of ``destination`` is the arrival rate; None if none does.
-
-    ``vehicle_0/return/destination`` gives ``vehicle_0/success``, ``eval/greedy/return/collision`` gives
-    ``eval/greedy/end/collision``.
-    """
-    metric = split_name(name).metric
-    return name.removesuffix(metric) + _REPEATED[metric] if metric in _REPEATED else None
-
-
-def nominal_scale(name: str) -> float:
-    """The magnitude that a metric usually has: 1 for rates, an objective's scale for its return; 0 where unknown."""
-    metric = split_name(name).metric
-    if metric == SUCCESS or metric.startswith(END):
-        return 1.0
-    objective = metric.removeprefix(DISCOUNTED_RETURN).removeprefix(RETURN)
-    return OBJECTIVES[INDEX[objective]].scale if metric != objective and objective in INDEX else 0.0
 
 
 def name_and_unit(objective: str) -> tuple[str, str]:

@@ -12,15 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.evaluation.metrics import (
-    SUCCESS,
-    discounted_return_of,
-    label,
-    name_and_unit,
-    nominal_scale,
-    return_of,
-    title_of,
-)
+from algorithms.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
 from algorithms.reporting.front_layout import (
     add_colour_bar,
     arrival_names,
@@ -33,7 +25,7 @@ from algorithms.reporting.front_layout import (
     returns_note,
 )
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
-from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE, limits_of_min_span
+from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -263,10 +255,6 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
         axis.xaxis.set_major_locator(MaxNLocator(4))
         axis.yaxis.set_major_locator(MaxNLocator(4))
         axis.margins(0.08)
-        x_scale, y_scale = (nominal_scale(discounted_return_of(front.objectives[i])) for i in pair)
-        (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
-        axis.set_xlim(*limits_of_min_span(left, right, x_scale))
-        axis.set_ylim(*limits_of_min_span(bottom, top, y_scale))
         if row == d - 2:
             axis.set_xlabel(label(front.objectives[pair[0]], "discounted"))
         if column == 0:
@@ -278,7 +266,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
 def _bars(view: FrontView) -> Figure:
     """A panel per objective: the mean returns of a few policies with their intervals."""
     front, shown = view.front, view.representatives(BARS)
-    n = len(shown)
+    n, d = len(shown), len(front.objectives)
     certain = bool((front.low[shown] == front.high[shown]).all())
     notes = (
         returns_note(view),
@@ -286,8 +274,6 @@ def _bars(view: FrontView) -> Figure:
         policies_note(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
         colour_note(view),
     )
-    drawn = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
-    d = len(drawn)
     count = d + (view.arrived is not None)
     columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
     rows = -(-count // columns)
@@ -299,11 +285,10 @@ def _bars(view: FrontView) -> Figure:
             axis.set_visible(False)
             continue
         if i < d:
-            k = drawn[i]
-            mean = front.returns[shown, k]
-            errors = np.maximum([mean - front.low[shown, k], front.high[shown, k] - mean], 0.0)
+            mean = front.returns[shown, i]
+            errors = np.maximum([mean - front.low[shown, i], front.high[shown, i] - mean], 0.0)
             texts = list(map(number_formatter(mean), mean))
-            axis.set_title(label(front.objectives[k]))
+            axis.set_title(label(front.objectives[i]))
         else:
             mean, errors = front.success[shown], np.zeros((2, n))
             texts = [f"{share:.0%}" for share in mean]
@@ -317,10 +302,7 @@ def _bars(view: FrontView) -> Figure:
         axis.grid(visible=False, axis="y")
         axis.tick_params(axis="y", length=0)
         axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
-        if i < d:
-            left, right = axis.get_xlim()
-            axis.set_xlim(*limits_of_min_span(left, right, nominal_scale(return_of(front.objectives[k]))))
-        else:
+        if i >= d:
             axis.set_xlim(0.0, 1.0)
             axis.xaxis.set_major_formatter(PercentFormatter(1.0))
         axis.set_yticks(range(n), [f"policy {policy}" for policy in shown], color=INK)

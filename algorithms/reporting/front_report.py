@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from algorithms.evaluation.episodes import Policy
 
 FILMED_POLICIES = 4
+MAX_FRAMES = 300  # of every policy that is filmed
 TABLE_ROWS = 12  # policies in the table; front.csv has all
 
 
@@ -102,15 +104,13 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
         for name, value in measured.items()
     ]
     arrivals = bool(np.isfinite(front.success).all())
-    shown = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
-    names = [front.objectives[i] for i in shown]
-    rows = [["policy", *names, *(["arrivals"] if arrivals else []), "decisions"]]
+    rows = [["policy", *front.objectives, *(["arrivals"] if arrivals else []), "decisions"]]
     for k in covering_policies(front, TABLE_ROWS).tolist():
         cells = [
             Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
             if front.episodes > 1
             else f"{front.returns[k, i]:.4g}"
-            for i in shown
+            for i in range(len(front.objectives))
         ]
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
@@ -136,7 +136,7 @@ def film_front(
     seed: int,
     policies: ArrayLike | None = None,
 ) -> int:
-    """Record whole episodes of policies of a front side by side, all in the same scenario.
+    """Record policies of a front side by side, all in the same scenario.
 
     Args:
         agent: has the policies.
@@ -161,7 +161,7 @@ def film_front(
         tracks = []
         for k, env in zip(chosen, envs, strict=True):
             frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
-            tracks.append((caption(front, int(k)), frames))
+            tracks.append((caption(front, int(k)), islice(frames, MAX_FRAMES)))
         return write_video_grid(tracks, path, fps)
     finally:
         for env in envs:

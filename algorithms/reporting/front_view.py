@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from algorithms.evaluation.front import Front
 
 REPRESENTATIVES = 16  # policies that are drawn individually at most; in larger fronts these represent all
-# Policies that differ by less look the same; the leading objective, in whose order they are drawn, counts twice.
-MIN_DISTANCE, LEADING_WEIGHT = 0.15, 2.0
 LEADING = "distance"  # the objective that orders and colours policies; if there is none of this name, the first one
 
 
@@ -137,16 +135,8 @@ class FrontView:
         return self.front.success >= 0.5 if np.isfinite(self.front.success).all() else None
 
     def representatives(self, count: int = REPRESENTATIVES) -> NDArray[np.intp]:
-        """Up to ``count`` policies that cover the front, ordered by the leading objective; more include fewer.
-
-        They are the farthest points of the importance of the objectives, the leading one with LEADING_WEIGHT, so that
-        gaps along it are filled first. A front may have dozens of policies that hardly differ, such as all those that
-        arrive: what is closer than MIN_DISTANCE to a policy shown is left out even where ``count`` allows more, because
-        it would be one more copy of the same bars. All policies of a front with no more than ``count`` are shown.
-        """
-        scales = np.ones(len(self.front.objectives))
-        scales[self.leading] /= LEADING_WEIGHT
-        chosen = farthest_point_subset(np.nan_to_num(self.importance), count, scales, min_distance=MIN_DISTANCE)
+        """Up to ``count`` policies that cover the front, ordered by the leading objective; more include fewer."""
+        chosen = farthest_point_subset(np.nan_to_num(self.importance), count)
         order = np.lexsort((chosen, self.front.returns[chosen, self.leading]))
         return np.asarray(chosen[order])
 

@@ -33,24 +33,13 @@ from algorithms.evaluation.metrics import (
     UTILITY,
     UTILITY_ESR,
     evaluation_prefix,
-    nominal_scale,
-    repeated_metric,
     return_of,
     split_name,
     title_of,
 )
 from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
 from algorithms.evaluation.statistics import bootstrap
-from algorithms.reporting.style import (
-    DIM,
-    DPI,
-    STYLE,
-    TRAINING,
-    algorithm_order,
-    group_colours,
-    limits_of_min_span,
-    surround,
-)
+from algorithms.reporting.style import DIM, DPI, STYLE, curve_colour, surround
 from mo_deepdrive.objectives import INDEX
 
 if TYPE_CHECKING:
@@ -103,9 +92,6 @@ class CurveGroup:
 def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone (:mod:`algorithms.evaluation.seed_groups`).
 
-    Groups are in the order of their algorithms (:data:`algorithms.reporting.style.ALGORITHM_COLOURS`), those of one
-    algorithm in the order of the ``directories``.
-
     Raises:
         ValueError: if a directory is not a run or has no metrics yet, or two runs of a group have the same seed.
     """
@@ -124,7 +110,6 @@ def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
         configs.append(config)
         metrics.append(columns)
     groups = group_by_experiment(paths, configs)
-    groups.sort(key=lambda members: algorithm_order(configs[members[0]]["algorithm"]["name"]))
     labels = _labels([configs[members[0]] for members in groups])
     return [
         CurveGroup(label, configs[members[0]], tuple(metrics[i] for i in members))
@@ -276,8 +261,7 @@ def _quantities(present: set[str], configs: Sequence[Mapping[str, Any]]) -> list
         wanted += [((return_of(name),) * len(KINDS), False) for name in ordered]
         for names, is_score in wanted:
             metrics = tuple(f"{kind.prefix}{inner}{name}" for kind, name in zip(KINDS, names, strict=True))
-            here = present & set(metrics)
-            if here and not (ours and all(_is_arrival_rate(name, present) for name in here)):
+            if present & set(metrics):
                 text = prefix + title_of(names[0])
                 found.append((text[0].upper() + text[1:], metrics, is_score))
     together = tuple(kind.prefix + SUCCESS for kind in KINDS)
@@ -286,19 +270,8 @@ def _quantities(present: set[str], configs: Sequence[Mapping[str, Any]]) -> list
     return found
 
 
-def _is_arrival_rate(name: str, present: set[str]) -> bool:
-    """Whether a return is the same number as an arrival rate, which has a panel of its own."""
-    other = repeated_metric(name)
-    return other is not None and split_name(other).metric == SUCCESS and other in present
-
-
-def _colours(groups: Sequence[CurveGroup]) -> list[str]:
-    return group_colours([group.config["algorithm"]["name"] for group in groups])
-
-
 def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> None:
     alone = len(groups) == 1
-    colours = _colours(groups)
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
     late: list[NDArray[Any]] = []
     every: list[NDArray[Any]] = []
@@ -312,7 +285,7 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
             steps, mean, low, high = found
             every.append(mean)
             late.append(mean[steps >= SETTLED * steps.max()])
-            colour = TRAINING if k == 0 else colours[g]
+            colour = curve_colour(g, len(groups), k)
             marker = "o" if len(steps) < 4 else ""
             axis.plot(
                 steps, mean, kind.line, color=colour, linewidth=kind.width, marker=marker, markersize=3.5, zorder=3
@@ -320,7 +293,7 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
             if np.isfinite(low).all():
                 alpha = faint * (0.16 if alone or k == 1 else 0.07)
                 axis.fill_between(steps, low, high, color=colour, alpha=alpha, linewidth=0, zorder=2)
-    axis.set_title(panel.title + _limit_y_axis(axis, every, late, nominal_scale(panel.names[0])))
+    axis.set_title(panel.title + _cut_off(axis, every, late))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
@@ -331,27 +304,17 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _limit_y_axis(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[Any]], scale: float) -> str:
-    """Limit the axis to the settled values if the first steps would flatten them, but never to noise.
-
-    Args:
-        axis: with its curves.
-        every: values of each curve.
-        late: those after the start.
-        scale: magnitude that they usually have.
-
-    Returns:
-        A suffix for the title.
-    """
+def _cut_off(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[Any]]) -> str:
+    """Limit the axis to the settled values if the first steps would flatten them; returns a suffix for the title."""
     if not every:
         return ""
     values, settled = np.concatenate(every), np.concatenate(late)
     low, high = np.nanmin(settled), np.nanmax(settled)
-    pad = 0.25 * (high - low)
-    low, high = limits_of_min_span(low - pad, high + pad, max(scale, 1e-6))
-    cut = np.ptp(values[np.isfinite(values)]) >= CUT_RATIO * (high - low)
-    axis.set_ylim(*((low, high) if cut else limits_of_min_span(*axis.get_ylim(), scale=scale)))
-    return " (start cut off)" if cut else ""
+    pad = 0.25 * max(high - low, 0.05 * abs(high), 1e-6)
+    if np.nanmax(values) - np.nanmin(values) < CUT_RATIO * (high - low + 2 * pad):
+        return ""
+    axis.set_ylim(low - pad, high + pad)
+    return " (start cut off)"
 
 
 def _utilities(settings: Mapping[str, Any] | None) -> list[str]:
@@ -365,7 +328,7 @@ def _utilities(settings: Mapping[str, Any] | None) -> list[str]:
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     """Add title, notes and legend around the panels."""
     config = groups[0].config
-    alone, colours = len(groups) == 1, _colours(groups)
+    alone = len(groups) == 1
     ids = dict.fromkeys(group.config["environment"]["id"] for group in groups)
     utilities = dict.fromkeys(name for group in groups for name in _utilities(group.config.get("utility")))
     heading = f"{config['algorithm']['name']} on {', '.join(ids)}" if alone else ", ".join(ids)
@@ -379,13 +342,13 @@ def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     note += ", bands: 95% bootstrap interval of the mean" if seeds[-1] > 1 else ""
     notes = [remark, note] if remark else [note]
     handles = [
-        Line2D([], [], color=colour, linewidth=2.4, label=group.label)
-        for colour, group in zip(colours, groups, strict=True)
+        Line2D([], [], color=curve_colour(g, len(groups), 1), linewidth=2.4, label=group.label)
+        for g, group in enumerate(groups)
         if not alone
     ]
     present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
         if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
-            colour = DIM if not alone else TRAINING if k == 0 else colours[0]
+            colour = curve_colour(0, len(groups), k) if alone else DIM
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
     surround(figure, heading, notes, handles)

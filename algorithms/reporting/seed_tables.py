@@ -34,7 +34,6 @@ from algorithms.evaluation.metrics import (
 )
 from algorithms.evaluation.seed_groups import group_by_experiment
 from algorithms.evaluation.statistics import Estimate, interquartile_mean, mann_whitney_p, mean_difference, means
-from algorithms.reporting.style import algorithm_order
 from algorithms.reporting.wide_tables import Rows, print_rows
 from mo_deepdrive.config import EnvConfig
 
@@ -178,18 +177,8 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
-        _remove_impossible_collisions(group, scores[members[0]])
         groups.append(group)
-    return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
-
-
-def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estimate]) -> None:
-    """Remove collision rates of 0 where collisions are no objective: there is nothing to collide with."""
-    if any(name.endswith(return_of(COLLISION)) for name in scores):
-        return
-    for place in [place for place in group.scores if place.metric == end_by(COLLISION)]:
-        if not any(group.scores[place]):
-            del group.scores[place]
+    return sorted(groups, key=lambda group: (*group.task.values(), group.algorithm))
 
 
 def environment_label(environment: Mapping[str, Any]) -> str:
@@ -248,7 +237,7 @@ def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
     comparable: dict[tuple[str, ...], list[ScoreGroup]] = defaultdict(list)
     for group in groups:
         comparable[(*group.task.values(), group.measured)].append(group)
-    in_order = (sorted(members, key=lambda group: algorithm_order(group.algorithm)) for members in comparable.values())
+    in_order = (sorted(members, key=lambda group: group.algorithm) for members in comparable.values())
     for first, second in (pair for members in in_order for pair in combinations(members, 2)):
         if first.algorithm == second.algorithm:
             continue

@@ -5,42 +5,23 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
 from algorithms.evaluation.estimates import estimate_metrics
 from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import (
-    COLLISION,
-    END,
-    LENGTH,
-    SUCCESS,
-    TIME_LIMIT,
-    UTILITY,
-    discounted_return_of,
-    end_by,
-    repeated_metric,
-    return_of,
-    split_name,
-)
+from algorithms.evaluation.metrics import LENGTH, SUCCESS, UTILITY, discounted_return_of, return_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from algorithms.evaluation.episodes import Evaluation
-    from algorithms.evaluation.statistics import Estimate
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy.
-
-    Rows that say nothing are left out: returns that are a rate of another row (the return of ``destination`` is the
-    arrival rate), and reasons of an episode's end that never occurred, except the time limit and, where collisions are
-    an objective, collisions.
-    """
+    """A table with a row per metric and a column per policy."""
     columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     names: list[str] = []
     for estimates in columns.values():
@@ -49,7 +30,6 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
-    names = [name for name in names if _says_something(name, list(columns.values()))]
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", overflow="fold")
     for policy in columns:
@@ -58,19 +38,6 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
         cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return result
-
-
-def _says_something(name: str, columns: Sequence[Mapping[str, Estimate]]) -> bool:
-    """Whether a metric of ``columns`` is neither the same numbers as another one nor an end that cannot be expected."""
-    other, metric = repeated_metric(name), split_name(name).metric
-    if other is not None and all(
-        other in each and np.isclose(abs(each[name].value), each[other].value) for each in columns if name in each
-    ):
-        return False
-    if metric == end_by(TIME_LIMIT) or not metric.startswith(END):
-        return True
-    expected = metric == end_by(COLLISION) and any(return_of(COLLISION) in key for each in columns for key in each)
-    return expected or any(name in each and each[name].value > 0.0 for each in columns)
 
 
 def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:

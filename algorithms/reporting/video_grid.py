@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from algorithms.reporting.style import STYLE, VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK
-from algorithms.reporting.videos import HOLD, MAX_EPISODE_FRAMES, video_writer
+from algorithms.reporting.videos import HOLD, video_writer
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -30,12 +30,7 @@ FONT_SIZES = np.arange(13.0, 6.5, -0.5)  # of captions; the first one that fits
 
 
 def write_video_grid(
-    tracks: Sequence[tuple[str, Iterable[Frame]]],
-    path: str | Path,
-    fps: int,
-    *,
-    hold: float = HOLD,
-    max_frames: int = MAX_EPISODE_FRAMES,
+    tracks: Sequence[tuple[str, Iterable[Frame]]], path: str | Path, fps: int, *, hold: float = HOLD
 ) -> int:
     """Write an MP4 of all ``tracks`` at once, each below its caption; the file appears when it is complete.
 
@@ -47,7 +42,6 @@ def write_video_grid(
         path: the file.
         fps: frames per second.
         hold: time for which the last frame is shown (s).
-        max_frames: of a track; a longer one is cut off, and its caption then says so.
 
     Returns:
         The number of frames.
@@ -60,8 +54,6 @@ def write_video_grid(
         raise ValueError("tracks is empty; a video grid needs at least one")
     if fps < 1 or hold < 0.0:
         raise ValueError(f"fps = {fps} must be at least 1, and hold = {hold} s must not be negative")
-    if max_frames < 1:
-        raise ValueError(f"max_frames = {max_frames} must be at least 1")
     captions, sources = [caption for caption, _ in tracks], [iter(frames) for _, frames in tracks]
     starts = []
     for caption, frames in zip(captions, sources, strict=True):
@@ -77,11 +69,6 @@ def write_video_grid(
         while True:
             new = [next(frames, None) for frames in running]
             if all(frame is None for frame in new):
-                break
-            if count == max_frames:
-                for k, frame in enumerate(new):
-                    if frame is not None:
-                        grid.write_caption(k, f"cut at {max_frames / fps:g} s; {captions[k]}")
                 break
             for k, frame in enumerate(new):
                 if frame is not None:
@@ -131,19 +118,15 @@ class VideoGrid:
         whole = (rows * (CAPTION_PIXELS + tile_height), self._columns * (tile_width + GAP) - GAP, 3)
         self.frame: Frame = np.full(whole, [round(255 * part) for part in to_rgb(VIDEO_BACKGROUND)], dtype=np.uint8)
         for k, caption in enumerate(captions):
-            self.write_caption(k, caption)
+            top, left = self._corner(k)
+            strip = caption_strip(caption, tile_width)
+            self.frame[top - CAPTION_PIXELS : top, left : left + tile_width] = strip
 
     def _corner(self, k: int) -> tuple[int, int]:
         """Top and left end of tile ``k``."""
         row, column = divmod(k, self._columns)
         height, width = self._even
         return row * (CAPTION_PIXELS + height) + CAPTION_PIXELS, column * (width + GAP)
-
-    def write_caption(self, k: int, caption: str) -> None:
-        """Put ``caption`` above tile ``k``."""
-        top, left = self._corner(k)
-        width = self._even[1]
-        self.frame[top - CAPTION_PIXELS : top, left : left + width] = caption_strip(caption, width)
 
     def show(self, k: int, frame: Frame) -> None:
         """Put ``frame`` (height, width, 3) into tile ``k``."""

@@ -21,14 +21,13 @@ from algorithms.evaluation.splits import SPLITS
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from algorithms.evaluation.episodes import Policy
 
-MAX_FRAMES = 750  # of a video, after which no further episode begins
-MAX_EPISODE_FRAMES = 1500  # more than an episode of ours has by default; the rest of a longer one is cut off
+MAX_FRAMES = 750  # of a video; the rest is cut off
 HOLD = 0.5  # s for which the last frame of an episode is shown
 DEFAULT_FPS = 10  # where the environment does not say
 
@@ -50,7 +49,7 @@ def record(
         env_id: of the environment.
         env_arguments: keyword arguments of the environment.
         path: the file.
-        episodes: number of episodes; after MAX_FRAMES no further one begins.
+        episodes: number of episodes; fewer if they exceed MAX_FRAMES.
         seed: of the first episode.
         greedy: take the most likely (or mean) action instead of sampling.
 
@@ -66,12 +65,9 @@ def record(
         fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
         with video_writer(path, fps) as write:
             count = 0
-            for episode in range(seed, seed + episodes):
-                if count >= MAX_FRAMES:
-                    break
-                for frame in _episode(policy, env, episode, greedy, fps):
-                    write(frame)
-                    count += 1
+            for frame in islice(_episodes(policy, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
+                write(frame)
+                count += 1
     finally:
         env.close()
     return count
@@ -133,12 +129,15 @@ def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None)
     return env
 
 
-def _episode(policy: Policy, env: VectorEnv, seed: int, greedy: bool, fps: int) -> Iterator[NDArray[np.uint8]]:
-    """The frames of an episode; the last one is repeated for a moment."""
-    frame: NDArray[np.uint8]
-    for frame in islice(episode_frames(policy, env, seed, greedy=greedy), MAX_EPISODE_FRAMES):
-        yield frame
-    yield from [frame] * round(HOLD * fps)
+def _episodes(
+    policy: Policy, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
+) -> Iterator[NDArray[np.uint8]]:
+    """The frames of one episode per seed; the last frame of each is repeated for a moment."""
+    for seed in seeds:
+        frame: NDArray[np.uint8]
+        for frame in episode_frames(policy, env, seed, greedy=greedy):
+            yield frame
+        yield from [frame] * round(HOLD * fps)
 
 
 def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[NDArray[np.uint8]]:

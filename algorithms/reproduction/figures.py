@@ -15,7 +15,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
 from algorithms.reporting.learning_curves import curve
-from algorithms.reporting.style import ALGORITHM_COLOURS, DPI, MIN_SPAN, STYLE, limits_of_min_span, surround
+from algorithms.reporting.style import COLOURS, DPI, STYLE, surround
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
 
 if TYPE_CHECKING:
@@ -28,10 +28,7 @@ if TYPE_CHECKING:
     from algorithms.reproduction.results import ReproductionResults
 
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
-ALGORITHMS = {
-    BASELINE: ("A2C", ALGORITHM_COLOURS["a2c"]),
-    MULTI_OBJECTIVE: ("MO-A2C", ALGORITHM_COLOURS["mo_a2c"]),
-}
+ALGORITHMS = {BASELINE: ("A2C", COLOURS[1]), MULTI_OBJECTIVE: ("MO-A2C", COLOURS[0])}
 
 
 @dataclass(frozen=True)
@@ -138,9 +135,9 @@ def _draw_panel(axis: Axes, results: ReproductionResults, task: str, protocol: s
 def _limit_y_axis(axis: Axes, settled: np.ndarray) -> None:
     """Cut off values far below those of the second half of training, which would flatten the curves."""
     low, high = np.nanquantile(settled, [0.1, 1.0])
-    reach = max(0.5 * (high - low), MIN_SPAN * abs(high))
+    reach = 0.5 * max(high - low, 0.02 * abs(high))
     bottom, top = axis.get_ylim()
-    axis.set_ylim(*limits_of_min_span(max(bottom, low - reach), min(top, high + 0.2 * reach)))
+    axis.set_ylim(max(bottom, low - reach), min(top, high + 0.2 * reach))
 
 
 def _seed_counts(results: ReproductionResults, panels: Sequence[tuple[str, str]]) -> str:

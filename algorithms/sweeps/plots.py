@@ -93,9 +93,7 @@ def varied_scores(collection: Collection, ranking: Ranking) -> VariedScores:
     keys = varying_keys([row.cell for row in rows])
     names = short_names(keys)
     values = {names[key]: _numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
-    scores = np.array([ranking.scores[row.id] for row in rows])
-    algorithms = [row.config["algorithm"]["name"] for row in rows]
-    return VariedScores(ranking.title, ranking.score_name, scores, algorithms, values)
+    return VariedScores(ranking.title, ranking.score_name, np.array([ranking.scores[row.id] for row in rows]), values)
 
 
 def _numbers_or_words(values: Sequence[Any]) -> NDArray[np.float64] | list[str]:

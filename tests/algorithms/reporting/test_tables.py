@@ -129,36 +129,3 @@ def test_a_table_with_two_vehicles_and_long_names_fits_the_terminal(width: int) 
     text = "".join("".join(lines).split())
     for name, estimate in estimate_metrics(held).items() if width >= 80 else ():
         assert "".join(estimate.text().split()) in text, name
-
-
-def rows_of(found: Evaluation) -> list[str]:
-    (names, _) = evaluation_table({"greedy": found}, "title").columns
-    return [str(name) for name in names.cells]
-
-
-def test_rows_that_cannot_be_other_than_0_or_repeat_another_row_are_left_out() -> None:
-    found = evaluation(4)
-    found.succeeded[:, 0] = [True, True, False, False]
-    found.ends[:, 0] = ["arrived", "arrived", "circling", "circling"]
-    found.objectives = ("distance", "destination")
-    found.returns[..., 1] = found.succeeded
-    rows = rows_of(found)
-    assert [name for name in rows if name.startswith(("success", "end/", "return/"))] == [
-        *("success", "end/time_limit", "end/circling", "return/distance"),
-    ]
-    assert {"return/destination", "end/off_lane"} <= set(estimate_metrics(found)), "the files keep them"
-    found.returns[0, 0, 1] = 5.0
-    assert "return/destination" in rows_of(found), "it is no rate here"
-
-
-def test_collisions_are_shown_where_they_are_an_objective_and_wherever_they_occur() -> None:
-    found = evaluation(4)
-    found.objectives = ("distance", "collision")
-    found.returns[..., 1] = 0.0
-    assert "end/collision" in rows_of(found)
-    assert "return/collision" not in rows_of(found)
-    found.objectives = ("distance", "jerk")
-    assert "end/collision" not in rows_of(found)
-    found.ends[0, 0] = "collision"
-    found.ends[1, 0] = "off_lane"
-    assert {"end/collision", "end/off_lane"} <= set(rows_of(found))

@@ -163,20 +163,3 @@ def test_a_track_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="no idea"):
         write_video_grid([("a", track())], tmp_path / "video.mp4", FPS)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_track_that_is_cut_off_says_so_and_a_whole_one_does_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written: list[str] = []
-
-    def strip(text: str, width: int) -> Frame:
-        written.append(text)
-        return caption_strip(text, width)
-
-    monkeypatch.setattr("algorithms.reporting.video_grid.caption_strip", strip)
-    frames = [plain(0.5)] * 30
-    tracks = [("policy 0", iter(frames)), ("policy 1", iter(frames[:15]))]
-    count = write_video_grid(tracks, tmp_path / "video.mp4", FPS, hold=0.0, max_frames=15)
-    assert count == 15
-    assert written == ["policy 0", "policy 1", "cut at 1.5 s; policy 0"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import imageio.v3 as iio
@@ -12,11 +11,8 @@ import pytest
 
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.reporting import front_report
-from algorithms.reporting.videos import HOLD, MAX_EPISODE_FRAMES, record, video_writer
+from algorithms.reporting.videos import HOLD, record, video_writer
 from mo_deepdrive.actions import action_names
-from mo_deepdrive.config import EnvConfig
-from tests.helpers.fronts import front_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -146,22 +142,3 @@ def test_a_video_without_frames_is_not_written(tmp_path: Path) -> None:
     with video_writer(tmp_path / "episode.mp4", FPS):
         pass
     assert not list(tmp_path.iterdir())
-
-
-def test_a_video_of_a_front_shows_episodes_up_to_the_default_time_limit_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tracks: list[tuple[str, int]] = []
-
-    def count(given: Any, *_: Any) -> int:
-        tracks.extend((caption, sum(1 for _ in frames)) for caption, frames in given)
-        return 0
-
-    length = 1 + EnvConfig(scenario="one_waypoint").max_decisions
-    monkeypatch.setattr(front_report, "write_video_grid", count)
-    monkeypatch.setattr(front_report, "episode_frames", lambda *_, **__: range(length))
-    front = front_of([[0.0, -7.41]], ("distance", "g_force"))
-    agent = SimpleNamespace(policy=lambda _: None)
-    front_report.film_front(agent, front, ONE, {}, tmp_path / "front.mp4", seed=0)
-    assert tracks == [("policy 0: distance 0 m, g-force -7.41 g", length)]
-    assert length <= MAX_EPISODE_FRAMES
