@@ -51,6 +51,11 @@ def titled(name: str) -> str:
     return name.replace("_", " ").capitalize()
 
 
+def reward_text(value: float) -> str:
+    """A reward with two digits, never "-0.00"."""
+    return f"{round(float(value), 2) + 0.0:,.2f}"
+
+
 def reach_of(world: NDArray[Any]) -> float:
     """Visible distance (m) from the map's centre: at least the map, and all vehicles and waypoints."""
     reaches = [MAP_SIZE / 2]
@@ -111,7 +116,7 @@ class Panel:
                 self._rectangle(left, upper, 144, 42 * self._pitch, TILE, radius=6)
                 self._write(titled(field), left + 10, upper + 12 * self._pitch, 18, DIM)
                 self._write(unit, -(left + 134), upper + 29 * self._pitch, 18, DIM)
-            for text, x in (("Objective", 20), ("this decision", -226), ("episode", -316)):
+            for text, x in (("Reward", 20), ("this decision", -226), ("episode", -316)):
                 self._write(text, x, self._height(v, 142), 18, DIM)
             for k, name in enumerate(self._objectives):
                 row = self._height(v, 164 + 22 * k)
@@ -131,8 +136,9 @@ class Panel:
             self._write(f"{vehicle[field]:,.2f}", left + 10, upper + 29 * self._pitch, 26, TEXT)
         for k, name in enumerate(self._objectives):
             row = self._height(v, 164 + 22 * k)
-            self._write(f"{vehicle.objectives[INDEX[name]]:,.2f}", -226, row, 21, TEXT)
-            total = f"{trace.sums[v, INDEX[name]]:,.2f}" if trace.complete[v] else "—"
+            i, sign = INDEX[name], OBJECTIVES[INDEX[name]].sign
+            self._write(reward_text(sign * vehicle.objectives[i]), -226, row, 21, TEXT)
+            total = reward_text(sign * trace.sums[v, i]) if trace.complete[v] else "—"
             self._write(total, -316, row, 21, TEXT)
 
     def _rectangle(self, left: float, top: float, width: float, height: float, colour: Colour, radius: int = 0) -> None:

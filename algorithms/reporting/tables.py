@@ -18,6 +18,7 @@ from algorithms.evaluation.metrics import (
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
     LENGTH,
+    OFF_LANE,
     SUCCESS,
     USUAL_FAILURES,
     UTILITY,
@@ -28,15 +29,26 @@ from algorithms.evaluation.metrics import (
     maximum_of,
     mean_of,
     return_of,
+    split_name,
     vehicle_prefix,
 )
 from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from algorithms.evaluation.evaluate import Evaluation
+
+
+# Ends that need something to happen, and the objective that an environment has where it can.
+_OBJECTIVE_OF_END = {end_by(COLLISION): "collision", end_by(OFF_LANE): "lane_violation"}
+# Metrics that may have the values of another one.
+_REPEATED = {
+    UTILITY_SER: UTILITY_ESR,
+    DISCOUNTED_UTILITY_SER: DISCOUNTED_UTILITY_ESR,
+    return_of("destination"): SUCCESS,
+}
 
 
 def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
@@ -87,7 +99,11 @@ def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy."""
+    """A table with a row per metric and a column per policy.
+
+    Metrics that cannot differ from 0 (collisions where there is nothing to collide with) and those that repeat another
+    one (SER of a linear utility, the return of our destination) are left out; the files have all.
+    """
     columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     names: list[str] = []
     for estimates in columns.values():
@@ -96,6 +112,8 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
+    objectives = {objective for evaluation in evaluations.values() for objective in evaluation.objectives}
+    names = [name for name in names if _says_more(name, list(columns.values()), objectives)]
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", no_wrap=True, min_width=max(map(len, names)))
     for policy in columns:
@@ -104,6 +122,18 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
         cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return result
+
+
+def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]], objectives: Collection[str]) -> bool:
+    """Whether a metric can have another value than it always has, and than another metric has."""
+    metric = split_name(name).metric
+    if metric in _OBJECTIVE_OF_END and _OBJECTIVE_OF_END[metric] not in objectives:
+        return any(name in column and column[name].value > 0.0 for column in columns)
+    if metric in _REPEATED:
+        other = name.removesuffix(metric) + _REPEATED[metric]
+        pairs = [(column[name].value, column[other].value) for column in columns if name in column and other in column]
+        return not pairs or not np.allclose(*np.transpose(pairs), rtol=1e-9, atol=1e-9)
+    return True
 
 
 def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:

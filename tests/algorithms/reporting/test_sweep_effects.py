@@ -72,7 +72,9 @@ def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rates, names = 10.0 ** rng.uniform(-4, -2, 40), ["one", "another, rather long", "a third, even longer"] * 20
     keys: dict[str, Any] = {"rate": rates, "name": names[:40], "steps": np.repeat([8.0, 16.0], 20)}
-    first = VariedScores("environment, utility [1]", "greedy utility", rng.normal(size=40), keys)
+    first = VariedScores(
+        "environment, utility [1]", "greedy utility", rng.normal(size=40), ("a2c", "mo_a2c") * 20, keys
+    )
     second = VariedScores(
         "another", "$hypervolume_", np.full(40, 3.0), {f"{key}_{i}": keys[key] for key in keys for i in "ab"}
     )
