@@ -96,8 +96,8 @@ def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
     for i, name in enumerate(algorithms):
         before, count = algorithms[:i].count(name), algorithms.count(name)
         share = 0.6 * before / max(count - 1, 1)
-        rgb = (1.0 - share) * np.array(to_rgb(colours[name])) + share
-        styles.append((to_hex(rgb), MARKERS[before % len(MARKERS)]))
+        red, green, blue = ((1.0 - share) * part + share for part in to_rgb(colours[name]))
+        styles.append((to_hex((red, green, blue)), MARKERS[before % len(MARKERS)]))
     return styles
 
 

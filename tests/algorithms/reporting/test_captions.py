@@ -8,7 +8,7 @@ from algorithms.reporting.captions import CAPTION_PIXELS, Frame, caption_strip, 
 
 
 def frames(count: int) -> list[Frame]:
-    return [np.full((60, 200, 3), 10 * i, dtype=np.uint8) for i in range(count)]
+    return [np.full((60, 200, 3), 5 * i, dtype=np.uint8) for i in range(count)]
 
 
 def test_what_is_short_enough_is_shown_as_it_is() -> None:

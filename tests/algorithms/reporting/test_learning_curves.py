@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from algorithms.common.metrics_file import MetricsFile
@@ -17,6 +16,9 @@ from algorithms.experiments.config import make_experiment
 from algorithms.reporting import learning_curves
 from algorithms.reporting.learning_curves import MAX_POINTS, CurveGroup, curve, curve_panels, drawn, load_groups, plot
 from algorithms.reporting.style import ALGORITHM_COLOURS, MINIMUM_SPAN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Make = Callable[..., Path]
 

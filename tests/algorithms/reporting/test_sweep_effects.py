@@ -76,7 +76,11 @@ def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
         "environment, utility [1]", "greedy utility", rng.normal(size=40), ("a2c", "mo_a2c") * 20, keys
     )
     second = VariedScores(
-        "another", "$hypervolume_", np.full(40, 3.0), {f"{key}_{i}": keys[key] for key in keys for i in "ab"}
+        "another",
+        "$hypervolume_",
+        np.full(40, 3.0),
+        ("pcn",) * 40,
+        {f"{key}_{i}": keys[key] for key in keys for i in "ab"},
     )
     plot_effects([first, second], tmp_path / "scores.png", "title", "a remark")
     assert (tmp_path / "scores.png").read_bytes().startswith(b"\x89PNG")
