@@ -11,6 +11,7 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from mo_deepdrive import rendering
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.rendering import EpisodeTrace, Viewer
@@ -378,3 +379,12 @@ def test_importing_the_module_prints_nothing_and_does_not_change_environment_var
 ) -> None:
     lines = "import os", "before = {**os.environ}", "import mo_deepdrive.rendering", "assert before == {**os.environ}"
     assert run_python("\n".join(lines)) == ""
+
+
+def test_rewards_of_the_panel_are_never_minus_zero() -> None:
+    assert [rendering.reward_text(value) for value in (-0.0, -0.004, -7.414, 1234.5)] == [
+        "0.00",
+        "0.00",
+        "-7.41",
+        "1,234.50",
+    ]
