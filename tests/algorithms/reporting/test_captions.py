@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from algorithms.reporting import front_report, videos
 from algorithms.reporting.captions import CAPTION_PIXELS, Frame, caption_strip, cut_off
 
 
@@ -25,3 +26,13 @@ def test_the_last_frame_says_that_the_rest_is_cut_off() -> None:
         np.testing.assert_array_equal(shown, frame)
     np.testing.assert_array_equal(last[:-CAPTION_PIXELS], frames(20)[-1][:-CAPTION_PIXELS])
     np.testing.assert_array_equal(last[-CAPTION_PIXELS:], caption_strip("cut off after 2 s", 200))
+
+
+def test_whole_episodes_of_our_environments_fit_into_a_video() -> None:
+    env = videos.make_render_env("mo-deepdrive-one-waypoint-v0")
+    try:
+        frames_of_episode = env.unwrapped.config.max_decisions + 1
+    finally:
+        env.close()
+    assert frames_of_episode <= front_report.MAX_FRAMES
+    assert 3 * (frames_of_episode + videos.HOLD * 10) <= videos.MAX_FRAMES

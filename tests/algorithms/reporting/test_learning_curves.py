@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from algorithms.common.metrics_file import MetricsFile
@@ -145,7 +146,7 @@ def panel(*groups: CurveGroup) -> Axes:
 def test_curves_have_the_colours_of_their_algorithms_alone_and_together() -> None:
     a2c, mo_a2c = (made_up(name, [1.0, 2.0], [2.0, 3.0]) for name in ("a2c", "mo_a2c"))
     for groups in ((a2c,), (mo_a2c,), (a2c, mo_a2c), (mo_a2c, a2c)):
-        colours = [line.get_color().upper() for line in panel(*groups).lines]
+        colours = [to_hex(line.get_color()).upper() for line in panel(*groups).lines]
         assert colours == [ALGORITHM_COLOURS[group.label] for group in groups]
 
 
