@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -132,7 +133,7 @@ def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]], objectives:
     if metric in _REPEATED:
         other = name.removesuffix(metric) + _REPEATED[metric]
         pairs = [(column[name].value, column[other].value) for column in columns if name in column and other in column]
-        return not pairs or not np.allclose(*np.transpose(pairs), rtol=1e-9, atol=1e-9)
+        return not pairs or not all(math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-9) for pair in pairs)
     return True
 
 
