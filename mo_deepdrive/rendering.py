@@ -22,7 +22,7 @@ from mo_deepdrive.drawing import (
     Canvas,
     Colour,
 )
-from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES
+from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
 from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.measures import make_measures, measure_batch
@@ -52,6 +52,11 @@ def titled(name: str) -> str:
     return name.replace("_", " ").capitalize()
 
 
+def reward_text(value: float) -> str:
+    """A reward with two digits, never "-0.00"."""
+    return f"{round(float(value), 2) + 0.0:,.2f}"
+
+
 def reach_of(world: NDArray[Any]) -> float:
     """Visible distance (m) from the map's centre: at least the map, and all vehicles and waypoints."""
     reaches = [MAP_SIZE / 2]
@@ -64,12 +69,21 @@ def reach_of(world: NDArray[Any]) -> float:
 class Panel:
     """The readings beside the map; their labels are drawn once.
 
+    Readings are magnitudes; rewards have the signs that the environment gives them (``reward_signs``, per objective).
     Positions are in pixels of the final frame, from the panel's upper left corner.
     """
 
-    def __init__(self, title: str, objectives: tuple[str, ...], vehicles: int, decision_frequency: int):
+    def __init__(
+        self,
+        title: str,
+        objectives: tuple[str, ...],
+        reward_signs: NDArray[np.float64],
+        vehicles: int,
+        decision_frequency: int,
+    ):
         self._title = title
         self._objectives = objectives
+        self._signs = reward_signs
         self._vehicles = vehicles
         self._decision_frequency = decision_frequency
         self._alone = vehicles == 1
@@ -113,7 +127,7 @@ class Panel:
                 self._rectangle(left, upper, 144, 42 * self._pitch, TILE, radius=6)
                 self._write(titled(field), left + 10, upper + 12 * self._pitch, 18, DIM)
                 self._write(unit, -(left + 134), upper + 29 * self._pitch, 18, DIM)
-            for text, x in (("Objective", 20), ("this decision", -226), ("episode", -316)):
+            for text, x in (("Reward", 20), ("this decision", -226), ("episode", -316)):
                 self._write(text, x, self._height(v, 142), 18, DIM)
             for k, name in enumerate(self._objectives):
                 row = self._height(v, 164 + self._row * k)
@@ -131,10 +145,10 @@ class Panel:
         for k, (field, _) in enumerate(READINGS):
             left, upper = self._tile(v, k)
             self._write(f"{vehicle[field]:,.2f}", left + 10, upper + 29 * self._pitch, 26, TEXT)
-        for k in range(len(self._objectives)):
+        for k, sign in enumerate(self._signs):
             row = self._height(v, 164 + self._row * k)
-            self._write(f"{trace.magnitudes[v, k]:,.2f}", -226, row, 21, TEXT)
-            total = f"{trace.sums[v, k]:,.2f}" if trace.complete[v] else "—"
+            self._write(reward_text(sign * trace.magnitudes[v, k]), -226, row, 21, TEXT)
+            total = reward_text(sign * trace.sums[v, k]) if trace.complete[v] else "—"
             self._write(total, -316, row, 21, TEXT)
 
     def _rectangle(self, left: float, top: float, width: float, height: float, colour: Colour, radius: int = 0) -> None:
@@ -226,7 +240,10 @@ class Viewer:
         self._params = make_params(config)
         trail_length = 1 + round(TRAIL_SECONDS * config.decision_frequency)
         self._trace = EpisodeTrace(self.scenario.vehicles, len(self.objectives), trail_length)
-        self._panel = Panel(self.scenario.title, self.objectives, self.scenario.vehicles, config.decision_frequency)
+        reward_signs = signs(self.objectives) if config.cost_sign == "maximise" else np.ones(len(self.objectives))
+        self._panel = Panel(
+            self.scenario.title, self.objectives, reward_signs, self.scenario.vehicles, config.decision_frequency
+        )
         large = (MAP_PIXELS * SUPERSAMPLING, MAP_PIXELS * SUPERSAMPLING)
         self._ground = Canvas(pygame.Surface(large, 0, 32), math.inf)
         self._small_ground = pygame.Surface((MAP_PIXELS, MAP_PIXELS), 0, 32)

@@ -33,7 +33,7 @@ from algorithms.evaluation.metrics import (
     RETURN,
     SUCCESS,
 )
-from algorithms.evaluation.statistics import bootstrap
+from algorithms.evaluation.statistics import MIN_SAMPLES, bootstrap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -130,7 +130,7 @@ class Front:
             if shape != expected:
                 raise ValueError(f"{name} has shape {shape}; expected {expected}")
         mean = returns.mean(axis=1)
-        low, high = bootstrap(returns.swapaxes(0, 1)) if e > 1 else (mean.copy(), mean.copy())
+        low, high = bootstrap(returns.swapaxes(0, 1)) if e >= MIN_SAMPLES else (mean.copy(), mean.copy())
         return cls(
             objectives=tuple(objectives),
             returns=mean,

@@ -24,6 +24,9 @@ RESAMPLES = 2000
 COMPARISON_RESAMPLES = 10_000  # of a comparison of runs, of which there are few
 POWER_SAMPLES = 300  # simulated comparisons
 LEVEL = 0.95
+# The least sample that gets an interval. All that a bootstrap can say of two values is that the mean lies between them,
+# which is true of half of all pairs, not of 95%.
+MIN_SAMPLES = 3
 
 
 @dataclass(frozen=True)
@@ -55,10 +58,10 @@ def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tu
         statistic: called as ``statistic(samples, axis=...)``.
 
     Returns:
-        Lower and upper ends, each (...); NaN where n is 1.
+        Lower and upper ends, each (...); NaN where n is below MIN_SAMPLES.
     """
     samples = np.asarray(samples, dtype=np.float64)
-    if len(samples) < 2:
+    if len(samples) < MIN_SAMPLES:
         nothing = np.full(samples.shape[1:], np.nan)
         return nothing, nothing.copy()
     interval = scipy.stats.bootstrap(
@@ -115,7 +118,7 @@ def utility_of_mean(returns: NDArray[np.float64], utility: Callable[[Any], Any])
     generator = np.random.default_rng(0)
     value = float(utility(returns.mean(axis=0)))
     n = len(returns)
-    if n < 2:
+    if n < MIN_SAMPLES:
         return Estimate(value)
     # Resampled means from the number of times that each episode is drawn: a matrix product.
     counts = generator.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
@@ -183,10 +186,10 @@ def spread_ratio_power(runs: int, ratio: float) -> float:
 
 
 def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any, Any], Any]) -> Estimate:
-    """``statistic`` of two independent samples, which are resampled independently; no interval if one has size 1."""
+    """``statistic`` of two independent samples, which are resampled independently; no interval if one is too small."""
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     value = float(statistic(first, second))
-    if min(len(first), len(second)) < 2:
+    if min(len(first), len(second)) < MIN_SAMPLES:
         return Estimate(value)
     generator = np.random.default_rng(0)
     resampled = statistic(

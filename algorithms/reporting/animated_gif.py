@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.reporting.video_grid import caption_strip, scaled
+from algorithms.reporting.captions import caption_strip
+from algorithms.reporting.video_grid import scaled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

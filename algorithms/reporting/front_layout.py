@@ -57,11 +57,12 @@ def make_figure(
     return figure
 
 
-def returns_note(view: FrontView) -> str:
+def returns_note(view: FrontView, *, discounted: bool = False) -> str:
     """A note that says what the numbers are."""
     known = [OBJECTIVES[INDEX[name]].sign for name in view.front.objectives if name in INDEX]
     episodes = view.front.episodes
-    mean = f"mean undiscounted returns of {episodes} episode{'' if episodes == 1 else 's'} per policy"
+    kind = f"discounted (gamma {view.front.gamma:g})" if discounted else "undiscounted"
+    mean = f"mean {kind} returns of {episodes} episode{'' if episodes == 1 else 's'} per policy"
     return mean + (", sums over decisions" if known else "") + (", costs negative" if -1 in known else "")
 
 
@@ -78,13 +79,13 @@ def add_colour_bar(figure: Figure, view: FrontView, axes: Axes | Sequence[Axes])
     """Add a colour bar where colours have a meaning."""
     if np.isfinite(view.importance[:, view.leading]).all():
         bar = figure.colorbar(view.mappable, ax=axes, aspect=32, pad=0.02, fraction=0.05)
-        bar.set_label(label(view.front.objectives[view.leading]))
+        bar.set_label(label(view.front.objectives[view.leading], "discounted"))
         bar.outline.set_visible(False)
 
 
 def colour_note(view: FrontView) -> str:
     """A note that says what colours mean; empty where they mean nothing."""
-    return f"colour: {view.leading_name}" if np.isfinite(view.importance[:, view.leading]).all() else ""
+    return f"colour: discounted {view.leading_name}" if np.isfinite(view.importance[:, view.leading]).all() else ""
 
 
 def arrival_names(view: FrontView) -> tuple[str, str]:

@@ -44,8 +44,8 @@ def draw_front(
 ) -> list[Path]:
     """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
 
-    In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are undiscounted
-    except in scatter.png, which shows those that determine dominance.
+    In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are discounted,
+    as they determine dominance, except in bars.png.
 
     Args:
         front: K policies with at least two objectives, as written to ``front.csv``.
@@ -89,7 +89,7 @@ def _importance(view: FrontView) -> Figure:
     """A row of bars per objective: where each policy is between the front's worst and its best."""
     front, shown = view.front, view.representatives()
     notes = (
-        returns_note(view),
+        returns_note(view, discounted=True),
         policies_note(view, shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
         f"0 and 1: the worst and the best of the {len(front)}" if len(front) > 1 else "",
         colour_note(view),
@@ -99,9 +99,10 @@ def _importance(view: FrontView) -> Figure:
     figure = make_figure(view, width, 1.02 * d + 0.5, "importance of the objectives", notes)
     axes = figure.subplots(d, 1, squeeze=False, sharex=True)[:, 0]
     for i, (axis, name) in enumerate(zip(axes, front.objectives, strict=True)):
-        values = front.returns[:, i]
+        values = front.discounted[:, i]
         text = number_formatter(values, name_and_unit(name)[1])
-        axis.set_title(f"{PAPER_NAMES[name]}: {label(name)}" if name in PAPER_NAMES else label(name))
+        title = label(name, "discounted")
+        axis.set_title(f"{PAPER_NAMES[name]}: {title}" if name in PAPER_NAMES else title)
         axis.set_ylim(0.0, 1.24)
         axis.grid(visible=False)
         axis.tick_params(axis="x", length=0)
@@ -130,7 +131,8 @@ def _reduction(view: FrontView) -> Figure:
     front, shown = view.front, view.representatives()
     found = principal_components(np.nan_to_num(view.importance))
     notes = (
-        "principal components of the undiscounted returns, each objective from 0, the front's worst, to 1, its best",
+        f"principal components of the returns discounted with gamma {front.gamma:g}, "
+        "each objective from 0, the front's worst, to 1, its best",
         policies_note(view, shown),
     )
     figure = make_figure(view, 10.4, 5.2, "the front in two dimensions", notes, dot_legend(view))
@@ -184,7 +186,7 @@ def _parallel(view: FrontView) -> Figure:
         if view.arrived is not None and there in view.arrived
     ]
     notes = (
-        returns_note(view),
+        returns_note(view, discounted=True),
         "better is up",
         policies_note(view, shown) + (", strong" if len(shown) < len(front) else ""),
     )
@@ -204,10 +206,10 @@ def _parallel(view: FrontView) -> Figure:
         )
     style: dict[str, Any] = {"ha": "center", "fontsize": 9.5, "color": INK}
     for i, name in enumerate(front.objectives):
-        values = front.returns[:, i]
+        values = front.discounted[:, i]
         text = number_formatter(values, name_and_unit(name)[1])
         axis.plot((i, i), (-0.02, 1.02), color=DIM, linewidth=1.3, zorder=4)
-        axis.text(i, 1.12, label(name), va="bottom", fontweight="bold", **style)
+        axis.text(i, 1.12, label(name, "discounted"), va="bottom", fontweight="bold", **style)
         if np.isnan(view.importance[:, i]).any():
             axis.text(i, 1.045, ("always " if len(front) > 1 else "") + text(values[0]), va="bottom", **style)
         else:
@@ -238,7 +240,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
     notes = (
         f"returns discounted with gamma {front.gamma:g}, by which dominance is judged",
         f"{len(front)} polic{'y' if len(front) == 1 else 'ies'}",
-        "colour: undiscounted " + view.leading_name if colour_note(view) else "",
+        colour_note(view),
     )
     width, height = max(panel * (d - 1) + 1.9, 6.6), 0.86 * panel * (d - 1) + 0.4
     figure = make_figure(view, width, height, "pairs of objectives", notes, handles)

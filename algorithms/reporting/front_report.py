@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -14,7 +13,8 @@ from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.pareto import farthest_point_subset
 from algorithms.evaluation.front import Front, best_known_front, measure_front
 from algorithms.evaluation.metrics import FRONT, name_and_unit
-from algorithms.evaluation.statistics import Estimate
+from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate
+from algorithms.reporting.captions import cut_off
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reporting.video_grid import write_video_grid
 from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from algorithms.evaluation.episodes import Policy
 
 FILMED_POLICIES = 4
-MAX_FRAMES = 300  # of every policy that is filmed
+MAX_FRAMES = 1000  # of every policy that is filmed; an episode of ours has 601 unless its time limit is changed
 TABLE_ROWS = 12  # policies in the table; front.csv has all
 
 
@@ -88,10 +88,10 @@ def report_front(
 
 
 def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
-    """``count`` policies that cover a front (all if it has fewer), ordered by the return of the first objective."""
-    extent = np.ptp(front.returns, axis=0)
-    chosen = farthest_point_subset(front.returns, count, np.where(extent > 0.0, extent, 1.0))
-    return chosen[np.argsort(front.returns[chosen, 0], kind="stable")]
+    """``count`` policies that cover a front (all if it has fewer), judged and ordered by discounted returns."""
+    extent = np.ptp(front.discounted, axis=0)
+    chosen = farthest_point_subset(front.discounted, count, np.where(extent > 0.0, extent, 1.0))
+    return chosen[np.argsort(front.discounted[chosen, 0], kind="stable")]
 
 
 def front_table(front: Front, measured: Mapping[str, float], title: str, width: int) -> Group:
@@ -108,13 +108,14 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
     for k in covering_policies(front, TABLE_ROWS).tolist():
         cells = [
             Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
-            if front.episodes > 1
+            if front.episodes >= MIN_SAMPLES
             else f"{front.returns[k, i]:.4g}"
             for i in range(len(front.objectives))
         ]
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
-    how = "1 episode each" if front.episodes == 1 else f"{front.episodes} episodes each, 95% intervals"
+    how = f"{front.episodes} episode{'' if front.episodes == 1 else 's'} each"
+    how += ", 95% intervals" if front.episodes >= MIN_SAMPLES else ""
     heading = Text(f"{title}; undiscounted returns, {how}", style="bold")
     return Group(heading, *fitted_tables(rows, 1, width), Text(", ".join(numbers)))
 
@@ -136,7 +137,9 @@ def film_front(
     seed: int,
     policies: ArrayLike | None = None,
 ) -> int:
-    """Record policies of a front side by side, all in the same scenario.
+    """Record whole episodes of policies of a front side by side, all in the same scenario.
+
+    An episode of more than MAX_FRAMES frames is cut off, which its last frame says.
 
     Args:
         agent: has the policies.
@@ -161,7 +164,7 @@ def film_front(
         tracks = []
         for k, env in zip(chosen, envs, strict=True):
             frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
-            tracks.append((caption(front, int(k)), islice(frames, MAX_FRAMES)))
+            tracks.append((caption(front, int(k)), cut_off(frames, MAX_FRAMES, fps)))
         return write_video_grid(tracks, path, fps)
     finally:
         for env in envs:

@@ -110,8 +110,12 @@ class FrontView:
 
     @cached_property
     def importance(self) -> NDArray[np.float64]:
-        """(K, d) :func:`importance` of the undiscounted returns."""
-        return importance(self.front.returns)
+        """(K, d) :func:`importance` of the discounted returns.
+
+        The discounted returns determine the front: policies that differ in when they arrive alone have the same
+        undiscounted ones.
+        """
+        return importance(self.front.discounted)
 
     @property
     def leading_name(self) -> str:
@@ -120,14 +124,14 @@ class FrontView:
 
     @cached_property
     def mappable(self) -> ScalarMappable:
-        """The mapping from the leading objective's undiscounted return to colours."""
-        values = self.front.returns[:, self.leading]
+        """The mapping from the leading objective's discounted return to colours."""
+        values = self.front.discounted[:, self.leading]
         return ScalarMappable(Normalize(float(values.min()), float(values.max())), COLOUR_MAP)
 
     @cached_property
     def colours(self) -> NDArray[np.float64]:
         """(K, 4) RGBA colour of each policy."""
-        return np.asarray(self.mappable.to_rgba(self.front.returns[:, self.leading]))
+        return np.asarray(self.mappable.to_rgba(self.front.discounted[:, self.leading]))
 
     @cached_property
     def arrived(self) -> NDArray[np.bool_] | None:
@@ -137,7 +141,7 @@ class FrontView:
     def representatives(self, count: int = REPRESENTATIVES) -> NDArray[np.intp]:
         """Up to ``count`` policies that cover the front, ordered by the leading objective; more include fewer."""
         chosen = farthest_point_subset(np.nan_to_num(self.importance), count)
-        order = np.lexsort((chosen, self.front.returns[chosen, self.leading]))
+        order = np.lexsort((chosen, self.front.discounted[chosen, self.leading]))
         return np.asarray(chosen[order])
 
 

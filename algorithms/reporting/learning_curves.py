@@ -1,6 +1,6 @@
 """Learning curves: one panel per metric, one curve per group of runs that differ in their seed alone.
 
-Curves are means over seeds and have 95% bootstrap intervals.
+Curves are means over seeds, in the colour of their algorithm, and have 95% bootstrap intervals from three seeds on.
 """
 
 from __future__ import annotations
@@ -38,9 +38,18 @@ from algorithms.evaluation.metrics import (
     title_of,
 )
 from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
-from algorithms.evaluation.statistics import bootstrap
-from algorithms.reporting.style import DIM, DPI, STYLE, curve_colour, surround
-from mo_deepdrive.objectives import INDEX
+from algorithms.evaluation.statistics import MIN_SAMPLES, bootstrap
+from algorithms.reporting.style import (
+    DIM,
+    DPI,
+    STYLE,
+    TRAINING_COLOUR,
+    algorithm_order,
+    curve_styles,
+    surround,
+    widened,
+)
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -52,6 +61,7 @@ Columns = dict[str, NDArray[np.float64]]
 SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis
 CUT_RATIO = 30.0  # how many times larger the whole range must be than the settled one for the start to be cut off
 MAX_POINTS = 150  # per curve; longer curves are averaged
+MARKS = 10  # markers per curve, where several curves share a colour
 
 
 @dataclass(frozen=True)
@@ -92,6 +102,8 @@ class CurveGroup:
 def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone (:mod:`algorithms.evaluation.seed_groups`).
 
+    Groups are in the order of their algorithms, those of one algorithm in the order given.
+
     Raises:
         ValueError: if a directory is not a run or has no metrics yet, or two runs of a group have the same seed.
     """
@@ -110,6 +122,7 @@ def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
         configs.append(config)
         metrics.append(columns)
     groups = group_by_experiment(paths, configs)
+    groups.sort(key=lambda members: algorithm_order(configs[members[0]]["algorithm"]["name"]))
     labels = _labels([configs[members[0]] for members in groups])
     return [
         CurveGroup(label, configs[members[0]], tuple(metrics[i] for i in members))
@@ -140,8 +153,8 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
         name: of the metric.
 
     Returns:
-        Steps, mean, and lower and upper end of the interval (NaN for one run), each (points,); None if no run has the
-        metric.
+        Steps, mean, and lower and upper end of the interval (NaN for fewer than three runs), each (points,); None if no
+        run has the metric.
     """
     series = []
     for columns in runs:
@@ -202,6 +215,11 @@ def describe(groups: Sequence[CurveGroup]) -> list[str]:
     return [f"{group.label}: {len(group.runs)} seed{'' if len(group.runs) == 1 else 's'}" for group in groups]
 
 
+def _label(group: CurveGroup) -> str:
+    """The label of a group in the legend, which says so if it has too few seeds for a band."""
+    return f"{group.label} (n = {len(group.runs)})" if len(group.runs) < MIN_SAMPLES else group.label
+
+
 @dataclass(frozen=True)
 class CurvePanel:
     """What a panel shows: ``names[k]`` is the metric of ``KINDS[k]``, ``groups`` are the indices of groups."""
@@ -258,7 +276,8 @@ def _quantities(present: set[str], configs: Sequence[Mapping[str, Any]]) -> list
         wanted.append((tuple(kind.utility for kind in KINDS), True))
         if ours:
             wanted.append(((SUCCESS,) * len(KINDS), False))
-        wanted += [((return_of(name),) * len(KINDS), False) for name in ordered]
+        # Our return of the destination is the arrival rate again.
+        wanted += [((return_of(name),) * len(KINDS), False) for name in ordered if not (ours and name == "destination")]
         for names, is_score in wanted:
             metrics = tuple(f"{kind.prefix}{inner}{name}" for kind, name in zip(KINDS, names, strict=True))
             if present & set(metrics):
@@ -275,7 +294,10 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
     faint = min(1.0, 4 / len(groups))  # or many bands would hide each other
     late: list[NDArray[Any]] = []
     every: list[NDArray[Any]] = []
+    bands: list[NDArray[Any]] = []
+    styles = _styles(groups)
     for g in panel.groups:
+        colour, marker = styles[g]
         for k, (kind, name) in enumerate(zip(KINDS, panel.names, strict=True)):
             if not alone and k == 0:
                 continue  # with several groups only evaluations, to avoid clutter
@@ -285,15 +307,23 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
             steps, mean, low, high = found
             every.append(mean)
             late.append(mean[steps >= SETTLED * steps.max()])
-            colour = curve_colour(g, len(groups), k)
-            marker = "o" if len(steps) < 4 else ""
+            shade = TRAINING_COLOUR if k == 0 else colour
             axis.plot(
-                steps, mean, kind.line, color=colour, linewidth=kind.width, marker=marker, markersize=3.5, zorder=3
+                steps,
+                mean,
+                kind.line,
+                color=shade,
+                linewidth=kind.width,
+                marker=marker or ("o" if len(steps) < 4 else ""),
+                markevery=max(1, len(steps) // MARKS),
+                markersize=3.5,
+                zorder=3,
             )
             if np.isfinite(low).all():
                 alpha = faint * (0.16 if alone or k == 1 else 0.07)
-                axis.fill_between(steps, low, high, color=colour, alpha=alpha, linewidth=0, zorder=2)
-    axis.set_title(panel.title + _cut_off(axis, every, late))
+                axis.fill_between(steps, low, high, color=shade, alpha=alpha, linewidth=0, zorder=2)
+                bands += [low, high]
+    axis.set_title(panel.title + _limit_y_axis(axis, every, late, bands, panel.names[-1]))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.xaxis.set_major_locator(MaxNLocator(5))
     axis.yaxis.set_major_locator(MaxNLocator(5))
@@ -304,17 +334,44 @@ def _draw_panel(axis: Axes, groups: Sequence[CurveGroup], panel: CurvePanel) -> 
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _cut_off(axis: Axes, every: Sequence[NDArray[Any]], late: Sequence[NDArray[Any]]) -> str:
-    """Limit the axis to the settled values if the first steps would flatten them; returns a suffix for the title."""
+def _limit_y_axis(
+    axis: Axes,
+    every: Sequence[NDArray[Any]],
+    late: Sequence[NDArray[Any]],
+    bands: Sequence[NDArray[Any]],
+    name: str,
+) -> str:
+    """Limit the axis to the settled values if the first steps would flatten them, and never to noise.
+
+    Returns:
+        A suffix for the title.
+    """
     if not every:
         return ""
     values, settled = np.concatenate(every), np.concatenate(late)
     low, high = np.nanmin(settled), np.nanmax(settled)
-    pad = 0.25 * max(high - low, 0.05 * abs(high), 1e-6)
-    if np.nanmax(values) - np.nanmin(values) < CUT_RATIO * (high - low + 2 * pad):
-        return ""
+    low, high = widened(low, high, quantity_scale(name, settled))
+    pad = 0.25 * max(high - low, 1e-6)
+    if np.nanmax(values) - np.nanmin(values) >= CUT_RATIO * (high - low + 2 * pad):
+        axis.set_ylim(low - pad, high + pad)
+        return " (start cut off)"
+    drawn = np.concatenate([values, *bands])
+    low, high = widened(np.nanmin(drawn), np.nanmax(drawn), quantity_scale(name, drawn))
+    pad = 0.05 * (high - low) or 0.5
     axis.set_ylim(low - pad, high + pad)
-    return " (start cut off)"
+    return ""
+
+
+def quantity_scale(name: str, values: NDArray[Any]) -> float:
+    """The magnitude of a metric: the largest of its ``values``; of a return at least the objective's nominal scale."""
+    objective = split_name(name).metric.removeprefix(RETURN)
+    nominal = OBJECTIVES[INDEX[objective]].scale if objective in INDEX else 0.0
+    return max(float(np.nanmax(np.abs(values))), nominal)
+
+
+def _styles(groups: Sequence[CurveGroup]) -> list[tuple[str, str]]:
+    """Colour and marker of each group."""
+    return curve_styles([group.config["algorithm"]["name"] for group in groups])
 
 
 def _utilities(settings: Mapping[str, Any] | None) -> list[str]:
@@ -339,16 +396,19 @@ def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     if config["environment"].get("arguments", {}).get("cost_sign", "maximise") == "maximise":
         note += ", costs negative"
     note += f"; {count} seed{'' if seeds == [1] else 's'}"
-    note += ", bands: 95% bootstrap interval of the mean" if seeds[-1] > 1 else ""
+    if seeds[-1] >= MIN_SAMPLES:
+        note += ", bands: 95% bootstrap interval of the mean"
+    elif seeds[-1] > 1:
+        note += f", too few for an interval (n = {seeds[-1]})"
     notes = [remark, note] if remark else [note]
     handles = [
-        Line2D([], [], color=curve_colour(g, len(groups), 1), linewidth=2.4, label=group.label)
-        for g, group in enumerate(groups)
+        Line2D([], [], color=colour, marker=marker, markersize=4.5, linewidth=2.4, label=_label(group))
+        for group, (colour, marker) in zip(groups, _styles(groups), strict=True)
         if not alone
     ]
     present = {name for group in groups for columns in group.runs for name in columns}
     for k, kind in enumerate(KINDS):
         if (alone or k > 0) and any(name.startswith(kind.prefix) for name in present):
-            colour = curve_colour(0, len(groups), k) if alone else DIM
+            colour = DIM if not alone else TRAINING_COLOUR if k == 0 else _styles(groups)[0][0]
             handles.append(Line2D([], [], color=colour, linestyle=kind.line, linewidth=kind.width, label=kind.name))
     surround(figure, heading, notes, handles)

@@ -34,6 +34,7 @@ from algorithms.evaluation.metrics import (
 )
 from algorithms.evaluation.seed_groups import group_by_experiment
 from algorithms.evaluation.statistics import Estimate, interquartile_mean, mann_whitney_p, mean_difference, means
+from algorithms.reporting.style import algorithm_order
 from algorithms.reporting.wide_tables import Rows, print_rows
 from mo_deepdrive.config import EnvConfig
 
@@ -178,7 +179,7 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
         groups.append(group)
-    return sorted(groups, key=lambda group: (*group.task.values(), group.algorithm))
+    return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
 
 
 def environment_label(environment: Mapping[str, Any]) -> str:
@@ -237,7 +238,7 @@ def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
     comparable: dict[tuple[str, ...], list[ScoreGroup]] = defaultdict(list)
     for group in groups:
         comparable[(*group.task.values(), group.measured)].append(group)
-    in_order = (sorted(members, key=lambda group: group.algorithm) for members in comparable.values())
+    in_order = (sorted(members, key=lambda group: algorithm_order(group.algorithm)) for members in comparable.values())
     for first, second in (pair for members in in_order for pair in combinations(members, 2)):
         if first.algorithm == second.algorithm:
             continue
@@ -248,11 +249,9 @@ def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
             if min(len(later), len(earlier)) < 2:
                 continue
             found = mean_difference(later, earlier)
-            assert found.low is not None  # two seeds have an interval
-            assert found.high is not None
             numbers = (found.value, found.low, found.high, mann_whitney_p(later, earlier))
             pairing = f"{second.algorithm} - {first.algorithm}"
-            texts = [f"{number:.3f}" for number in numbers]
+            texts = ["" if number is None else f"{number:.3f}" for number in numbers]
             rows.append([*first.task.values(), policy, vehicle, pairing, metric, *texts])
     return without_empty_columns(rows)
 

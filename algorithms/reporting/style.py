@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_hex, to_rgb
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-# Colours of curves, one per group of runs: those of Okabe and Ito, which are safe for colour-blind readers.
+# The colours of Okabe and Ito, which are safe for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
-# Colours of the curves of a single group: training, then its evaluations.
-SINGLE_GROUP_COLOURS = ("#9AA3AD", COLOURS[0], COLOURS[1], COLOURS[0])
+# The colour of each algorithm in every figure; tables and legends have the same order.
+ALGORITHM_COLOURS = {
+    "a2c": "#D55E00",
+    "mo_a2c": "#0072B2",
+    "ppo": "#E69F00",
+    "mo_ppo": "#56B4E9",
+    "pcn": "#009E73",
+}
+# Of all other algorithms, chosen by their names; from the muted scheme of Paul Tol.
+OTHER_COLOURS = ("#CC79A7", "#332288", "#882255", "#999933", "#44AA99", "#000000", "#661100", "#AA4499")
+TRAINING_COLOUR = "#9AA3AD"
+MARKERS = ("", "o", "s", "^", "D", "v", "P", "X")  # of several curves of one algorithm
 # Colours of the policies of a front: viridis, also safe for colour-blind readers, without the yellow that is hard to
 # see on white.
 COLOUR_MAP = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, 256)), "policies")
@@ -26,6 +37,7 @@ LABEL, GRID = "#3C434C", "#E4E7EB"
 # Captions of videos, which look like the panel of readings beside a map.
 VIDEO_BACKGROUND, VIDEO_INK = "#181C24", "#F0F3F8"
 
+MINIMUM_SPAN = 0.1  # of an axis, as a share of the quantity's magnitude: smaller differences would look large
 DPI = 160  # of figures
 VIDEO_DPI = 100  # of captions of videos
 LINE = 0.19  # in, height of a line of text
@@ -53,15 +65,52 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def curve_colour(group: int, groups: int, kind: int) -> str:
-    """The colour of a learning curve.
+def algorithm_order(name: str) -> tuple[int, str]:
+    """A sort key: the algorithms of ALGORITHM_COLOURS in its order, then the others by name."""
+    known = list(ALGORITHM_COLOURS)
+    return (known.index(name) if name in known else len(known), name)
+
+
+def algorithm_colours(names: Iterable[str]) -> dict[str, str]:
+    """The colour of each algorithm of a figure.
+
+    Algorithms that are not in ALGORITHM_COLOURS have one of OTHER_COLOURS that depends on the name alone, unless
+    another algorithm of the figure has taken it.
+    """
+    found: dict[str, str] = {}
+    for name in sorted(set(names), key=algorithm_order):
+        start = zlib.crc32(name.encode()) % len(OTHER_COLOURS)
+        wanted = [*OTHER_COLOURS[start:], *OTHER_COLOURS[:start]]
+        free = [colour for colour in wanted if colour not in found.values()]
+        found[name] = ALGORITHM_COLOURS.get(name) or (free or wanted)[0]
+    return found
+
+
+def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
+    """The colour and the marker of one curve per entry of ``algorithms``.
+
+    The first curve of an algorithm has its colour; further ones have lighter shades of it and other markers.
+    """
+    colours = algorithm_colours(algorithms)
+    styles = []
+    for i, name in enumerate(algorithms):
+        before, count = algorithms[:i].count(name), algorithms.count(name)
+        share = 0.6 * before / max(count - 1, 1)
+        red, green, blue = ((1.0 - share) * part + share for part in to_rgb(colours[name]))
+        styles.append((to_hex((red, green, blue)), MARKERS[before % len(MARKERS)]))
+    return styles
+
+
+def widened(low: float, high: float, scale: float) -> tuple[float, float]:
+    """Limits of an axis around ``low`` and ``high`` that span at least MINIMUM_SPAN of ``scale``.
 
     Args:
-        group: index of the group of runs.
-        groups: how many groups the figure shows.
-        kind: index of the kind of curve: training, greedy, stochastic, front.
+        low: the least value that is drawn.
+        high: the greatest one.
+        scale: magnitude of the quantity, such as the largest value or the nominal scale of a return.
     """
-    return COLOURS[group % len(COLOURS)] if groups > 1 else SINGLE_GROUP_COLOURS[kind]
+    missing = max(MINIMUM_SPAN * scale - (high - low), 0.0)
+    return low - missing / 2, high + missing / 2
 
 
 def text_width(text: str) -> float:

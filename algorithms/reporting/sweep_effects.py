@@ -1,6 +1,6 @@
 """Final scores of runs against what was varied among them: one panel per key.
 
-Means are over runs and have 95% bootstrap intervals.
+Runs have the colours of their algorithms. Means are over runs and have 95% bootstrap intervals from three runs on.
 """
 
 from __future__ import annotations
@@ -12,10 +12,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
-from algorithms.evaluation.statistics import Estimate, mean
-from algorithms.reporting.style import COLOURS, DIM, DPI, INK, LINE, STYLE, TITLE_SIZE, text_width
+from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate, mean
+from algorithms.reporting.style import (
+    DIM,
+    DPI,
+    INK,
+    LINE,
+    STYLE,
+    TITLE_SIZE,
+    algorithm_colours,
+    text_width,
+    widened,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,12 +52,14 @@ class VariedScores:
         title: environment and utility.
         score: name of the score.
         values: (runs,) scores.
+        algorithms: (runs,) names of the algorithms.
         keys: the values that the runs had of each key that varies, by its name: (runs,) numbers, or else words.
     """
 
     title: str
     score: str
     values: NDArray[np.float64]
+    algorithms: tuple[str, ...]
     keys: dict[str, NDArray[np.float64] | list[str]]
 
 
@@ -65,22 +78,26 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         ValueError: if the file's suffix is not an image format.
         OSError: if the file cannot be written.
     """
-    notes = ["dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals"]
+    notes = [
+        "dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals of "
+        f"{MIN_SAMPLES} runs or more"
+    ]
     notes += [remark] if remark else []
-    rows: list[tuple[VariedScores, str, list[tuple[str, KeyEffect]], tuple[float, float]]] = []
-    for s, each in enumerate(scores):
+    colours = algorithm_colours(name for each in scores for name in each.algorithms)
+    rows: list[tuple[VariedScores, list[tuple[str, KeyEffect]], tuple[float, float]]] = []
+    for each in scores:
         effects = [(key, _effect(values, each.values)) for key, values in each.keys.items()]
         limits = score_limits(each.values, [effect for _, effect in effects])
         count = -(-len(effects) // MAX_COLUMNS)
         size = -(-len(effects) // count)
         for first in range(0, len(effects), size):
-            rows.append((each, COLOURS[s % len(COLOURS)], effects[first : first + size], limits))
+            rows.append((each, effects[first : first + size], limits))
     heads = [HEAD if r == 0 or rows[r - 1][0] is not row[0] else 0.3 for r, row in enumerate(rows)]
-    feet = [SLANTED_FOOT if any(effect.slanted for _, effect in effects) else FOOT for _, _, effects, _ in rows]
-    widest = max(len(effects) for _, _, effects, _ in rows)
+    feet = [SLANTED_FOOT if any(effect.slanted for _, effect in effects) else FOOT for _, effects, _ in rows]
+    widest = max(len(effects) for _, effects, _ in rows)
     texts = [1.3 * text_width(text) for text in [title, *(each.title for each in scores)]]  # larger, and bold
     width = max(LEFT + widest * (PANEL_WIDTH + GAP), max(*texts, *map(text_width, notes)) + 0.3)
-    above = 0.42 + LINE * len(notes)
+    above = 0.42 + LINE * len(notes) + (0.3 if len(colours) > 1 else 0.0)
     height = above + sum(heads) + sum(feet) + PANEL_HEIGHT * len(rows)
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
         figure = Figure(figsize=(width, height))
@@ -91,14 +108,20 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         write(height - 0.12, title, fontsize=TITLE_SIZE, fontweight="bold")
         write(height - 0.40, "\n".join(notes), color=DIM)
         y = height - above
-        for (each, colour, effects, limits), head, foot in zip(rows, heads, feet, strict=True):
+        if len(colours) > 1:
+            handles = [
+                Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
+            ]
+            corner = (0.04 / width, (y - 0.06) / height)
+            figure.legend(handles=handles, loc="lower left", bbox_to_anchor=corner, ncols=len(handles), frameon=False)
+        for (each, effects, limits), head, foot in zip(rows, heads, feet, strict=True):
             if head == HEAD:
-                write(y - 0.1, each.title, fontsize=11, fontweight="bold", color=colour)
+                write(y - 0.1, each.title, fontsize=11, fontweight="bold")
             y -= head + PANEL_HEIGHT
             for k, (key, effect) in enumerate(effects):
                 left = LEFT + k * (PANEL_WIDTH + GAP)
                 axis = figure.add_axes((left / width, y / height, PANEL_WIDTH / width, PANEL_HEIGHT / height))
-                _draw_effect(axis, effect, each.values, colour, limits)
+                _draw_effect(axis, effect, each.values, [colours[name] for name in each.algorithms], limits)
                 axis.set_title(key)
                 axis.tick_params(left=k == 0, labelleft=k == 0)
                 if k == 0:
@@ -176,13 +199,11 @@ def effect_of_numbers(numbers: NDArray[np.float64], scores: NDArray[np.float64])
 
 
 def _draw_effect(
-    axis: Axes, effect: KeyEffect, scores: NDArray[np.float64], colour: str, limits: tuple[float, float]
+    axis: Axes, effect: KeyEffect, scores: NDArray[np.float64], colours: Sequence[str], limits: tuple[float, float]
 ) -> None:
     shifts = np.random.default_rng(0).uniform(-effect.jitter, effect.jitter, len(scores))
     values = np.array([each.value for each in effect.means])
-    axis.plot(
-        effect.positions + shifts, scores, "o", color=colour, alpha=0.3, markersize=3.5, markeredgewidth=0, zorder=2
-    )
+    axis.scatter(effect.positions + shifts, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
     axis.errorbar(
         [effect.positions[part].mean() for part in effect.parts],
         values,
@@ -225,7 +246,7 @@ def score_limits(scores: NDArray[np.float64], effects: Sequence[KeyEffect]) -> t
     reach = high - low or np.ptp(scores)
     every = np.array([*scores, *ends])
     near = every[(every >= low - reach) & (every <= high + reach)]
-    low, high = near.min(), near.max()
+    low, high = widened(near.min(), near.max(), np.abs(near).max())
     pad = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     return float(low - pad), float(high + pad)
 

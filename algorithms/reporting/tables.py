@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -11,17 +12,45 @@ from rich.table import Table
 from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
 from algorithms.evaluation.estimates import estimate_metrics
 from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import LENGTH, SUCCESS, UTILITY, discounted_return_of, return_of
+from algorithms.evaluation.metrics import (
+    COLLISION,
+    DISCOUNTED_UTILITY_ESR,
+    DISCOUNTED_UTILITY_SER,
+    LENGTH,
+    OFF_LANE,
+    SUCCESS,
+    UTILITY,
+    UTILITY_ESR,
+    UTILITY_SER,
+    discounted_return_of,
+    end_by,
+    return_of,
+    split_name,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from algorithms.evaluation.episodes import Evaluation
+    from algorithms.evaluation.statistics import Estimate
+
+# Ends that need something to happen, and the objective that an environment has where it can.
+_OBJECTIVE_OF_END = {end_by(COLLISION): "collision", end_by(OFF_LANE): "lane_violation"}
+# Metrics that may have the values of another one.
+_REPEATED = {
+    UTILITY_SER: UTILITY_ESR,
+    DISCOUNTED_UTILITY_SER: DISCOUNTED_UTILITY_ESR,
+    return_of("destination"): SUCCESS,
+}
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
-    """A table with a row per metric and a column per policy."""
+    """A table with a row per metric and a column per policy.
+
+    Metrics that cannot differ from 0 (collisions where there is nothing to collide with) and those that repeat another
+    one (SER of a linear utility, the return of our destination) are left out; the files have all.
+    """
     columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     names: list[str] = []
     for estimates in columns.values():
@@ -30,6 +59,8 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
+    objectives = {objective for evaluation in evaluations.values() for objective in evaluation.objectives}
+    names = [name for name in names if _says_more(name, list(columns.values()), objectives)]
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", overflow="fold")
     for policy in columns:
@@ -38,6 +69,18 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
         cells = [estimates[name].text() if name in estimates else "" for estimates in columns.values()]
         result.add_row(name, *(cell.replace("[", r"\[") for cell in cells))
     return result
+
+
+def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]], objectives: Collection[str]) -> bool:
+    """Whether a metric can have another value than it always has, and than another metric has."""
+    metric = split_name(name).metric
+    if metric in _OBJECTIVE_OF_END and _OBJECTIVE_OF_END[metric] not in objectives:
+        return any(name in column and column[name].value > 0.0 for column in columns)
+    if metric in _REPEATED:
+        other = name.removesuffix(metric) + _REPEATED[metric]
+        pairs = [(column[name].value, column[other].value) for column in columns if name in column and other in column]
+        return not pairs or not all(math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-9) for pair in pairs)
+    return True
 
 
 def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import matplotlib
 import numpy as np
 import torch
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from algorithms.reporting.style import STYLE, VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK
+from algorithms.reporting.captions import CAPTION_PIXELS, caption_strip
+from algorithms.reporting.style import VIDEO_BACKGROUND
 from algorithms.reporting.videos import HOLD, video_writer
 
 if TYPE_CHECKING:
@@ -24,9 +22,7 @@ if TYPE_CHECKING:
 Frame = NDArray[np.uint8]  # (height, width, 3), RGB
 
 MAX_WIDTH = 1600  # pixels of the video; wider ones are scaled down
-CAPTION_PIXELS = 36  # height of the strip above a tile
 GAP = 4  # pixels between tiles that are side by side
-FONT_SIZES = np.arange(13.0, 6.5, -0.5)  # of captions; the first one that fits
 
 
 def write_video_grid(
@@ -144,27 +140,3 @@ def scaled(frame: Frame, height: int, width: int) -> Frame:
     planes = torch.from_numpy(np.array(frame, order="C")).permute(2, 0, 1)[None]
     small = torch.nn.functional.interpolate(planes, (height, width), mode="bilinear", antialias=True)
     return small[0].permute(1, 2, 0).numpy()
-
-
-def caption_strip(text: str, width: int) -> Frame:
-    """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
-    line = " ".join(text.split())
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(
-            figsize=(width / VIDEO_DPI, CAPTION_PIXELS / VIDEO_DPI), dpi=VIDEO_DPI, facecolor=VIDEO_BACKGROUND
-        )
-        canvas: Any = FigureCanvasAgg(figure)
-        words = figure.text(10 / width, 0.5, line, color=VIDEO_INK, va="center_baseline", parse_math=False)
-
-        def fits() -> bool:
-            return words.get_window_extent(canvas.get_renderer()).width <= width - 20
-
-        for size in FONT_SIZES:
-            words.set_fontsize(size)
-            if fits():
-                break
-        while line and not fits():
-            line = line[:-1].rstrip()
-            words.set_text(f"{line}…")
-        canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

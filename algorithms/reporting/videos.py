@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import tempfile
 from contextlib import contextmanager
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.splits import SPLITS
+from algorithms.reporting.captions import cut_off
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from algorithms.evaluation.episodes import Policy
 
-MAX_FRAMES = 750  # of a video; the rest is cut off
+MAX_FRAMES = 2000  # of a video, three of our longest episodes; the rest is cut off
 HOLD = 0.5  # s for which the last frame of an episode is shown
 DEFAULT_FPS = 10  # where the environment does not say
 
@@ -49,7 +49,7 @@ def record(
         env_id: of the environment.
         env_arguments: keyword arguments of the environment.
         path: the file.
-        episodes: number of episodes; fewer if they exceed MAX_FRAMES.
+        episodes: number of episodes; if they exceed MAX_FRAMES, the rest is cut off, which the last frame says.
         seed: of the first episode.
         greedy: take the most likely (or mean) action instead of sampling.
 
@@ -65,7 +65,7 @@ def record(
         fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
         with video_writer(path, fps) as write:
             count = 0
-            for frame in islice(_episodes(policy, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES):
+            for frame in cut_off(_episodes(policy, env, range(seed, seed + episodes), greedy, fps), MAX_FRAMES, fps):
                 write(frame)
                 count += 1
     finally:

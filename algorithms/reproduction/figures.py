@@ -14,8 +14,9 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.common.atomic_io import atomic_write
 from algorithms.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
+from algorithms.evaluation.statistics import MIN_SAMPLES
 from algorithms.reporting.learning_curves import curve
-from algorithms.reporting.style import COLOURS, DPI, STYLE, surround
+from algorithms.reporting.style import ALGORITHM_COLOURS, DPI, STYLE, surround, widened
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
 
 if TYPE_CHECKING:
@@ -28,7 +29,10 @@ if TYPE_CHECKING:
     from algorithms.reproduction.results import ReproductionResults
 
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
-ALGORITHMS = {BASELINE: ("A2C", COLOURS[1]), MULTI_OBJECTIVE: ("MO-A2C", COLOURS[0])}
+ALGORITHMS = {
+    BASELINE: ("A2C", ALGORITHM_COLOURS[BASELINE]),
+    MULTI_OBJECTIVE: ("MO-A2C", ALGORITHM_COLOURS[MULTI_OBJECTIVE]),
+}
 
 
 @dataclass(frozen=True)
@@ -135,21 +139,22 @@ def _draw_panel(axis: Axes, results: ReproductionResults, task: str, protocol: s
 def _limit_y_axis(axis: Axes, settled: np.ndarray) -> None:
     """Cut off values far below those of the second half of training, which would flatten the curves."""
     low, high = np.nanquantile(settled, [0.1, 1.0])
-    reach = 0.5 * max(high - low, 0.02 * abs(high))
+    scale = float(np.nanmax(np.abs(settled)))
+    reach = 0.5 * (high - low)
     bottom, top = axis.get_ylim()
-    axis.set_ylim(max(bottom, low - reach), min(top, high + 0.2 * reach))
+    axis.set_ylim(*widened(max(bottom, low - reach), min(top, high + 0.2 * reach), scale))
 
 
-def _seed_counts(results: ReproductionResults, panels: Sequence[tuple[str, str]]) -> str:
-    """The number of seeds per curve, as a range if it differs."""
+def _seed_counts(results: ReproductionResults, panels: Sequence[tuple[str, str]]) -> list[int]:
+    """The numbers of seeds per curve: the least and, if it differs, the most."""
     curves = [results.learning_curves(task, protocol, variant) for protocol, task in panels for variant in ALGORITHMS]
     counts = [len(runs) for runs in curves]
-    return " to ".join(str(count) for count in dict.fromkeys((min(counts), max(counts))))
+    return list(dict.fromkeys((min(counts), max(counts))))
 
 
-def _add_title_and_legend(figure: Figure, title: str, seeds: str) -> None:
-    note = (
-        f"{STOCHASTIC} policy on unseen scenarios; thin: each of {seeds} seeds; thick: mean with 95% bootstrap interval"
-    )
+def _add_title_and_legend(figure: Figure, title: str, seeds: Sequence[int]) -> None:
+    count = " to ".join(map(str, seeds))
+    note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
+    note += " with 95% bootstrap interval" if seeds[-1] >= MIN_SAMPLES else f", too few for an interval (n = {count})"
     handles = [Line2D([], [], color=colour, linewidth=2.4, label=label) for label, colour in ALGORITHMS.values()]
     surround(figure, title, [note], handles)

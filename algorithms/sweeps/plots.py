@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MAX_CURVES = 8  # cells, as many as there are colours
+MAX_CURVES = 8  # cells, as many as there are markers
 
 
 def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], warn: Callable[[str], None]) -> None:
@@ -93,7 +93,14 @@ def varied_scores(collection: Collection, ranking: Ranking) -> VariedScores:
     keys = varying_keys([row.cell for row in rows])
     names = short_names(keys)
     values = {names[key]: _numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
-    return VariedScores(ranking.title, ranking.score_name, np.array([ranking.scores[row.id] for row in rows]), values)
+    algorithms = {row.id: cell.config["algorithm"]["name"] for cell in ranking.cells for row in cell.rows}
+    return VariedScores(
+        ranking.title,
+        ranking.score_name,
+        np.array([ranking.scores[row.id] for row in rows]),
+        tuple(algorithms[row.id] for row in rows),
+        values,
+    )
 
 
 def _numbers_or_words(values: Sequence[Any]) -> NDArray[np.float64] | list[str]:

@@ -11,9 +11,10 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from mo_deepdrive import rendering
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
-from mo_deepdrive.rendering import EpisodeTrace, Viewer
+from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
 from mo_deepdrive.scenarios import MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
@@ -244,6 +245,31 @@ def test_the_trail_shows_where_the_car_has_been() -> None:
     assert colour_at(trailing, *behind)[0] < colour_at(without, *behind)[0] - 20
 
 
+@pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
+def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
+    cost_sign: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = parse(EnvConfig, {"scenario": "one_waypoint", "cost_sign": cost_sign}, "settings")
+    batch = WorldBatch(config, 1)
+    batch.place(np.array([0]), lambda rows: np.full((len(rows), batch.scenario.draws), 0.5))
+    viewer = Viewer(config, "rgb_array")
+    viewer.draw(batch.state[0])
+    returns = np.zeros(len(viewer.objectives))
+    written: list[tuple[str, float]] = []
+    monkeypatch.setattr(Panel, "_write", lambda _, text, x, *__: written.append((text, x)))
+    for _ in range(12):
+        drive(batch)
+        returns += batch.rewards[0, 0]
+        written.clear()
+        viewer.draw(batch.state[0])
+    assert (returns[viewer.objectives.index("g_force")] < -0.01) == (cost_sign == "maximise")
+    _, *totals = [text for text, x in written if x == -316]  # below the time
+    decision = [text for text, x in written if x == -226]
+    assert list(map(float, totals)) == pytest.approx(returns, abs=0.006)
+    assert list(map(float, decision)) == pytest.approx(batch.rewards[0, 0], abs=0.006)
+    assert "-0.00" not in [text for text, _ in written]
+
+
 def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
     batch, _ = start("intersection")
     trace = EpisodeTrace(2, 6, 10)
@@ -378,3 +404,12 @@ def test_importing_the_module_prints_nothing_and_does_not_change_environment_var
 ) -> None:
     lines = "import os", "before = {**os.environ}", "import mo_deepdrive.rendering", "assert before == {**os.environ}"
     assert run_python("\n".join(lines)) == ""
+
+
+def test_rewards_of_the_panel_are_never_minus_zero() -> None:
+    assert [rendering.reward_text(value) for value in (-0.0, -0.004, -7.414, 1234.5)] == [
+        "0.00",
+        "0.00",
+        "-7.41",
+        "1,234.50",
+    ]

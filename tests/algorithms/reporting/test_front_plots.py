@@ -92,11 +92,22 @@ def test_importance_shows_numbers_and_their_range_in_real_units() -> None:
     assert [round(bar.get_height(), 2) for bar in distance.patches] == [0.0, 0.4, 1.0]
     assert [round(bar.get_height(), 2) for bar in comfort.patches] == [1.0, 0.75, 0.0]
     assert not destination.patches
-    assert "1.00, the same for every policy" in texts(figure)
-    assert [tick.get_text() for tick in distance.get_yticklabels()] == ["0.0 m = 0", "10.0 m = 1"]
-    assert [tick.get_text() for tick in comfort.get_yticklabels()] == [f"{MINUS}30.0 g = 0", f"{MINUS}10.0 g = 1"]
+    assert "0.500, the same for every policy" in texts(figure)
+    assert [tick.get_text() for tick in distance.get_yticklabels()] == ["0.00 m = 0", "5.00 m = 1"]
+    assert [tick.get_text() for tick in comfort.get_yticklabels()] == [f"{MINUS}15.0 g = 0", f"{MINUS}5.0 g = 1"]
     assert [tick.get_text() for tick in comfort.get_xticklabels()] == ["0", "2", "1"]
-    assert {"comfort: g-force (sum, g)", "pcn: importance of the objectives"} <= set(texts(figure))
+    assert {"comfort: g-force (discounted, g)", "pcn: importance of the objectives"} <= set(texts(figure))
+
+
+def test_policies_that_differ_in_their_arrival_time_alone_are_spread_over_the_front() -> None:
+    arrivals = np.linspace(0.0, 200.0, 90)
+    discounted = np.stack([10.0 * 0.99**arrivals, -4.0 * 0.99**arrivals], axis=1)
+    front = replace(front_of(np.tile([14.5, -5.5], (90, 1)), ("distance", "g_force")), discounted=discounted)
+    distance = front_plots._importance(FrontView(front)).axes[0]
+    heights = [bar.get_height() for bar in distance.patches]
+    assert len(heights) == 16
+    assert heights == sorted(heights)
+    assert max(np.diff(heights)) < 0.15
 
 
 def test_scatter_shows_discounted_returns_in_front_of_the_reference_front() -> None:

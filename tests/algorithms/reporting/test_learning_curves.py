@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
 from algorithms.common.metrics_file import MetricsFile
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
-from algorithms.reporting.learning_curves import MAX_POINTS, curve, curve_panels, drawn, load_groups, plot
+from algorithms.reporting import learning_curves
+from algorithms.reporting.learning_curves import MAX_POINTS, CurveGroup, curve, curve_panels, drawn, load_groups, plot
+from algorithms.reporting.style import ALGORITHM_COLOURS, MINIMUM_SPAN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Make = Callable[..., Path]
 
@@ -50,8 +57,8 @@ def make(tmp_path: Path) -> Make:
 def test_runs_that_differ_in_their_seed_alone_are_one_group(make: Make) -> None:
     runs = [make("a", seed=0), make("b", seed=1), make("c", "a2c", seed=0), make("d", seed=2, gamma=0.9)]
     groups = load_groups(runs)
-    assert [len(group.runs) for group in groups] == [2, 1, 1]
-    assert [group.label for group in groups] == ["mo_a2c, gamma 0.99", "a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
+    assert [len(group.runs) for group in groups] == [1, 2, 1]
+    assert [group.label for group in groups] == ["a2c, gamma 0.99", "mo_a2c, gamma 0.99", "mo_a2c, gamma 0.9"]
 
 
 @pytest.mark.slow
@@ -71,9 +78,9 @@ def test_two_vehicles_have_separate_panels_and_one_for_both(make: Make) -> None:
     plot(load_groups([run]), run / "curves.png")
 
 
-def test_algorithms_are_labelled_by_their_names(make: Make) -> None:
+def test_algorithms_are_in_one_order_and_labelled_by_their_names(make: Make) -> None:
     groups = load_groups([make("a"), make("b", "a2c", steps=4)])
-    assert [group.label for group in groups] == ["mo_a2c", "a2c"]
+    assert [group.label for group in groups] == ["a2c", "mo_a2c"]
 
 
 def test_what_cannot_be_drawn_is_refused(make: Make, tmp_path: Path) -> None:
@@ -121,6 +128,58 @@ def test_rows_without_a_value_are_skipped_and_long_curves_averaged() -> None:
     assert curve([{"step": steps}], "a") is None
 
 
+def made_up(algorithm: str, *runs: Any, name: str = "eval/greedy/utility_esr") -> CurveGroup:
+    """A group with a run per sequence of values."""
+    config = {"environment": {"id": "mo-deepdrive-one-waypoint-v0"}, "algorithm": {"name": algorithm}}
+    columns = tuple({"step": np.arange(len(run), dtype=np.float64), name: np.asarray(run, float)} for run in runs)
+    return CurveGroup(algorithm, config, columns)
+
+
+def panel(*groups: CurveGroup) -> Axes:
+    """The only panel of the groups."""
+    (wanted,) = curve_panels(groups)
+    axis = Figure().subplots()
+    learning_curves._draw_panel(axis, groups, wanted)
+    return axis
+
+
+def test_curves_have_the_colours_of_their_algorithms_alone_and_together() -> None:
+    a2c, mo_a2c = (made_up(name, [1.0, 2.0], [2.0, 3.0]) for name in ("a2c", "mo_a2c"))
+    for groups in ((a2c,), (mo_a2c,), (a2c, mo_a2c), (mo_a2c, a2c)):
+        colours = [to_hex(line.get_color()).upper() for line in panel(*groups).lines]
+        assert colours == [ALGORITHM_COLOURS[group.label] for group in groups]
+
+
+def test_an_axis_does_not_magnify_noise() -> None:
+    low, high = panel(made_up("a2c", [9.250, 9.252, 9.249, 9.251, 9.250])).get_ylim()
+    assert high - low >= MINIMUM_SPAN * 9.25
+    name = "eval/greedy/return/jerk"
+    low, high = panel(made_up("a2c", [-1.0, -0.5, -0.7], name=name)).get_ylim()
+    assert high - low >= MINIMUM_SPAN * 500.0, "of the nominal scale"
+    low, high = panel(made_up("a2c", [0.0, 50.0, 100.0])).get_ylim()
+    assert (low, high) == pytest.approx((-5.0, 105.0)), "what differs fills the axis"
+
+
+def test_two_seeds_get_no_band_and_the_figure_says_so() -> None:
+    two, three = made_up("a2c", [1.0, 2.0], [2.0, 3.0]), made_up("mo_a2c", [1.0, 2.0], [2.0, 3.0], [3.0, 4.0])
+    assert not panel(two).collections
+    assert len(panel(two, three).collections) == 1
+    figure = Figure()
+    learning_curves._frame(figure, [two, three], "")
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()][:2] == ["a2c (n = 2)", "mo_a2c"]
+    figure = Figure()
+    learning_curves._frame(figure, [two], "")
+    assert "2 seeds, too few for an interval (n = 2)" in figure.texts[1].get_text()
+
+
+def test_our_destination_is_not_drawn_beside_the_arrival_rate() -> None:
+    (group,) = [made_up("a2c", [1.0], name="eval/greedy/return/destination")]
+    assert not curve_panels([group])
+    group.config["environment"]["id"] = "another-v0"
+    assert [each.title for each in curve_panels([group])] == ["Destination"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_figures_are_drawn_of_one_group_and_of_several(make: Make, tmp_path: Path, count: int) -> None:
@@ -133,8 +192,8 @@ def test_scores_that_cannot_be_compared_have_separate_panels(make: Make) -> None
     groups = load_groups([make("a"), make("b", utility="nonlinear"), make("c", "a2c")])
     panels = {panel.title: panel.groups for panel in curve_panels(groups)}
     assert panels == {
-        "Utility: one_waypoint_linear": (0, 2),
-        "Utility: one_waypoint_nonlinear": (1,),
+        "Utility: one_waypoint_linear": (0, 1),
+        "Utility: one_waypoint_nonlinear": (2,),
         "Arrival rate": (0, 1, 2),
         "Jerk (sum, m/s³)": (0, 1, 2),
     }

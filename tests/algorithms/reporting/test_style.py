@@ -1,12 +1,48 @@
-"""Colours of curves."""
+"""Colours, order and limits that all figures share."""
 
 from __future__ import annotations
 
-from algorithms.reporting.style import COLOURS, SINGLE_GROUP_COLOURS, curve_colour
+import pytest
+
+from algorithms import ALGORITHMS
+from algorithms.reporting.style import (
+    ALGORITHM_COLOURS,
+    MARKERS,
+    OTHER_COLOURS,
+    algorithm_colours,
+    algorithm_order,
+    curve_styles,
+    widened,
+)
 
 
-def test_groups_differ_in_colour_and_a_single_group_by_the_kind_of_curve() -> None:
-    colours = {curve_colour(group, len(COLOURS), kind=1) for group in range(len(COLOURS))}
-    assert len(colours) == len(COLOURS)
-    assert curve_colour(2, 3, kind=1) == curve_colour(2, 3, kind=2)
-    assert [curve_colour(0, 1, kind) for kind in range(4)] == list(SINGLE_GROUP_COLOURS)
+def test_every_algorithm_has_one_colour_that_no_other_has() -> None:
+    assert set(ALGORITHM_COLOURS) == set(ALGORITHMS)
+    colours = [*ALGORITHM_COLOURS.values(), *OTHER_COLOURS]
+    assert len(set(colours)) == len(colours)
+    together = algorithm_colours(["mo_a2c", "my.package:Algorithm", "a2c"])
+    for name in together:
+        assert algorithm_colours([name]) == {name: together[name]}, "whatever else a figure shows"
+
+
+def test_algorithms_that_are_not_ours_differ_in_colour_where_they_meet() -> None:
+    names = [f"package_{i}:Algorithm" for i in range(len(OTHER_COLOURS))]
+    assert set(algorithm_colours(names).values()) == set(OTHER_COLOURS)
+
+
+def test_the_order_is_that_of_the_colours_then_by_name() -> None:
+    names = ["x:B", "pcn", "mo_ppo", "a2c", "morl_baselines.pcn", "ppo", "mo_a2c"]
+    expected = ["a2c", "mo_a2c", "ppo", "mo_ppo", "pcn", "morl_baselines.pcn", "x:B"]
+    assert sorted(names, key=algorithm_order) == expected
+
+
+def test_curves_of_one_algorithm_have_its_shades_and_different_markers() -> None:
+    (first, plain), (other, _), (second, marker) = curve_styles(["mo_a2c", "a2c", "mo_a2c"])
+    assert [first, other] == [ALGORITHM_COLOURS["mo_a2c"].lower(), ALGORITHM_COLOURS["a2c"].lower()]
+    assert second not in (first, other)
+    assert [plain, marker] == list(MARKERS[:2])
+
+
+def test_an_axis_spans_a_tenth_of_the_magnitude_at_least() -> None:
+    assert widened(0.998, 1.0, 1.0) == pytest.approx((0.949, 1.049))
+    assert widened(0.0, 1.0, 1.0) == (0.0, 1.0)

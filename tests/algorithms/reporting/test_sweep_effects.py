@@ -6,7 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
+from algorithms.reporting import sweep_effects
+from algorithms.reporting.style import ALGORITHM_COLOURS
 from algorithms.reporting.sweep_effects import (
     VariedScores,
     effect_of_numbers,
@@ -72,11 +76,34 @@ def test_scores_are_drawn_against_what_was_varied(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rates, names = 10.0 ** rng.uniform(-4, -2, 40), ["one", "another, rather long", "a third, even longer"] * 20
     keys: dict[str, Any] = {"rate": rates, "name": names[:40], "steps": np.repeat([8.0, 16.0], 20)}
-    first = VariedScores("environment, utility [1]", "greedy utility", rng.normal(size=40), keys)
+    first = VariedScores(
+        "environment, utility [1]", "greedy utility", rng.normal(size=40), ("a2c", "mo_a2c") * 20, keys
+    )
     second = VariedScores(
-        "another", "$hypervolume_", np.full(40, 3.0), {f"{key}_{i}": keys[key] for key in keys for i in "ab"}
+        "another",
+        "$hypervolume_",
+        np.full(40, 3.0),
+        ("pcn",) * 40,
+        {f"{key}_{i}": keys[key] for key in keys for i in "ab"},
     )
     plot_effects([first, second], tmp_path / "scores.png", "title", "a remark")
     assert (tmp_path / "scores.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="xyz"):
         plot_effects([first], tmp_path / "scores.xyz", "title")
+
+
+def test_runs_have_the_colours_of_their_algorithms() -> None:
+    axis = Figure().subplots()
+    scores = np.array([1.0, 2.0, 3.0, 4.0])
+    colours = [ALGORITHM_COLOURS[name] for name in ("a2c", "mo_a2c", "mo_a2c", "a2c")]
+    sweep_effects._draw_effect(axis, effect_of_words(["x", "x", "y", "y"], scores), scores, colours, (0.0, 5.0))
+    dots = axis.collections[0]
+    assert [to_hex(colour).upper() for colour in dots.get_facecolors()] == colours
+
+
+def test_means_of_two_runs_have_no_interval_and_scores_are_not_magnified() -> None:
+    scores = np.array([10.0, 10.001, 10.002, 10.003, 10.0])
+    effect = effect_of_words(["x", "x", "y", "y", "y"], scores)
+    assert [mean.low is None for mean in effect.means] == [True, False]
+    low, high = score_limits(scores, [effect])
+    assert high - low >= 1.0

@@ -25,6 +25,27 @@ def square(returns: Any) -> Any:
     return returns[..., 0] ** 2
 
 
+def shown(evaluations: dict[str, Evaluation]) -> list[str]:
+    """The names of the rows of a table."""
+    return list(evaluation_table(evaluations, "a title").columns[0].cells)
+
+
+def test_rows_that_cannot_happen_or_repeat_others_are_not_shown() -> None:
+    held = evaluation()
+    rows = shown({"greedy": held})
+    assert {"end/circling", "end/time_limit", "utility_ser"} <= set(rows)
+    assert not {"end/collision", "end/off_lane"} & set(rows)
+    assert {"end/collision", "end/off_lane"} <= set(estimate_metrics(held)), "the files have them"
+    held.ends[0] = "off_lane"
+    assert "end/off_lane" in shown({"greedy": held}), "it has happened"
+    held.objectives = ("destination", "collision")
+    held.returns[..., 0] = held.succeeded
+    held.utilities = (make_utility("linear", held.objectives, weights=[1.0, 0.01]),)
+    rows = shown({"greedy": held, "stochastic": held})
+    assert "end/collision" in rows, "it can happen"
+    assert not {"return/destination", "utility_ser", "discounted_utility_ser"} & set(rows)
+
+
 def evaluation(episodes: int = 50, vehicles: int = 1, ends: bool = True) -> Evaluation:
     generator = np.random.default_rng(1)
     shape = (episodes, vehicles)
