@@ -33,7 +33,14 @@ from algorithms.evaluation.metrics import (
     split_name,
 )
 from algorithms.evaluation.seed_groups import group_by_experiment
-from algorithms.evaluation.statistics import Estimate, interquartile_mean, mann_whitney_p, mean_difference, means
+from algorithms.evaluation.statistics import (
+    MIN_SAMPLES,
+    Estimate,
+    interquartile_mean,
+    mann_whitney_p,
+    mean_difference,
+    means,
+)
 from algorithms.reporting.style import algorithm_order
 from algorithms.reporting.wide_tables import Rows, print_rows
 from mo_deepdrive.config import EnvConfig
@@ -178,8 +185,18 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
+        _remove_impossible_collisions(group, scores[members[0]])
         groups.append(group)
     return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
+
+
+def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estimate]) -> None:
+    """Remove collision rates of 0 where collisions are no objective: there is nothing to collide with."""
+    if any(name.endswith(return_of(COLLISION)) for name in scores):
+        return
+    for place in [place for place in group.scores if place.metric == end_by(COLLISION)]:
+        if not any(group.scores[place]):
+            del group.scores[place]
 
 
 def environment_label(environment: Mapping[str, Any]) -> str:
@@ -281,6 +298,8 @@ def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], No
         print_rows(console, rows, task, rows[0].index("seeds") + 1)
     for task, rows in _by_task(compared, groups[0].task).items():
         print_rows(console, rows, f"{task}: differences of the algorithms", rows[0].index("value"))
+    if any(1 < len(group.seeds) < MIN_SAMPLES for group in groups):
+        console.print(f"Fewer than {MIN_SAMPLES} seeds have no interval.", highlight=False)
     return [scores, compared]
 
 

@@ -6,12 +6,15 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from rich.console import Console
 
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting.seed_tables import (
+    comparison_table,
     environment_label,
     group_runs,
+    print_runs,
     scores_table,
     utility_label,
     without_empty_columns,
@@ -23,11 +26,11 @@ if TYPE_CHECKING:
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 
 
-def make_run(path: Path, seed: int, **training: Any) -> None:
+def make_run(path: Path, seed: int, algorithm: str = "mo_a2c", **training: Any) -> None:
     values = {
         "environment": {"id": ONE},
         "utility": {"name": "one_waypoint_linear"},
-        "algorithm": {"name": "mo_a2c"},
+        "algorithm": {"name": algorithm},
         "training": {"total_timesteps": 1000, "num_envs": 2, "seed": seed},
     }
     config = make_experiment(values).to_dict()
@@ -46,6 +49,22 @@ def test_runs_on_another_device_or_with_more_threads_share_a_row(tmp_path: Path)
     first, second = group_runs([tmp_path], pytest.fail)
     assert (first.seeds, second.seeds) == ([0, 1, 2], [0])
     assert first.scores["greedy", "", "success"] == pytest.approx([0.0, 0.1, 0.2])  # type: ignore[index]
+
+
+def test_algorithms_are_in_the_order_of_figures_and_compared_with_the_ones_before(tmp_path: Path) -> None:
+    for name in ("mo_ppo", "ppo", "mo_a2c", "a2c"):
+        for seed in range(2):
+            path = tmp_path / f"{name}-{seed}"
+            make_run(path, seed, name)
+            scores = {"utility_esr": {"value": 1.0 + seed, "low": None, "high": None}}
+            (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    groups = group_runs([tmp_path], pytest.fail)
+    assert [group.algorithm for group in groups] == ["a2c", "mo_a2c", "ppo", "mo_ppo"]
+    pairs = [row[3] for row in comparison_table(groups)[1:]]
+    assert pairs == [
+        *("mo_a2c - a2c", "ppo - a2c", "mo_ppo - a2c"),
+        *("ppo - mo_a2c", "mo_ppo - mo_a2c", "mo_ppo - ppo"),
+    ]
 
 
 def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: Path) -> None:
@@ -86,3 +105,34 @@ def test_utilities_are_named_with_those_of_other_vehicles() -> None:
 
 def test_columns_without_numbers_are_dropped() -> None:
     assert without_empty_columns([["a", "b"], ["1", ""], ["2", ""]]) == [["a"], ["1"], ["2"]]
+
+
+@pytest.mark.parametrize(
+    ("objective", "rate", "shown"), [("jerk", 0.0, False), ("jerk", 0.5, True), ("collision", 0.0, True)]
+)
+def test_collisions_have_a_column_where_there_is_something_to_collide_with(
+    tmp_path: Path, objective: str, rate: float, shown: bool
+) -> None:
+    make_run(tmp_path / "run", 0)
+    metrics = {"success": 0.5, "end/collision": rate, f"return/{objective}": 0.0}
+    scores = {name: {"value": value, "low": None, "high": None} for name, value in metrics.items()}
+    (tmp_path / "run/evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    header, _ = scores_table(group_runs([tmp_path], pytest.fail))
+    assert ("end/collision" in header) is shown
+
+
+@pytest.mark.parametrize(("seeds", "noted"), [(1, False), (2, True), (3, False)])
+def test_two_seeds_have_no_interval_and_the_table_says_so(tmp_path: Path, seeds: int, noted: bool) -> None:
+    for algorithm in ("a2c", "mo_a2c"):
+        for seed in range(seeds):
+            path = tmp_path / f"{algorithm}{seed}"
+            make_run(path, seed, algorithm)
+            scores = {"utility_esr": {"value": 1.0 + seed, "low": None, "high": None}}
+            (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    console = Console(width=200, record=True)
+    scores_rows, comparisons = print_runs([tmp_path], console, pytest.fail)
+    assert ("Fewer than 3 seeds have no interval." in console.export_text()) is noted
+    utility = scores_rows[1][scores_rows[0].index("utility_esr")]
+    assert ("[" in utility) is (seeds == 3)
+    if noted:
+        assert comparisons[1][-2:] == ["0.000", "1.000"]
