@@ -177,6 +177,10 @@ class Front:
     def __len__(self) -> int:
         return len(self.returns)
 
+    def is_arrival_rate(self, i: int) -> bool:
+        """Whether the return of objective ``i`` is the arrival rate, as that of ``destination`` is."""
+        return self.objectives[i] == "destination" and bool(np.allclose(self.returns[:, i], self.success))
+
     def take(self, indices: ArrayLike) -> Front:
         """The policies at ``indices`` (or under a mask), in this order."""
         rows = np.asarray(indices)

@@ -268,7 +268,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
 def _bars(view: FrontView) -> Figure:
     """A panel per objective: the mean returns of a few policies with their intervals."""
     front, shown = view.front, view.representatives(BARS)
-    n, d = len(shown), len(front.objectives)
+    n = len(shown)
     certain = bool((front.low[shown] == front.high[shown]).all())
     notes = (
         returns_note(view),
@@ -276,6 +276,8 @@ def _bars(view: FrontView) -> Figure:
         policies_note(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
         colour_note(view),
     )
+    drawn = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
+    d = len(drawn)
     count = d + (view.arrived is not None)
     columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
     rows = -(-count // columns)
@@ -287,10 +289,11 @@ def _bars(view: FrontView) -> Figure:
             axis.set_visible(False)
             continue
         if i < d:
-            mean = front.returns[shown, i]
-            errors = np.maximum([mean - front.low[shown, i], front.high[shown, i] - mean], 0.0)
+            k = drawn[i]
+            mean = front.returns[shown, k]
+            errors = np.maximum([mean - front.low[shown, k], front.high[shown, k] - mean], 0.0)
             texts = list(map(number_formatter(mean), mean))
-            axis.set_title(label(front.objectives[i]))
+            axis.set_title(label(front.objectives[k]))
         else:
             mean, errors = front.success[shown], np.zeros((2, n))
             texts = [f"{share:.0%}" for share in mean]

@@ -104,13 +104,15 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
         for name, value in measured.items()
     ]
     arrivals = bool(np.isfinite(front.success).all())
-    rows = [["policy", *front.objectives, *(["arrivals"] if arrivals else []), "decisions"]]
+    shown = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
+    names = [front.objectives[i] for i in shown]
+    rows = [["policy", *names, *(["arrivals"] if arrivals else []), "decisions"]]
     for k in covering_policies(front, TABLE_ROWS).tolist():
         cells = [
             Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
             if front.episodes >= MIN_SAMPLES
             else f"{front.returns[k, i]:.4g}"
-            for i in range(len(front.objectives))
+            for i in shown
         ]
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
