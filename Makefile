@@ -14,6 +14,8 @@ RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
 INTEGRATIONS_READY = $(INTEGRATIONS_VENV)/.ready
 MUTANTS_READY = $(MUTANTS_VENV)/.ready
+# The tests that need nothing but the development environment.
+HERE = --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
 .PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-install mutants lint \
 	benchmark clean
@@ -73,11 +75,11 @@ lint: $(READY)
 	$(VENV)/bin/codespell
 
 test: lint
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster --ignore tests/install
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE)
 
 # For the inner loop: no lint, nothing that takes longer than a second, and few examples per property.
 test-fast: $(READY)
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/cluster --ignore tests/install \
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) \
 		-m "not slow and not cluster" --hypothesis-profile fast
 
 # Starts and stops a temporary Slurm (Debian's slurm-wlm and munge, as root) and temporary Ray clusters.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -92,7 +93,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         self.world = World(config, render_mode)
         self.batch = self.world.batch
         self.metadata = {
-            **type(self).metadata,
+            **copy.deepcopy(type(self).metadata),
             "name": f"mo_deepdrive_{scenario}_v0",
             "render_fps": config.decision_frequency,
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,7 +112,7 @@ class DrivingVectorEnv(VectorEnv):
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
-            **type(self).metadata,
+            **copy.deepcopy(type(self).metadata),
             "render_fps": config.decision_frequency,
             "autoreset_mode": self.autoreset_mode,
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -145,7 +146,7 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
     def __init__(self, config: EnvConfig, render_mode: str | None):
         self.config = config
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": config.decision_frequency}
+        self.metadata = {**copy.deepcopy(type(self).metadata), "render_fps": config.decision_frequency}
         self.world = World(config, render_mode)
         self.batch = self.world.batch
         self.objectives = self.batch.objectives

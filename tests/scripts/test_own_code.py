@@ -65,8 +65,8 @@ SHORT: dict[str, dict[str, Any]] = {
 
 
 def documented_commands(document: str) -> list[list[str]]:
-    """The words of the commands in the ``sh`` blocks of a document."""
-    blocks = re.findall(r"^```sh\n(.*?)^```$", (REPOSITORY / document).read_text(), flags=re.DOTALL | re.MULTILINE)
+    """The words of the commands in the ``bash`` blocks of a document."""
+    blocks = re.findall(r"^```bash\n(.*?)^```$", (REPOSITORY / document).read_text(), flags=re.DOTALL | re.MULTILINE)
     return [shlex.split(line) for block in blocks for line in block.splitlines()]
 
 

@@ -119,6 +119,8 @@ def test_agents_spaces_and_metadata_are_those_of_the_documentation() -> None:
     assert env.metadata["name"] == "mo_deepdrive_intersection_v0"
     assert env.metadata["is_parallelizable"]
     assert env.metadata["render_modes"] == ["rgb_array", "human"]
+    env.metadata["render_modes"].append("ansi")  # as some of PettingZoo's wrappers do
+    assert mo_deepdrive.parallel_env().metadata["render_modes"] == ["rgb_array", "human"]
     assert env.metadata["render_fps"] == 20
     assert env.objectives == OBJECTIVES
     assert env.reward_dim == 6

@@ -227,16 +227,16 @@ def test_threads_end_when_the_environment_is_closed(make_vector: Make) -> None:
     before = workers()
     env = make_vector("one_waypoint", 6, threads=3)
     env.reset(seed=0)
-    assert workers() == before, "threads start with the first step"
+    assert workers() <= before, "threads start with the first step"
     action = env.action_space.sample()
     env.step(action)
     env.step(action)
     assert len(workers() - before) in (1, 2)
     env.close()
-    assert workers() == before
+    assert workers() <= before
     env.close()
     make_vector("one_waypoint", 6, threads=3).close()
-    assert workers() == before
+    assert workers() <= before
 
 
 def test_a_forked_child_steps_with_threads_of_its_own(run_python: Callable[[str], str]) -> None:
