@@ -16,7 +16,7 @@ from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.networks import GaussianActor
-from algorithms.common.optimisers import geometric_schedule, linear_schedule, optimiser_state, set_optimiser_state
+from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, VehicleRollout
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_prefix
 
@@ -54,7 +54,7 @@ class Learner(ABC):
     input_size: int
     actor: Actor
     critic: torch.nn.Module
-    optimiser: torch.optim.Optimizer
+    optimiser: Adam
 
     def __init__(
         self,
@@ -98,14 +98,14 @@ class Learner(ABC):
         """Weights and the optimiser's state as named tensors."""
         state = self.get_policy()
         state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
+        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
         return state
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         self.set_policy(state)
         self.critic.load_state_dict(strip_prefix(state, "critic."))
-        set_optimiser_state(self.optimiser, strip_prefix(state, "optimiser."))
+        self.optimiser.set_state(strip_prefix(state, "optimiser."))
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actor's weights as named tensors."""

@@ -52,7 +52,7 @@ from algorithms.common.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.common.networks import centralised_inputs, make_actor, make_network
-from algorithms.common.optimisers import set_learning_rate
+from algorithms.common.optimisers import Adam
 from algorithms.common.running_mean import RunningMean
 from algorithms.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
@@ -135,8 +135,7 @@ class MOA2CLearner(Learner):
         self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         self.critic = make_network(config, self.input_size + self.others_size, d, generator).to(device)
-        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
-        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
 
     # ------------------------------------------------------------------------------------------- what the networks see
@@ -163,12 +162,9 @@ class MOA2CLearner(Learner):
 
     def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
         """One gradient step of eq. 6 on a rollout of T steps in N environments; the losses by name."""
-        losses = self.losses(rollout, entropy_coefficient)
-        set_learning_rate(self.optimiser, learning_rate)
-        self.optimiser.zero_grad()
-        losses["total"].backward()
-        torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
-        self.optimiser.step()
+        with self.optimiser.recording():
+            losses = self.losses(rollout, entropy_coefficient)
+        self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)
         return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, torch.Tensor]:

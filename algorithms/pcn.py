@@ -49,7 +49,7 @@ from algorithms.common.hyperparameters import (
     Scales,
 )
 from algorithms.common.networks import CommandNetwork
-from algorithms.common.optimisers import linear_schedule, optimiser_state, set_learning_rate, set_optimiser_state
+from algorithms.common.optimisers import Adam, linear_schedule
 from algorithms.common.pareto import farthest_point_subset
 from algorithms.common.rollout import Episodes
 from algorithms.evaluation import metrics
@@ -142,7 +142,7 @@ class PCN(FrontAgent):
         self.network = CommandNetwork(
             self.env.observation_size, d + 1, config.hidden, self.env.actions, self.initial
         ).to(self.device)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=True)
+        self.optimiser = Adam(self.network.parameters())
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # Draws commands, random actions and batches.
@@ -164,10 +164,9 @@ class PCN(FrontAgent):
         """Follow one command per environment for an episode, then imitate the buffer; the losses by name."""
         config = self.config
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
-        set_learning_rate(self.optimiser, learning_rate)
         policy = self._sample_commands()
         attained = self._collect(policy)
-        losses = [self._gradient_step() for _ in range(config.gradient_steps)]
+        losses = [self._gradient_step(learning_rate) for _ in range(config.gradient_steps)]
         return {
             metrics.POLICY_LOSS: float(torch.stack(losses).mean()),
             metrics.LEARNING_RATE: learning_rate,
@@ -237,19 +236,18 @@ class PCN(FrontAgent):
             actions[repeat] = previous[repeat]
         return actions
 
-    def _gradient_step(self) -> torch.Tensor:
+    def _gradient_step(self, learning_rate: float) -> torch.Tensor:
         """One gradient step of eq. 1 or 2 on a batch of the buffer; the loss."""
         observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
-        outputs = self._outputs(observations, returns, left)
         targets = torch.from_numpy(actions).to(self.device)
-        loss = (
-            nn.functional.mse_loss(outputs, targets)
-            if self.env.continuous
-            else nn.functional.cross_entropy(outputs, targets)
-        )
-        self.optimiser.zero_grad()
-        loss.backward()
-        self.optimiser.step()
+        with self.optimiser.recording():
+            outputs = self._outputs(observations, returns, left)
+            loss = (
+                nn.functional.mse_loss(outputs, targets)
+                if self.env.continuous
+                else nn.functional.cross_entropy(outputs, targets)
+            )
+        self.optimiser.minimise(loss, learning_rate)
         return loss.detach()
 
     def _outputs(
@@ -393,7 +391,7 @@ class PCN(FrontAgent):
             "draws": self.draws.get_state(),
             "counts": torch.tensor([self.updates, self._collected, self.env_seed]),
             **self._policy_tensors(),
-            **{f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()},
+            **{f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()},
             **{f"store.{name}": tensor for name, tensor in self.buffer.get_state().items()},
         }
 
@@ -410,7 +408,7 @@ class PCN(FrontAgent):
         self.updates, self._collected, self.env_seed = counts
         if not len(self.buffer) and (self.step or self._collected):
             raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
-        set_optimiser_state(self.optimiser, strip_prefix(state, "optimiser."))
+        self.optimiser.set_state(strip_prefix(state, "optimiser."))
         self.generator.set_state(state["generator"])
         self.draws.set_state(state["draws"])
 

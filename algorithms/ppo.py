@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import torch
 from pydantic import Field, model_validator
+from torch.nn import functional
 
 from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.advantages import generalised_advantages, normalise
@@ -35,14 +36,13 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
+from algorithms.common.losses import clipped_surrogate
 from algorithms.common.networks import centralised_inputs, make_actor, make_network
-from algorithms.common.optimisers import set_learning_rate
+from algorithms.common.optimisers import Adam
 from algorithms.common.rollout import Samples
 from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import VehicleRollout
     from mo_deepdrive.utilities import Utility
@@ -112,8 +112,7 @@ class PPOLearner(Learner):
         self.input_size = env.observation_size
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         self.critic = make_network(config, self.input_size + self.others_size, 1, generator).to(device)
-        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
-        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         # Shuffles the minibatches.
         self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
 
@@ -137,13 +136,23 @@ class PPOLearner(Learner):
 
     def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
         """Epochs of minibatch steps of eq. 4 on a rollout of T steps in N environments; mean losses by name."""
-        set_learning_rate(self.optimiser, learning_rate)
         samples = self.samples(rollout)
-        count = len(samples.actions)
-        if count == 0:
+        if len(samples.actions) == 0:
             return {}
-        steps = [self.gradient_step(samples.at(rows), entropy_coefficient) for rows in self.minibatches(count)]
-        return {name: float(torch.stack([step[name] for step in steps]).mean()) for name in steps[0]}
+        losses, log_ratios = zip(
+            *(
+                self.gradient_step(minibatch, learning_rate, entropy_coefficient)
+                for _ in range(self.config.epochs)
+                for minibatch in samples.shuffled(self.shuffle).split(self.config.minibatches)
+            ),
+            strict=True,
+        )
+        means = {name: float(torch.stack([each[name] for each in losses]).mean()) for name in losses[0]}
+        log_ratio = torch.cat(log_ratios)
+        ratio = log_ratio.exp()
+        means[CLIP_FRACTION] = float(((ratio - 1.0).abs() > self.config.clip).to(ratio.dtype).mean())
+        means[APPROX_KL] = float((ratio - 1.0 - log_ratio).mean())
+        return means
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout) -> Samples:
@@ -187,36 +196,22 @@ class PPOLearner(Learner):
         advantages = generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
         return advantages, advantages + values
 
-    def minibatches(self, count: int) -> Iterator[torch.Tensor]:
-        """Indices of the minibatches of every epoch, drawn without replacement from ``count`` samples."""
-        for _ in range(self.config.epochs):
-            order = torch.randperm(count, generator=self.shuffle).to(self.device)
-            yield from order.tensor_split(min(self.config.minibatches, count))
-
-    def gradient_step(self, samples: Samples, entropy_coefficient: float) -> dict[str, torch.Tensor]:
+    def gradient_step(
+        self, samples: Samples, learning_rate: float, entropy_coefficient: float
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
         """One gradient step of eq. 4; its losses, the fraction of clipped samples and the KL divergence from pi_old."""
         config = self.config
-        log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
-        log_ratio = log_prob - samples.log_prob
-        ratio = log_ratio.exp()
-        clipped_ratio = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
-        policy_loss = -torch.minimum(ratio * samples.advantages, clipped_ratio * samples.advantages).mean()
-        value_loss = ((samples.targets - self.values(samples.critic_inputs)) / config.value_scale).square().mean()
-        entropy = entropies.mean()
-        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-
-        self.optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.parameters, config.max_grad_norm)
-        self.optimiser.step()
-        with torch.no_grad():
-            return {
-                POLICY_LOSS: policy_loss.detach(),
-                VALUE_LOSS: value_loss.detach(),
-                ENTROPY: entropy.detach(),
-                CLIP_FRACTION: ((ratio - 1.0).abs() > config.clip).to(ratio.dtype).mean(),
-                APPROX_KL: (ratio - 1.0 - log_ratio).mean(),
-            }
+        with self.optimiser.recording():
+            log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+            policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
+            value_loss = functional.mse_loss(
+                self.critic(samples.critic_inputs).squeeze(-1), samples.targets / config.value_scale
+            )
+            entropy = entropies.mean()
+            loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
+        losses = {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
+        return {name: each.detach() for name, each in losses.items()}, log_prob.detach() - samples.log_prob
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 

@@ -27,8 +27,7 @@ def generalised_advantages(deltas: torch.Tensor, not_done: torch.Tensor, decay: 
     next_advantages = torch.zeros_like(deltas[0])
     decays = decay * not_done
     for t in range(len(deltas) - 1, -1, -1):
-        next_advantages = deltas[t] + decays[t] * next_advantages
-        advantages[t] = next_advantages
+        next_advantages = torch.addcmul(deltas[t], decays[t], next_advantages, out=advantages[t])
     return advantages
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import nn
 
 from algorithms.common.importing import import_named
+from algorithms.common.perceptron import Perceptron
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,7 +54,7 @@ def mlp(
         layers.append(layer)
         if not last:
             layers.append(ACTIVATIONS[activation]())
-    return nn.Sequential(*layers)
+    return Perceptron(*layers) if activation == "relu" else nn.Sequential(*layers)
 
 
 def make_network(
@@ -103,6 +104,29 @@ def _users_network(path: str, inputs: int, outputs: int, generator: torch.Genera
     return network
 
 
+class _CategoricalLogProbAndEntropy(torch.autograd.Function):
+    """log p_a and H = -sum_k p_k log p_k of p = softmax(z), for logits z (..., n) and actions a (...)."""
+
+    @staticmethod
+    def forward(ctx: Any, logits: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        # (n, M), as a perceptron's outputs lie in memory.
+        log_p = logits.reshape(-1, logits.shape[-1]).t().log_softmax(0)
+        p = log_p.exp()
+        rows = actions.view(1, -1)
+        entropy = torch.mul(p, log_p).sum(0).neg_()
+        ctx.save_for_backward(rows, log_p, p, entropy)
+        return log_p.gather(0, rows).view(actions.shape), entropy.view(actions.shape)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None]:
+        """D log p_a / dz_k = [k = a] - p_k and dH / dz_k = -p_k (log p_k + H)."""
+        rows, log_p, p, entropy = ctx.saved_tensors
+        by_log_prob, by_entropy = (each.reshape(-1) for each in gradients)
+        factor = torch.addcmul(torch.addcmul(by_log_prob, by_entropy, entropy), by_entropy, log_p)
+        by_logits = factor.mul_(p).neg_().scatter_add_(0, rows, by_log_prob.unsqueeze(0))
+        return by_logits.t().reshape(*gradients[0].shape, -1), None
+
+
 class CategoricalActor(nn.Module):
     """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
 
@@ -115,10 +139,11 @@ class CategoricalActor(nn.Module):
         self.body = body
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row: the argmax of p / e with e ~ Exp(1) is a sample from p."""
-        probabilities: torch.Tensor = self.body(x).softmax(-1)
-        noise = torch.empty_like(probabilities).exponential_(generator=generator)
-        return (probabilities / noise).argmax(-1)
+        """One action per row, by inversion: the first whose cumulative probability is not below a uniform number."""
+        logits: torch.Tensor = self.body(x)
+        cumulative = logits.reshape(-1, logits.shape[-1]).t().softmax(0).cumsum(0)
+        uniform = 1.0 - torch.rand(cumulative.shape[1], generator=generator, device=x.device)  # in (0, 1]
+        return (cumulative < uniform * cumulative[-1]).sum(0).view(x.shape[:-1])
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The most probable action per row."""
@@ -127,9 +152,8 @@ class CategoricalActor(nn.Module):
 
     def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-probability of ``actions`` and entropy of the policy, each (...)."""
-        log_p: torch.Tensor = self.body(x).log_softmax(-1)
-        entropy = -(log_p.exp() * log_p).sum(-1)
-        return log_p.gather(-1, actions.unsqueeze(-1)).squeeze(-1), entropy
+        log_prob, entropy = _CategoricalLogProbAndEntropy.apply(self.body(x), actions)  # type: ignore[no-untyped-call]
+        return log_prob, entropy
 
 
 class GaussianActor(nn.Module):

@@ -1,14 +1,19 @@
-"""Schedules of hyperparameters, and the state of an optimiser as named tensors for checkpoints."""
+"""Schedules of hyperparameters, and Adam with a clipped gradient."""
 
 from __future__ import annotations
 
 import math
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+import torch
 
-    import torch
+from algorithms.common.perceptron import recorded_passes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from algorithms.common.perceptron import Pass
 
 
 def linear_schedule(start: float, end: float | None, progress: float) -> float:
@@ -21,47 +26,128 @@ def geometric_schedule(start: float, end: float, progress: float) -> float:
     return 0.0 if start == 0.0 else start * (end / start) ** min(1.0, progress)
 
 
-def set_learning_rate(optimiser: torch.optim.Optimizer, learning_rate: float) -> None:
-    """Use ``learning_rate`` for all parameters from now on."""
-    for group in optimiser.param_groups:
-        group["lr"] = learning_rate
+class Adam:
+    """Adam (Kingma and Ba 2015, algorithm 1) after clipping the norm of the gradient, as ``torch.optim.Adam`` does it.
 
+    All parameters are views of one vector, so that a step is a handful of operations however many layers there are.
 
-def optimiser_state(optimiser: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """The state of the optimiser as tensors named ``index.entry``."""
-    return {
-        f"{index}.{name}": tensor
-        for index, entries in optimiser.state_dict()["state"].items()
-        for name, tensor in entries.items()
-    }
+        optimiser = Adam(network.parameters())
+        with optimiser.recording():
+            loss = (network(x) - y).square().mean()
+        optimiser.minimise(loss, learning_rate=1e-3, max_grad_norm=0.5)
 
+    Args:
+        parameters: of the networks, on their device; their data move into the vector.
+        beta1, beta2: decay of the means of the gradient and of its square.
+        epsilon: added to the root of the latter.
 
-def set_optimiser_state(optimiser: torch.optim.Optimizer, state: Mapping[str, torch.Tensor]) -> None:
-    """Resume from :func:`optimiser_state`.
-
-    Raises:
-        ValueError: if the state covers only some of the optimiser's parameters, or is not that of Adam for them.
+    Attributes:
+        gradients: of the last step by parameter, after clipping.
+        steps: number of steps so far.
     """
-    entries: dict[int, dict[str, torch.Tensor]] = {}
-    for name, tensor in state.items():
-        index, _, entry = name.partition(".")
-        if not index.isdecimal():
-            raise ValueError(f"the optimiser's state has {name!r}; expected PARAMETER.ENTRY")
-        entries.setdefault(int(index), {})[entry] = tensor
-    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
-    if entries and sorted(entries) != list(range(len(parameters))):
-        raise ValueError(f"the optimiser's state covers the parameters {sorted(entries)}; it has {len(parameters)}")
-    for number, found in sorted(entries.items()):
-        parameter = parameters[number]
-        # Fused steps do not check what they are given.
-        expected = {"step": (), "exp_avg": tuple(parameter.shape), "exp_avg_sq": tuple(parameter.shape)}
-        shapes = {entry: tuple(tensor.shape) for entry, tensor in found.items()}
-        types = {tensor.dtype for tensor in found.values()}
-        if shapes != expected or types != {parameter.dtype}:
-            raise ValueError(
-                f"the optimiser's state of parameter {number} has {shapes} of {sorted(map(str, types))}; "
-                f"it must have {expected} of {parameter.dtype}"
+
+    def __init__(
+        self,
+        parameters: Iterable[torch.nn.Parameter],
+        *,
+        beta1: float = 0.9,
+        beta2: float = 0.999,
+        epsilon: float = 1e-8,
+    ):
+        self.parameters = list(parameters)
+        self.beta1, self.beta2, self.epsilon = beta1, beta2, epsilon
+        self.steps = 0
+        self._vector = torch.cat([parameter.detach().flatten() for parameter in self.parameters])
+        self._gradient, self._mean, self._mean_square = (torch.zeros_like(self._vector) for _ in range(3))
+        for parameter, values in zip(self.parameters, self._parts(self._vector), strict=True):
+            parameter.data = values
+        self._passes: list[Pass] = []
+        self.gradients = dict(zip(self.parameters, self._parts(self._gradient), strict=True))
+
+    def _parts(self, vector: torch.Tensor) -> list[torch.Tensor]:
+        """Views of a vector in the shapes of the parameters."""
+        parts = vector.split([parameter.numel() for parameter in self.parameters])
+        return [part.view_as(parameter) for part, parameter in zip(parts, self.parameters, strict=True)]
+
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """Within the context, perceptrons keep their passes for the next :meth:`minimise`, which is then faster."""
+        with recorded_passes() as self._passes:
+            yield
+
+    @torch.no_grad()
+    def minimise(self, loss: torch.Tensor, learning_rate: float, max_grad_norm: float | None = None) -> None:
+        """One step down the gradient of ``loss``, whose norm is reduced to ``max_grad_norm`` where it is larger."""
+        self._differentiate(loss)
+        gradient = self._gradient
+        if max_grad_norm is not None:
+            gradient *= (max_grad_norm / (gradient.norm() + 1e-6)).clamp_(max=1.0)
+        self.steps += 1
+        self._mean.lerp_(gradient, 1.0 - self.beta1)
+        self._mean_square.mul_(self.beta2).addcmul_(gradient, gradient, value=1.0 - self.beta2)
+        root = (self._mean_square / (1.0 - self.beta2**self.steps)).sqrt_().add_(self.epsilon)
+        self._vector.addcdiv_(self._mean, root, value=-learning_rate / (1.0 - self.beta1**self.steps))
+
+    def _differentiate(self, loss: torch.Tensor) -> None:
+        """Fill the gradient: by autograd from the loss to the recorded passes, by the perceptrons from there on."""
+        passes, self._passes = self._passes, []
+        found = torch.autograd.grad(loss, [*(each.outputs for each in passes), *self.parameters], allow_unused=True)
+        self._gradient.zero_()
+        for each, by_outputs in zip(passes, found, strict=False):
+            if by_outputs is not None:
+                each.add_gradient(by_outputs, self.gradients)
+        for parameter, by_parameter in zip(self.parameters, found[len(passes) :], strict=True):
+            if by_parameter is not None:
+                self.gradients[parameter] += by_parameter
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """The number of steps and both means as tensors named ``PARAMETER.ENTRY``; empty before the first step."""
+        if self.steps == 0:
+            return {}
+        parts = zip(self._parts(self._mean), self._parts(self._mean_square), strict=True)
+        return {
+            f"{number}.{name}": tensor
+            for number, (mean, mean_square) in enumerate(parts)
+            for name, tensor in (
+                ("step", torch.tensor(float(self.steps))),
+                ("exp_avg", mean),
+                ("exp_avg_sq", mean_square),
             )
-        if not 0 <= float(found["step"]) < math.inf:
-            raise ValueError(f"the optimiser's state of parameter {number} has step = {float(found['step'])}")
-    optimiser.load_state_dict({**optimiser.state_dict(), "state": entries})
+        }
+
+    def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: if the state covers only some of the parameters, or is not that of Adam for them.
+        """
+        entries: dict[int, dict[str, torch.Tensor]] = {}
+        for name, tensor in state.items():
+            index, _, entry = name.partition(".")
+            if not index.isdecimal():
+                raise ValueError(f"the optimiser's state has {name!r}; expected PARAMETER.ENTRY")
+            entries.setdefault(int(index), {})[entry] = tensor
+        if entries and sorted(entries) != list(range(len(self.parameters))):
+            raise ValueError(
+                f"the optimiser's state covers the parameters {sorted(entries)}; it has {len(self.parameters)}"
+            )
+        for number, found in sorted(entries.items()):
+            parameter = self.parameters[number]
+            expected = {"step": (), "exp_avg": tuple(parameter.shape), "exp_avg_sq": tuple(parameter.shape)}
+            shapes = {entry: tuple(tensor.shape) for entry, tensor in found.items()}
+            types = {tensor.dtype for tensor in found.values()}
+            if shapes != expected or types != {parameter.dtype}:
+                raise ValueError(
+                    f"the optimiser's state of parameter {number} has {shapes} of {sorted(map(str, types))}; "
+                    f"it must have {expected} of {parameter.dtype}"
+                )
+            if not 0 <= float(found["step"]) < math.inf:
+                raise ValueError(f"the optimiser's state of parameter {number} has step = {float(found['step'])}")
+        steps = {int(found["step"]) for found in entries.values()} or {0}
+        if len(steps) > 1:
+            raise ValueError(f"the optimiser's state has parameters after different numbers of steps: {sorted(steps)}")
+        (self.steps,) = steps
+        means = zip(self._parts(self._mean), self._parts(self._mean_square), strict=True)
+        for number, (mean, mean_square) in enumerate(means):
+            mean.copy_(entries[number]["exp_avg"]) if entries else mean.zero_()
+            mean_square.copy_(entries[number]["exp_avg_sq"]) if entries else mean_square.zero_()

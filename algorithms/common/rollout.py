@@ -99,8 +99,23 @@ class Samples(NamedTuple):
     targets: torch.Tensor
 
     def at(self, where: torch.Tensor) -> Samples:
-        """The samples at indices, or where a mask is True; the axes of the mask become one."""
+        """The samples where a mask is True; the axes of the mask become one."""
+        if where.all():
+            return Samples(*(tensor.flatten(0, where.dim() - 1) for tensor in self))
         return Samples(*(tensor[where] for tensor in self))
+
+    def shuffled(self, generator: torch.Generator) -> Samples:
+        """The samples in random order."""
+        order = torch.randperm(len(self.actions), generator=generator).to(self.actions.device)
+        inputs = self.inputs.index_select(0, order)
+        same = self.critic_inputs.data_ptr() == self.inputs.data_ptr()
+        critic_inputs = inputs if same else self.critic_inputs.index_select(0, order)
+        return Samples(inputs, critic_inputs, *(tensor.index_select(0, order) for tensor in self[2:]))
+
+    def split(self, parts: int) -> list[Samples]:
+        """Consecutive parts of nearly equal size; fewer than ``parts`` if there are fewer samples."""
+        bounds = [tensor.tensor_split(min(parts, len(self.actions))) for tensor in self]
+        return [Samples(*part) for part in zip(*bounds, strict=True)]
 
 
 @dataclass

@@ -11,7 +11,7 @@ from algorithms import Agent
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.hyperparameters import Count, Fraction, LearningRate, NetworkSettings
 from algorithms.common.networks import make_actor
-from algorithms.common.optimisers import optimiser_state, set_optimiser_state
+from algorithms.common.optimisers import Adam
 from algorithms.common.rollout import Collector
 
 
@@ -29,7 +29,7 @@ class REINFORCE(Agent):
         super().__init__(env, utility, **options)
         env, size = self.env, self.env.observation_size + len(self.env.objectives)
         self.actor = make_actor(self.config, size, env.actions, self.initial, continuous=env.continuous).to(self.device)
-        self.optimiser = torch.optim.Adam(self.actor.parameters(), lr=self.config.learning_rate)
+        self.optimiser = Adam(self.actor.parameters())
         self.collector = Collector(env, self.gamma, self.config.steps)
         self.scales = torch.tensor([*env.observation_scales, *env.objective_scales], device=self.device)
 
@@ -57,17 +57,15 @@ class REINFORCE(Agent):
         x = self.inputs(rollout.observations[:-1], rollout.accrued[:-1])
         log_prob, _ = self.actor.log_prob_and_entropy(x, rollout.actions.to(self.device))
         loss = -(weights.to(self.device) * log_prob).sum() / first.sum()
-        self.optimiser.zero_grad()
-        loss.backward()
-        self.optimiser.step()
+        self.optimiser.minimise(loss, self.config.learning_rate)
         return {"policy_loss": float(loss.detach())}
 
     def get_state(self):
         state = {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
-        state |= {f"optimiser.{name}": tensor for name, tensor in optimiser_state(self.optimiser).items()}
+        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
         return {**state, "generator": self.generator.get_state()}
 
     def set_state(self, state):
         self.actor.load_state_dict(strip_prefix(state, "actor."))
-        set_optimiser_state(self.optimiser, strip_prefix(state, "optimiser."))
+        self.optimiser.set_state(strip_prefix(state, "optimiser."))
         self.generator.set_state(state["generator"])
