@@ -209,7 +209,9 @@ def test_the_losses_equal_a_plain_loop_over_single_samples(form: str, normalised
 
 
 def gradients(learner: Learner, rollout: VehicleRollout) -> list[torch.Tensor]:
-    return list(torch.autograd.grad(learner.losses(rollout, 0.05)["total"], learner.parameters, allow_unused=False))
+    return list(
+        torch.autograd.grad(learner.losses(rollout, 0.05)["total"], learner.optimiser.parameters, allow_unused=False)
+    )
 
 
 @ALL_FORMS
@@ -248,10 +250,10 @@ def test_an_update_takes_one_clipped_step_of_adam(cls: type[ActorCritic]) -> Non
     raw = gradients(learner, rollout)
     norm = torch.cat([gradient.flatten() for gradient in raw]).norm()
     assert norm > 0.01
-    before = [parameter.detach().clone() for parameter in learner.parameters]
+    before = [parameter.detach().clone() for parameter in learner.optimiser.parameters]
     metrics = learner.update(rollout, 0.003, 0.05)
     assert metrics.keys() == {"loss/policy", "loss/value", "policy/entropy"}
-    for parameter, old, gradient in zip(learner.parameters, before, raw, strict=True):
+    for parameter, old, gradient in zip(learner.optimiser.parameters, before, raw, strict=True):
         clipped = gradient * 0.01 / norm
         # Adam's first step: its running means are corrected to the gradient itself.
         expected = old - 0.003 * clipped / (clipped.abs() + 1e-8)

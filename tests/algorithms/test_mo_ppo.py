@@ -42,5 +42,5 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_mo_a2c(
     for agent, learner in ((one, clipped), (other, plain)):
         metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05)
         assert metrics["policy/entropy"] > 0.0
-    for mine, theirs in zip(clipped.parameters, plain.parameters, strict=True):
+    for mine, theirs in zip(clipped.optimiser.parameters, plain.optimiser.parameters, strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)

@@ -456,7 +456,7 @@ def test_the_loss_is_the_prediction_error_on_the_actions_of_the_buffer(place: st
         return total / 50
 
     before, weights = loss(), [parameter.detach().clone() for parameter in agent.network.parameters()]
-    assert float(agent._gradient_step()) == pytest.approx(before, rel=1e-4)
+    assert float(agent._gradient_step(agent.config.learning_rate)) == pytest.approx(before, rel=1e-4)
     # The first step of Adam goes as far as the learning rate says, downhill.
     for old, new in zip(weights, agent.network.parameters(), strict=True):
         assert float((new.detach() - old).abs().max()) == pytest.approx(agent.config.learning_rate, rel=1e-2)
@@ -468,7 +468,7 @@ def test_a_fitted_network_repeats_the_episodes_it_is_commanded_to(place: str) ->
     agent = small_pcn(place, hidden=[32, 32], buffer_size=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
     agent.train(1)
     assert len(agent.buffer) == 2
-    losses = [float(agent._gradient_step()) for _ in range(600)]
+    losses = [float(agent._gradient_step(agent.config.learning_rate)) for _ in range(600)]
     assert np.mean(losses[-20:]) < 0.3 * np.mean(losses[:5])
     if not agent.env.continuous:
         for episode in agent.buffer.episodes:

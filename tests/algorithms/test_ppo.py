@@ -42,7 +42,7 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(env: dict[str, Any], norm
     for agent, learner in ((one, clipped), (other, plain)):
         metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05)
         assert metrics["policy/entropy"] > 0.0
-    for mine, theirs in zip(clipped.parameters, plain.parameters, strict=True):
+    for mine, theirs in zip(clipped.optimiser.parameters, plain.optimiser.parameters, strict=True):
         torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-5)
 
 
@@ -51,9 +51,9 @@ def recorded_steps(learner: Any, rollout: Any, monkeypatch: pytest.MonkeyPatch) 
     taken: list[Any] = []
     inner = learner.gradient_step
 
-    def spy(samples: Any, entropy_coefficient: float) -> Any:
+    def spy(samples: Any, *coefficients: float) -> Any:
         taken.append(samples)
-        return inner(samples, entropy_coefficient)
+        return inner(samples, *coefficients)
 
     monkeypatch.setattr(learner, "gradient_step", spy)
     learner.update(rollout, learner.config.learning_rate, 0.05)
@@ -116,19 +116,38 @@ def test_the_loss_is_the_clipped_surrogate_written_out_and_clipped_samples_have_
         terms.append(min(ratio * advantage, min(max(ratio, 0.8), 1.2) * advantage))
         counts.append(not ((ratio > 1.2 and advantage > 0) or (ratio < 0.8 and advantage < 0)))
     assert 0 < sum(counts) < len(counts)
-    learner.optimiser = torch.optim.SGD(learner.parameters, lr=0.0)
-    found = learner.gradient_step(samples, 0.0)
+    found, log_ratio = learner.gradient_step(samples, 0.0, 0.0)
     assert float(found["loss/policy"]) == pytest.approx(-np.mean(terms), rel=1e-4)
-    assert float(found["policy/clip_fraction"]) == pytest.approx(
-        float(((torch.exp(-shift) - 1).abs() > 0.2).float().mean())
-    )
-    gradient = [parameter.grad.clone() for parameter in learner.actor.parameters()]
+    torch.testing.assert_close(log_ratio, -shift, rtol=1e-4, atol=1e-5)
+    gradient = [learner.optimiser.gradients[parameter].clone() for parameter in learner.actor.parameters()]
     # The same gradient from the samples that count alone, at their share of the mean.
-    chosen = torch.tensor(counts)
-    learner.gradient_step(samples.at(chosen), 0.0)
+    learner.gradient_step(samples.at(torch.tensor(counts)), 0.0, 0.0)
     share = sum(counts) / len(counts)
-    for mine, theirs in zip(gradient, learner.actor.parameters(), strict=True):
-        torch.testing.assert_close(mine, share * theirs.grad, rtol=1e-3, atol=1e-6)
+    for mine, parameter in zip(gradient, learner.actor.parameters(), strict=True):
+        torch.testing.assert_close(mine, share * learner.optimiser.gradients[parameter], rtol=1e-3, atol=1e-6)
+
+
+@CLIPPED
+def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(
+    cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, learner = learner_of(cls, epochs=3, minibatches=2, learning_rate=0.02, clip=0.1)
+    ratios: list[torch.Tensor] = []
+    inner = learner.gradient_step
+
+    def spy(samples: Any, *coefficients: float) -> Any:
+        with torch.no_grad():
+            log_prob, _ = learner.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+        ratios.append((log_prob - samples.log_prob).exp())
+        return inner(samples, *coefficients)
+
+    monkeypatch.setattr(learner, "gradient_step", spy)
+    found = learner.update(handmade(agent, steps=20), 0.02, 0.05)
+    ratio = torch.cat(ratios)
+    clipped = ((ratio - 1.0).abs() > 0.1).float().mean()
+    assert 0.0 < clipped < 1.0
+    assert found["policy/clip_fraction"] == pytest.approx(float(clipped))
+    assert found["policy/approx_kl"] == pytest.approx(float((ratio - 1.0 - ratio.log()).mean()), rel=1e-3, abs=1e-6)
 
 
 @CLIPPED
