@@ -23,7 +23,6 @@ from rich.table import Table
 from algorithms.experiments.cli import add_trust_argument
 from algorithms.planning.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
 from algorithms.planning.plans import GAMMAS
-from algorithms.planning.trained_runs import record_run
 from mo_deepdrive.config import ActionType
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -57,6 +56,8 @@ def main(arguments: list[str]) -> int:
     runs, output, trust = options.pop("runs"), options.pop("output"), options.pop("trust")
     settings = FrontSearchSettings(**options)
     shipped = shipped_front_file(settings.scenario, settings.action_type)
+    from algorithms.planning.trained_runs import record_run  # not earlier: it imports torch
+
     try:
         recordings = [
             record_run(run, settings.scenario, settings.action_type, settings.episodes, trust=trust) for run in runs

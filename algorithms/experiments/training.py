@@ -19,7 +19,6 @@ from algorithms.experiments.loggers import Logger, log_results
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
-from algorithms.reporting.learning_curves import load_groups, plot
 from algorithms.reporting.seed_tables import final_metrics
 
 if TYPE_CHECKING:
@@ -229,6 +228,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             video=video,
         )
         if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
+            from algorithms.reporting.learning_curves import load_groups, plot  # not earlier: it imports Matplotlib
+
             plot(load_groups([run.path]), run.path / "curves.png")
         log_results(run.path, agent.step, run.experiment.to_dict(), final_metrics(run.path), video)
         run.set_status("finished", agent.step)

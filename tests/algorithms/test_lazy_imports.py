@@ -8,9 +8,12 @@ import pytest
 
 import algorithms
 from algorithms import ALGORITHMS
+from algorithms.commands import COMMANDS
+from mo_deepdrive.extras import EXTRAS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 
 def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
@@ -27,6 +30,32 @@ def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_a_command_imports_neither_an_extra_nor_a_compiler(
+    run_python: Callable[[str], str], repository: Path, name: str
+) -> None:
+    printed = run_python(
+        "import contextlib, runpy, sys\n"
+        f"sys.argv = ['{name}.py', '--help']\n"
+        "with contextlib.suppress(SystemExit):\n"
+        f"    runpy.run_path({str(repository / 'scripts' / name)!r} + '.py', run_name='__main__')\n"
+        f"print([package for package in {(*EXTRAS, 'numba')} if package in sys.modules])"
+    )
+    assert printed.startswith(f"usage: python scripts/{name}.py ")
+    assert printed.endswith("\n[]\n")
+
+
+def test_importing_the_environments_imports_neither_an_extra_nor_a_compiler_nor_pygame(
+    run_python: Callable[[str], str],
+) -> None:
+    printed = run_python(
+        "import sys, mo_deepdrive\n"
+        f"print([package for package in {(*EXTRAS, 'numba', 'pygame')} if package in sys.modules])"
+    )
+    assert printed == "[]\n"
+
+
+@pytest.mark.slow
 def test_importing_one_algorithm_does_not_import_the_others(run_python: Callable[[str], str]) -> None:
     loaded = run_python(
         "import sys\n"
@@ -34,6 +63,33 @@ def test_importing_one_algorithm_does_not_import_the_others(run_python: Callable
         "print([name for name in ('algorithms.pcn', 'algorithms.a2c', 'algorithms.ppo') if name in sys.modules])"
     )
     assert loaded == "['algorithms.pcn']\n"
+
+
+@pytest.mark.slow
+def test_a_training_run_starts_without_what_it_ends_with(run_python: Callable[[str], str], tmp_path: Path) -> None:
+    printed = run_python(
+        "import contextlib, sys\n"
+        "from algorithms import MOA2C\n"
+        "from algorithms.commands import train\n"
+        "def update(*_):\n"
+        "    print([name for name in ('matplotlib', 'scipy.stats', 'imageio', 'PIL') if name in sys.modules])\n"
+        "    sys.exit()\n"
+        "MOA2C.update = update\n"
+        "with contextlib.suppress(SystemExit):\n"
+        f"    train.main(['--config', 'one_waypoint/mo_a2c_linear', '--output', {str(tmp_path / 'run')!r}])"
+    )
+    assert "[]" in printed.splitlines()
+
+
+@pytest.mark.slow
+def test_tables_need_no_matplotlib(run_python: Callable[[str], str]) -> None:
+    loaded = run_python(
+        "import sys\n"
+        "import algorithms.reporting.seed_tables, algorithms.reporting.tables, algorithms.sweeps.tables\n"
+        "import algorithms.zoo.listing\n"
+        "print([name for name in ('matplotlib', 'torch') if name in sys.modules])"
+    )
+    assert loaded == "[]\n"
 
 
 def test_every_public_name_can_be_imported_and_is_listed() -> None:
