@@ -113,7 +113,8 @@ class Run:
     def make(cls, experiment: Experiment, path: Path) -> Run:
         """As :meth:`create`, but raises OSError if the directory cannot be written."""
         path.mkdir(parents=True, exist_ok=True)
-        refusal = ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
+        resume = f", or use --resume {path}" if is_run(path) else ""
+        refusal = ValueError(f"run directory {str(path)!r} is not empty; choose another{resume}")
         if _contents(path):
             raise refusal
         run = cls(path, experiment)
@@ -274,6 +275,11 @@ class Run:
             for name in names
             if flat_then.get(name) != flat_now[name]
         ]
+
+
+def is_run(path: Path) -> bool:
+    """Whether a directory is that of a run, or has a policy of the zoo."""
+    return (path / "config.yaml").is_file()
 
 
 def read_status(path: Path) -> dict[str, Any]:
