@@ -29,7 +29,7 @@ from algorithms.experiments.progress_bar import make_console
 from algorithms.peers import PEERS
 from algorithms.peers.listing import peers_table
 from algorithms.peers.running import prepare, run_peer
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from argparse import Namespace

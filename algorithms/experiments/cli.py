@@ -18,7 +18,7 @@ from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, c
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
 from algorithms.experiments.run_files import changed_files
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping, Sequence

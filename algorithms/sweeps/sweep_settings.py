@@ -181,8 +181,11 @@ def load_sweep(path: str | Path) -> SweepSettings:
     Raises:
         ValueError: naming the file and every invalid key; or a config that does not exist, with the places.
     """
-    what, path = f"sweep {str(path)!r}", find_config(path)
-    settings = parse(SweepSettings, read_mapping(path), what)
+    name, path = str(path), find_config(path)
+    what, values = f"sweep {name!r}", read_mapping(path)
+    if "algorithm" in values and "config" not in values:
+        raise ValueError(f"{name!r} is the file of an experiment; mo-deepdrive train --config {name} trains it")
+    settings = parse(SweepSettings, values, what)
     space = {} if settings.search is None else settings.search.space
     places: dict[str, dict[str, Any]] = {
         "overrides": settings.overrides,
