@@ -10,7 +10,7 @@ from algorithms.evaluation.splits import describe_episodes
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.front_report import FILMED_POLICIES, covering_policies, film_front, report_front
 from algorithms.reporting.tables import evaluation_table, write_evaluation
-from algorithms.reporting.videos import record, video_seconds
+from algorithms.reporting.videos import NotRenderableError, record, video_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -149,7 +149,8 @@ def attempt_film(recording: Callable[[], object], path: str | Path, what: str, c
         recording()
         seconds = video_seconds(path) if Path(path).is_file() else None
     except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
-        console.print(f"no video: {type(error).__name__}: {error}", markup=False, highlight=False, soft_wrap=True)
+        reason = str(error) if isinstance(error, NotRenderableError) else f"{type(error).__name__}: {error}"
+        console.print(f"no video: {reason}", markup=False, highlight=False, soft_wrap=True)
         return False
     if seconds is not None:
         console.print(f"video: {path}: {what}, {seconds:.1f} s", markup=False, highlight=False, soft_wrap=True)
