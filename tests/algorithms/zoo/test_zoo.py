@@ -164,9 +164,13 @@ def test_the_zoo_is_listed(trained: Trained, home: Path, call: Call) -> None:
         ("second", "one_waypoint, a front 12 policies"),
         ("third", f"{SEA}, linear"),
     ]
-    out = " ".join(out.split())
-    assert "-printed for the paper's hyperparameters" in out
-    assert "-solved where the median run fails" in out
+    assert "Names end" not in out
+    for name in ("third-printed", "third-together"):
+        export(trained(kinds["third"]), name, about={"scores": {}})
+    out = " ".join(call("evaluate", "--zoo")[1].split())
+    assert "Names end in -printed for the paper's hyperparameters, in -together where the first vehicle to end " in out
+    assert "-solved" not in out
+    assert "docs/" not in out, "which an installed package does not have"
     (home / "second" / "about.json").write_text("[]")
     refused(call("evaluate", "--zoo"), str(home / "second" / "about.json"))
     (home / "first" / "config.yaml").write_text("algorithm: 3\n")
