@@ -15,15 +15,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from algorithms.common.yaml_io import read_value
 from algorithms.evaluation.choice import Preference, distance_to_target, expected_utility, rank_policies, weighted_sum
-from algorithms.evaluation.front import Front
-from algorithms.evaluation.statistics import Estimate, mean, rate
-from algorithms.experiments.agent_report import film_policies_of_front
-from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import (
     INSTALLED,
     add_evaluation_arguments,
@@ -34,8 +28,6 @@ from algorithms.experiments.cli import (
     named_numbers,
     warn_of_changes,
 )
-from algorithms.experiments.policy_evaluation import evaluate_front_policies
-from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.utilities import check_utility, make_utility
 
@@ -43,8 +35,10 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
     from numpy.typing import NDArray
+    from rich.table import Table
 
     from algorithms.evaluation.episodes import Evaluation
+    from algorithms.evaluation.front import Front
 
 RUNNERS_UP = 4
 
@@ -91,6 +85,11 @@ def choice_table(
     front: Front, evaluations: list[Evaluation], preference: Preference, values: NDArray[Any], order: list[int]
 ) -> Table:
     """The chosen policy with intervals, and the next best policies next to it."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from algorithms.evaluation.statistics import Estimate, mean, rate
+
     chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
     how = f"{episodes} episodes each, 95% intervals" if episodes > 1 else "1 episode each"
@@ -119,6 +118,13 @@ def choice_table(
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
+
+    from algorithms.evaluation.front import Front
+    from algorithms.experiments.agent_report import film_policies_of_front
+    from algorithms.experiments.build import load_policy
+    from algorithms.experiments.policy_evaluation import evaluate_front_policies
+    from algorithms.experiments.progress_bar import make_console
+
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):
         run = Run.open(options.run, device="cpu", trust=options.trust)

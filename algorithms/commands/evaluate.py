@@ -11,8 +11,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.agent_report import report_agent
-from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import (
     INSTALLED,
     add_evaluation_arguments,
@@ -23,9 +21,7 @@ from algorithms.experiments.cli import (
     make_parser,
     warn_of_changes,
 )
-from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
-from algorithms.zoo.listing import zoo_table
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -48,12 +44,20 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
+
+    from algorithms.experiments.progress_bar import make_console
+
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):
         if options.zoo:
+            from algorithms.zoo.listing import zoo_table
+
             table = zoo_table()
             console.print(table if table.row_count else "the zoo is empty")
             return 0
+        from algorithms.experiments.agent_report import report_agent
+        from algorithms.experiments.build import load_policy
+
         run = Run.open(options.run, device=options.device, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
         check_parent("--output", options.output)

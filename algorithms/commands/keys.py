@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.key_listing import Key, differing_values, experiment_keys, model_keys
-from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.sweeps.sweep_settings import SweepSettings
 
@@ -61,6 +60,9 @@ def _is_hyperparameter(key: Key) -> bool:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
+
+    from algorithms.experiments.progress_bar import make_console
+
     console = make_console()
     with exit_on_error(ValueError, program=program):
         values: dict[str, Any] = {}

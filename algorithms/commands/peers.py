@@ -14,7 +14,6 @@ import random
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from algorithms.experiments.cli import (
     INSTALLED,
@@ -24,15 +23,13 @@ from algorithms.experiments.cli import (
     new_run,
     parse_training_arguments,
 )
-from algorithms.experiments.config import Experiment, load_experiment
-from algorithms.experiments.progress_bar import make_console
-from algorithms.peers import PEERS
-from algorithms.peers.listing import peers_table
-from algorithms.peers.running import prepare, run_peer
+from algorithms.experiments.config import load_experiment
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from argparse import Namespace
+
+    from algorithms.experiments.config import Experiment
 
 
 def parse_arguments(arguments: list[str], program: str) -> tuple[Namespace, list[str]]:
@@ -51,6 +48,9 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
     Raises:
         ValueError: if it is not valid, or its algorithm is not another library's.
     """
+    from algorithms.peers import PEERS
+    from algorithms.peers.running import prepare
+
     experiment = load_experiment(path, overrides)
     name = experiment.algorithm["name"]
     if name not in PEERS:
@@ -63,6 +63,8 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
 
 def seed_everything(seed: int) -> None:
     """Seed the global generators: the libraries draw from them whatever seed they are given."""
+    import torch
+
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
     torch.manual_seed(seed)
@@ -71,6 +73,13 @@ def seed_everything(seed: int) -> None:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments, program)
+
+    import torch
+
+    from algorithms.experiments.progress_bar import make_console
+    from algorithms.peers.listing import peers_table
+    from algorithms.peers.running import run_peer
+
     console = make_console()
     if options.list:
         console.print(peers_table())

@@ -30,15 +30,6 @@ from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.extras import needed_for
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
-from mo_deepdrive.play import (
-    EpisodeOutcome,
-    HumanPlayEnv,
-    describe_controls,
-    make_play_env,
-    open_display,
-    play_in_window,
-)
-from mo_deepdrive.quiet_pygame import pygame
 
 if TYPE_CHECKING:
     import argparse
@@ -48,6 +39,7 @@ if TYPE_CHECKING:
     from algorithms.agent import Agent
     from algorithms.evaluation.policy_driver import PolicyDriver
     from mo_deepdrive.envs.vector import DrivingVectorEnv
+    from mo_deepdrive.play import EpisodeOutcome
 
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
 MAX_FPS = 1000
@@ -84,6 +76,8 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
     Raises:
         ValueError: for an unknown environment or run, or one that does not fit.
     """
+    from mo_deepdrive.play import make_play_env
+
     spec = find_environment(options.env)
     if not is_ours(spec):
         raise ValueError(f"--env {options.env}: only this package's environments can be driven")
@@ -140,8 +134,13 @@ def recorder(options: argparse.Namespace, rate: int) -> AbstractContextManager[C
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
-    with exit_on_error(ValueError, OSError, pygame.error, program=program):
+    with exit_on_error(ValueError, program=program):
         options = parse_arguments(arguments, program)
+
+    from mo_deepdrive.play import HumanPlayEnv, describe_controls, open_display, play_in_window
+    from mo_deepdrive.quiet_pygame import pygame
+
+    with exit_on_error(ValueError, OSError, pygame.error, program=program):
         env, agent = open_environment(options)
         # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
         open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))

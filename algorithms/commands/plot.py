@@ -17,9 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.cli import INSTALLED, as_called, make_parser, warn_of_changes
-from algorithms.reporting.learning_curves import describe, load_groups, plot
 from algorithms.sweeps.manifest import is_sweep
-from algorithms.sweeps.plots import plot_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -43,6 +41,10 @@ def warn(message: str, program: str) -> None:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments, program)
+
+    from algorithms.reporting.learning_curves import describe, load_groups, plot
+    from algorithms.sweeps.plots import plot_sweep
+
     try:
         if not any(is_sweep(run) for run in options.runs):
             groups = load_groups(options.runs)

@@ -18,11 +18,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.experiments.cli import INSTALLED, as_called, make_parser
 from algorithms.experiments.interrupts import Stopped
-from algorithms.experiments.progress_bar import make_console
-from algorithms.reproduction.claims import CLAIMS
-from algorithms.reproduction.figures import FIGURES
-from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
-from algorithms.reproduction.plan import load_plan
+from algorithms.reproduction import CLAIM_NUMBERS, FIGURES
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -34,13 +30,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--all", action="store_true", help="everything (the default)")
     what.add_argument("--figure", type=int, choices=FIGURES, metavar="N", help="a figure of the paper: 4 to 10")
-    what.add_argument(
-        "--claim",
-        type=int,
-        choices=[claim.number for claim in CLAIMS],
-        metavar="N",
-        help="a claim of the paper: 1 to 6",
-    )
+    what.add_argument("--claim", type=int, choices=CLAIM_NUMBERS, metavar="N", help="a claim of the paper: 1 to 6")
     parser.add_argument("--seeds", type=int, metavar="N", help="number of runs of each variant (default: the plan's)")
     parser.add_argument("--quick", action="store_true", help="use fewer seeds and shorter training")
     parser.add_argument(
@@ -77,6 +67,11 @@ def check_options(options: Namespace) -> None:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     given = parse_arguments(arguments, program)
+
+    from algorithms.experiments.progress_bar import make_console
+    from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
+    from algorithms.reproduction.plan import load_plan
+
     try:
         check_options(given)
         options = ReproductionOptions(

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.experiments.cli import HEADLESS, INSTALLED, as_called, make_parser
 from algorithms.experiments.interrupts import Stopped, no_space
-from algorithms.experiments.progress_bar import make_console
-from algorithms.sweeps.runner import BACKENDS, Backend, SweepRunner
+from algorithms.sweeps import BACKENDS
 from algorithms.sweeps.sweep_settings import load_sweep
 
 if TYPE_CHECKING:
@@ -90,6 +89,10 @@ def check_options(options: Namespace) -> None:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     options = parse_arguments(arguments, program)
+
+    from algorithms.experiments.progress_bar import make_console
+    from algorithms.sweeps.runner import Backend, SweepRunner
+
     directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
     try:
         check_options(options)

@@ -25,13 +25,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.experiments.cli import INSTALLED, as_called, make_parser
-from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_files import changed_files
-from algorithms.reporting.seed_tables import find_runs, print_runs
 from algorithms.sweeps.manifest import is_sweep
-from algorithms.sweeps.tables import print_sweep
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -69,6 +65,9 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
     Raises:
         ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
     """
+    from algorithms.evaluation.front import EVALUATION_FILE
+    from algorithms.reporting.seed_tables import find_runs
+
     runs = []
     for run in find_runs(paths):
         problems = changed_files(run, ["config.yaml", EVALUATION_FILE])
@@ -85,6 +84,10 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> list[Rows]:
     Raises:
         ValueError: for options that do not fit together, or if there is nothing to show.
     """
+    from algorithms.experiments.progress_bar import make_console
+    from algorithms.reporting.seed_tables import print_runs
+    from algorithms.sweeps.tables import print_sweep
+
     console = make_console()
     if not any(is_sweep(path) for path in options.runs):
         if options.sort is not None or options.top is not None:

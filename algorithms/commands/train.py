@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.build import build
 from algorithms.experiments.cli import (
     INSTALLED,
     add_training_arguments,
@@ -24,8 +23,6 @@ from algorithms.experiments.cli import (
     warn_of_changes,
 )
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.progress_bar import make_console
-from algorithms.experiments.training import reopen, train_and_finish
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -51,6 +48,9 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
         ValueError: if the options, the experiment, the directory or the checkpoint are not valid.
         OSError: if the directory of a run to be resumed cannot be written.
     """
+    from algorithms.experiments.build import build
+    from algorithms.experiments.training import reopen
+
     if options.resume is None:
         if options.trust:
             raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
@@ -72,6 +72,9 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             print(f"{run.path} is finished; there is nothing to resume")
             return int(warn_of_changes(run.path))
     resume_with = as_called(f"resume with: mo-deepdrive train --resume {run.path}", program)
+    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.training import train_and_finish
+
     with exit_on_error(hint=resume_with):
         for change in run.changed_versions():
             print(f"warning: since the run was started, {change}")

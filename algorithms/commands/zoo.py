@@ -9,13 +9,15 @@ Their names can be given instead of a run: to evaluate, choose (fronts) and play
 from __future__ import annotations
 
 from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
-from algorithms.experiments.progress_bar import make_console
-from algorithms.zoo.listing import zoo_table
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     make_parser(__doc__, program, "zoo").parse_args(arguments)
+
+    from algorithms.experiments.progress_bar import make_console
+    from algorithms.zoo.listing import zoo_table
+
     with exit_on_error(ValueError, OSError, program=program):
         table = zoo_table()
         make_console().print(table if table.row_count else "the zoo is empty")

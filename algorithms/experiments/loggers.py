@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import MetricsFile
 from algorithms.evaluation.metrics import split_name
-from algorithms.reporting.animated_gif import video_as_gif
-from algorithms.reporting.seed_tables import TABLE_METRICS
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:
@@ -227,6 +225,8 @@ def log_results(
     Raises:
         OSError: if something cannot be read or written.
     """
+    from algorithms.reporting.seed_tables import TABLE_METRICS
+
     for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
         earlier.unlink()
     scores = {
@@ -244,6 +244,8 @@ def log_results(
         for summary in hparams(_flattened({key: value for key, value in config.items() if key != "logging"}), scores):
             board.file_writer.add_summary(summary)
         if video is not None and video.is_file():
+            from algorithms.reporting.animated_gif import video_as_gif
+
             gif, height, width = video_as_gif(video)
             image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
             board.file_writer.add_summary(Summary(value=[Summary.Value(tag="video", image=image)]), step)

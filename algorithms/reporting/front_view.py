@@ -8,13 +8,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from scipy.optimize import isotonic_regression
 
 from algorithms.common.pareto import farthest_point_subset
 from algorithms.evaluation.metrics import name_and_unit
-from algorithms.reporting.style import COLOUR_MAP
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from algorithms.evaluation.front import Front
 
 REPRESENTATIVES = 16  # policies that are drawn individually at most; in larger fronts these represent all
+# Colours of policies: viridis, which is safe for colour-blind readers, without the yellow that is hard to see on white.
+COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.92, 256)), "policies")
 LEADING = "distance"  # the objective that orders and colours policies; if there is none of this name, the first one
 
 

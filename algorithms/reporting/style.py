@@ -5,9 +5,7 @@ from __future__ import annotations
 import zlib
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from matplotlib.colors import ListedColormap, to_hex, to_rgb
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -29,9 +27,6 @@ ALGORITHM_COLOURS = {
 OTHER_COLOURS = ("#CC79A7", "#332288", "#882255", "#999933", "#44AA99", "#000000", "#661100", "#AA4499")
 TRAINING_COLOUR = "#9AA3AD"
 MARKERS = ("", "o", "s", "^", "D", "v", "P", "X")  # of several curves of one algorithm
-# Colours of the policies of a front: viridis, also safe for colour-blind readers, without the yellow that is hard to
-# see on white.
-COLOUR_MAP = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, 256)), "policies")
 INK, DIM, FAINT = "#23282F", "#5B6470", "#B4BBC4"  # of text, of notes and axes, of what is in the background
 LABEL, GRID = "#3C434C", "#E4E7EB"
 # Captions of videos, which look like the panel of readings beside a map.
@@ -91,6 +86,8 @@ def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
 
     The first curve of an algorithm has its colour; further ones have lighter shades of it and other markers.
     """
+    from matplotlib.colors import to_hex, to_rgb  # tables, which need the order of algorithms alone, go without
+
     colours = algorithm_colours(algorithms)
     styles = []
     for i, name in enumerate(algorithms):

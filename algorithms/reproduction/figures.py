@@ -64,7 +64,6 @@ CURVE_FIGURES = {
 }
 # Drawn from a front by algorithms.reporting.front_plots, as the figure with this name.
 FRONT_FIGURES = {7: "importance", 10: "reduction"}
-FIGURES = tuple(sorted([*CURVE_FIGURES, *FRONT_FIGURES]))
 
 
 def file_name(number: int) -> str:

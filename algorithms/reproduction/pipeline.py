@@ -12,8 +12,8 @@ from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.shipped import CONFIGS
 from algorithms.experiments.worker_pool import perform_all
+from algorithms.reproduction import FIGURES
 from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, LEARNED, SOLVED, utility_metric
-from algorithms.reproduction.figures import FIGURES
 from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
 from algorithms.reproduction.report import (
     QUICK,

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from algorithms.experiments.jobs import Job
     from algorithms.sweeps.sweep_settings import SweepSettings
 
-BACKENDS = ("local", "ray", "slurm", "manifest")
-
 
 @dataclass(frozen=True)
 class Backend:

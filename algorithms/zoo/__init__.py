@@ -14,7 +14,7 @@ from pathlib import Path
 from mo_deepdrive.names import nearest_few
 
 ZOO = Path(__file__).resolve().parent
-CONFIG, CHECKPOINT = "config.yaml", "checkpoint.safetensors"
+CONFIG, CHECKPOINT, ABOUT = "config.yaml", "checkpoint.safetensors", "about.json"
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
 
 

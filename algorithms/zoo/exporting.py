@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from algorithms.experiments.config import Experiment
     from algorithms.experiments.run_directory import Run
 
-ABOUT = "about.json"
-FILES = {zoo.CONFIG, zoo.CHECKPOINT, ABOUT, FRONT_FILE, EVALUATION_FILE}
+FILES = {zoo.CONFIG, zoo.CHECKPOINT, zoo.ABOUT, FRONT_FILE, EVALUATION_FILE}
 
 
 def export(run: Run, name: str, directory: str | Path | None = None, about: Mapping[str, Any] | None = None) -> Path:
@@ -59,7 +58,7 @@ def export(run: Run, name: str, directory: str | Path | None = None, about: Mapp
     try:
         staged.chmod(0o755)
         atomic_write(staged / zoo.CONFIG, dump(experiment.to_dict()).encode())
-        write_json(staged / ABOUT, {**origin, **(about or {})})
+        write_json(staged / zoo.ABOUT, {**origin, **(about or {})})
         if not experiment.known_utility:
             for file in (FRONT_FILE, EVALUATION_FILE):
                 atomic_write(staged / file, (run.path / file).read_bytes())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.metrics import (
     CARDINALITY,
     FRONT,
@@ -17,15 +18,12 @@ from algorithms.evaluation.metrics import (
     TOTAL_UTILITY_ESR,
     UTILITY_ESR,
 )
-from algorithms.experiments.config import find_environment
-from algorithms.experiments.run_directory import Run
-from algorithms.zoo import find, names
-from algorithms.zoo.exporting import ABOUT
+from algorithms.experiments.config import Experiment, find_environment
+from algorithms.zoo import ABOUT, CONFIG, find, names
+from mo_deepdrive.config import parse
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from algorithms.experiments.config import Experiment
 
 CAPTION = (
     "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split."
@@ -53,7 +51,8 @@ def zoo_table() -> Table:
     for column in ("task", "arrivals (%)", "utility (ESR)"):
         table.add_column(column, overflow="fold")
     for name in names():
-        experiment = Run.open(find(name), device="cpu").experiment
+        config = find(name) / CONFIG
+        experiment = parse(Experiment, read_mapping(config), f"experiment {str(config)!r}")
         table.add_row(name, _task(experiment), *_score_columns(find(name) / ABOUT))
     return table
 

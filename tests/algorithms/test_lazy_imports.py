@@ -8,9 +8,12 @@ import pytest
 
 import algorithms
 from algorithms import ALGORITHMS
+from algorithms.commands import COMMANDS
+from mo_deepdrive.extras import EXTRAS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 
 def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
@@ -24,6 +27,32 @@ def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
         "'gymnasium') or name.startswith('algorithms.')))"
     )
     assert loaded == "[]\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_a_command_imports_neither_an_extra_nor_a_compiler(
+    run_python: Callable[[str], str], repository: Path, name: str
+) -> None:
+    printed = run_python(
+        "import contextlib, runpy, sys\n"
+        f"sys.argv = ['{name}.py', '--help']\n"
+        "with contextlib.suppress(SystemExit):\n"
+        f"    runpy.run_path({str(repository / 'scripts' / name)!r} + '.py', run_name='__main__')\n"
+        f"print([package for package in {(*EXTRAS, 'numba')} if package in sys.modules])"
+    )
+    assert printed.startswith(f"usage: python scripts/{name}.py ")
+    assert printed.endswith("\n[]\n")
+
+
+def test_importing_the_environments_imports_neither_an_extra_nor_a_compiler_nor_pygame(
+    run_python: Callable[[str], str],
+) -> None:
+    printed = run_python(
+        "import sys, mo_deepdrive\n"
+        f"print([package for package in {(*EXTRAS, 'numba', 'pygame')} if package in sys.modules])"
+    )
+    assert printed == "[]\n"
 
 
 @pytest.mark.slow

@@ -191,6 +191,13 @@ def test_a_command_without_its_extra_says_what_to_install(core: Installed) -> No
     assert all(f"\n  {name} " in listed for name in COMMANDS)
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_of_the_core_prints_its_help_under_the_name_by_which_it_is_called(core: Installed, name: str) -> None:
+    said = core.command(name, "--help").stdout
+    assert said.startswith(f"usage: mo-deepdrive {name} ")
+    assert "scripts/" not in said
+
+
 def test_one_can_play_without_torch(core: Installed, tmp_path: Path) -> None:
     assert "vehicle 1: W A S D" in Installed(core.bin, tmp_path).run("python", "-c", PLAY).stdout
 
@@ -231,13 +238,6 @@ def test_other_libraries_and_the_reproduction_are_found_by_name(everything: Inst
     assert "cannot run here: it needs morl_baselines: pip install 'mo-deepdrive[peers]'" in refused.stderr
     refused = everything.command("reproduce", "--figure", "4", "--plan", "reproduc", code=2)
     assert "the nearest names of shipped ones: reproduce" in refused.stderr
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_prints_its_help_under_the_name_by_which_it_is_called(everything: Installed, name: str) -> None:
-    said = everything.command(name, "--help").stdout
-    assert said.startswith(f"usage: mo-deepdrive {name} ")
-    assert "scripts/" not in said
 
 
 def test_the_package_can_be_called_as_a_module(everything: Installed, tmp_path: Path) -> None:

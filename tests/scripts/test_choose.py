@@ -24,7 +24,6 @@ from tests.helpers.script_runs import Call, Done, refused
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import ModuleType
 
 pytestmark = pytest.mark.slow
 
@@ -51,9 +50,9 @@ Choose = Callable[..., Done]
 
 
 @pytest.fixture
-def choose(call: Call, load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> Choose:
+def choose(call: Call, monkeypatch: pytest.MonkeyPatch) -> Choose:
     """Run the script in the test's folder, on lines long enough for its table."""
-    monkeypatch.setattr(load_script("choose"), "make_console", lambda: Console(width=250))
+    monkeypatch.setattr("algorithms.experiments.progress_bar.make_console", lambda: Console(width=250))
     return functools.partial(call, "choose")
 
 

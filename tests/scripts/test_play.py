@@ -97,7 +97,8 @@ def test_two_people_drive_at_one_keyboard(
 ) -> None:
     environments: list[HumanPlayEnv] = []
     monkeypatch.setattr(
-        play, "HumanPlayEnv", lambda *args, **kw: environments.append(HumanPlayEnv(*args, **kw)) or environments[0]
+        "mo_deepdrive.play.HumanPlayEnv",
+        lambda *args, **kw: environments.append(HumanPlayEnv(*args, **kw)) or environments[0],
     )
     typing(
         {

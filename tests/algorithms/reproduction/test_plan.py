@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from algorithms.reproduction import CLAIM_NUMBERS, FIGURES
 from algorithms.reproduction.claims import CLAIMS
-from algorithms.reproduction.figures import CURVE_FIGURES, FIGURES
+from algorithms.reproduction.figures import CURVE_FIGURES, FRONT_FIGURES
 from algorithms.reproduction.plan import load_plan, planned_runs
 from tests.helpers.reproduction import PLAN, TINY
 
@@ -30,7 +31,8 @@ def test_every_run_of_the_plan_has_a_valid_config_and_a_unique_folder(tmp_path: 
 
 def test_every_claim_and_figure_has_its_tasks_in_the_plan() -> None:
     plan = load_plan(PLAN)
-    assert [each.number for each in CLAIMS] == [1, 2, 3, 4, 5, 6]
+    assert [each.number for each in CLAIMS] == list(CLAIM_NUMBERS) == [1, 2, 3, 4, 5, 6]
+    assert set(FIGURES) == {*CURVE_FIGURES, *FRONT_FIGURES}
     assert {figure for each in CLAIMS for figure in each.figures} == set(FIGURES) == {4, 5, 6, 7, 8, 9, 10}
     for each in CLAIMS:
         for task in each.tasks:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from algorithms.reproduction.figures import FIGURES
+from algorithms.reproduction import FIGURES
 from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
