@@ -54,7 +54,7 @@ def report_agent(
         OSError: if the numbers cannot be written.
     """
     if directory is not None:
-        directory.mkdir(exist_ok=True)
+        directory.mkdir(parents=True, exist_ok=True)
     if not experiment.known_utility:
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         if front.episodes < episodes:
