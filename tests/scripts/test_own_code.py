@@ -124,6 +124,8 @@ def test_an_own_algorithm_that_is_killed_resumes_to_the_same_run_and_needs_trust
     code, *_ = interrupt(folder / "killed", 1000, signal.SIGKILL, *arguments, "--output", "killed")
     assert code == -signal.SIGKILL
     assert yaml.safe_load((folder / "killed" / "status.json").read_text())["state"] == "running"
+    hint = "choose another, or use --resume killed --trust"
+    refused(call("train", *arguments, "--output", "killed"), hint)
     untrusted = ("config.yaml' has algorithm.name = 'reinforce:REINFORCE', code that", "add --trust if")
     refused(call("train", "--resume", "killed"), *untrusted)
     assert call("train", "--resume", "killed", "--trust")[0] == 0
@@ -139,6 +141,18 @@ def test_an_own_algorithm_that_is_killed_resumes_to_the_same_run_and_needs_trust
     for name in ("table", "plot"):
         code, out, error = call(name, "whole")
         assert (code, error) == (0, ""), out
+
+
+def test_the_hint_after_an_interrupt_is_a_command_that_resumes(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    def received(*_: Any, **__: Any) -> int:
+        return int(signal.SIGTERM)
+
+    monkeypatch.setattr("algorithms.experiments.training.train_and_finish", received)
+    code, out, error = call("train", "--config", "reinforce.yaml", "--output", "my runs/first")
+    assert code == 128 + signal.SIGTERM, error
+    program, *words = shlex.split(out.partition("resume with: ")[2])
+    assert (program, words) == ("mo-deepdrive", ["train", "--resume", "my runs/first", "--trust"])
+    assert call(*words)[0] == 128 + signal.SIGTERM
 
 
 @pytest.mark.slow
