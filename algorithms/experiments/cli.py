@@ -187,7 +187,10 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
         from algorithms.reporting.videos import check_renderable  # with the packages that render
 
         check_file("--video", options.video, ".mp4")
-        check_renderable(experiment.environment.id, experiment.environment.arguments)
+        try:
+            check_renderable(experiment.environment.id, experiment.environment.arguments)
+        except ValueError as error:
+            raise ValueError(f"--video {options.video!r}: {error}") from None
     return episodes, seed
 
 

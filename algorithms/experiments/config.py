@@ -315,8 +315,8 @@ def find_environment(env_id: str) -> EnvSpec:
             for spec in gymnasium.registry.values()
             if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
         ]
-        own = "" if module else f"; one of your own is named with the module that registers it, 'module:{name}'"
-        raise ValueError(f"environment.id = {env_id!r} is not registered; {nearest(name, known)}{own}")
+        own = "" if module else f"for one of your own write 'module:{name}', which imports its module; "
+        raise ValueError(f"environment.id = {env_id!r} is not registered; {own}{nearest(name, known)}")
     return gymnasium.registry[name]
 
 

@@ -114,7 +114,7 @@ def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluati
             "utility": {"name": "linear", "arguments": {"weights": [1, 1]}},
         }
     )
-    with pytest.raises(ValueError, match="'commute:commute-v0' cannot be rendered"):
+    with pytest.raises(ValueError, match=r"--video 'a\.mp4': environment 'commute:commute-v0' cannot be rendered"):
         evaluation_arguments(evaluation_options("--video=a.mp4"), experiment)
 
 

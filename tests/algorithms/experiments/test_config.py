@@ -128,7 +128,7 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
             "--environment.id=no_such_module:x-v0",
             ["'no_such_module' cannot be imported: ModuleNotFoundError", "looked for in '"],
         ),
-        ("--environment.id=commute-v0", ["one of your own is named with the module", "'module:commute-v0'"]),
+        ("--environment.id=commute-v0", ["is not registered; for one of your own write 'module:commute-v0'"]),
         ("--environment.arguments.objectives=[energy]", ["objectives has 'energy'", "an id of the form 'module:ID'"]),
         ("--algorithm.name=mo_a2d", ["mo_a2d", "did you mean 'mo_a2c'"]),
         ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, mo_a2c"]),
