@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
+Columns = dict[str, NDArray[np.float64]]  # (rows,) each, by name
 
 
-def read_metrics(path: str | Path) -> dict[str, NDArray[np.float64]]:
+def read_metrics(path: str | Path) -> Columns:
     """The columns of a metrics.csv, including "step"; NaN where a row has no value.
 
     Raises:

@@ -1,4 +1,7 @@
-"""Evaluate a trained agent: print a table, write the numbers and record a video."""
+"""Evaluate a trained agent: print a table, write the numbers and record a video.
+
+What draws and films imports Matplotlib, and is imported when there is something to draw.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,7 @@ from typing import TYPE_CHECKING, Any
 from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.evaluation.splits import describe_episodes
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
-from algorithms.reporting.front_report import FILMED_POLICIES, covering_policies, film_front, report_front
 from algorithms.reporting.tables import evaluation_table, write_evaluation
-from algorithms.reporting.videos import NotRenderableError, record, video_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,6 +57,8 @@ def report_agent(
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
     if not experiment.known_utility:
+        from algorithms.reporting.front_report import report_front
+
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         if front.episodes < episodes:
             console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
@@ -96,9 +99,13 @@ def film(
     """
     env = experiment.environment
     what = f"the {GREEDY if greedy else STOCHASTIC} policy from seed {seed} on"
-    return attempt_film(
-        lambda: record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy), path, what, console
-    )
+
+    def recording() -> None:
+        from algorithms.reporting.videos import record
+
+        record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy)
+
+    return attempt_film(recording, path, what, console)
 
 
 def film_policies_of_front(
@@ -125,6 +132,8 @@ def film_policies_of_front(
     Returns:
         Whether there is a video.
     """
+    from algorithms.reporting.front_report import FILMED_POLICIES, covering_policies, film_front
+
     env = experiment.environment
     chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
@@ -146,10 +155,12 @@ def attempt_film(recording: Callable[[], object], path: str | Path, what: str, c
         Whether there is a video.
     """
     try:
+        from algorithms.reporting.videos import video_seconds
+
         recording()
         seconds = video_seconds(path) if Path(path).is_file() else None
     except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
-        reason = str(error) if isinstance(error, NotRenderableError) else f"{type(error).__name__}: {error}"
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
         console.print(f"no video: {reason}", markup=False, highlight=False, soft_wrap=True)
         return False
     if seconds is not None:

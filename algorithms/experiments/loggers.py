@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import MetricsFile
 from algorithms.evaluation.metrics import split_name
+from algorithms.reporting.seed_tables import TABLE_METRICS
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:
@@ -225,8 +226,6 @@ def log_results(
     Raises:
         OSError: if something cannot be read or written.
     """
-    from algorithms.reporting.seed_tables import TABLE_METRICS
-
     for earlier in (directory / TENSORBOARD).glob(f"*{RESULTS_SUFFIX}"):
         earlier.unlink()
     scores = {

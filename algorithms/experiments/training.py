@@ -11,6 +11,7 @@ from algorithms.common.metrics_file import rows_until
 from algorithms.evaluation.front import best_known_front
 from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.evaluation.splits import SPLITS
+from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.interrupts import Interrupts, stopped_by
@@ -18,6 +19,7 @@ from algorithms.experiments.loggers import Logger, log_results
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
+from algorithms.reporting.seed_tables import final_metrics
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -213,11 +215,6 @@ def finish(run: Run, agent: Any, console: Console) -> None:
     Raises:
         Stopped: if the numbers or the curves could not be written; the trained policy is saved.
     """
-    # Imported after the training, because Matplotlib and SciPy take as long as the start of a run.
-    from algorithms.experiments.agent_report import report_agent
-    from algorithms.reporting.learning_curves import load_groups, plot
-    from algorithms.reporting.seed_tables import final_metrics
-
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     video = run.path / "video.mp4" if figures else None
     try:
@@ -231,6 +228,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             video=video,
         )
         if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
+            from algorithms.reporting.learning_curves import load_groups, plot  # not earlier: it imports Matplotlib
+
             plot(load_groups([run.path]), run.path / "curves.png")
         log_results(run.path, agent.step, run.experiment.to_dict(), final_metrics(run.path), video)
         run.set_status("finished", agent.step)

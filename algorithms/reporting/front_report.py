@@ -166,7 +166,7 @@ def film_front(
         The number of frames.
 
     Raises:
-        NotRenderableError: if the environment cannot be rendered.
+        ValueError: if the environment cannot be rendered.
         OSError: if the file cannot be written.
     """
     chosen = covering_policies(front, FILMED_POLICIES) if policies is None else np.asarray(policies)

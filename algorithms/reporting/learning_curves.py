@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
-from numpy.typing import NDArray
 
 from algorithms.common.metrics_file import read_metrics
 from algorithms.common.yaml_io import read_mapping
@@ -42,6 +41,7 @@ from algorithms.evaluation.statistics import MIN_SAMPLES, bootstrap
 from algorithms.reporting.style import (
     DIM,
     DPI,
+    MAX_POINTS,
     STYLE,
     TRAINING_COLOUR,
     algorithm_order,
@@ -55,12 +55,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
-Columns = dict[str, NDArray[np.float64]]
+    from algorithms.common.metrics_file import Columns
 
 SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis
 CUT_RATIO = 30.0  # how many times larger the whole range must be than the settled one for the start to be cut off
-MAX_POINTS = 150  # per curve; longer curves are averaged
 MARKS = 10  # markers per curve, where several curves share a colour
 
 

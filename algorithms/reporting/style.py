@@ -32,6 +32,7 @@ LABEL, GRID = "#3C434C", "#E4E7EB"
 # Captions of videos, which look like the panel of readings beside a map.
 VIDEO_BACKGROUND, VIDEO_INK = "#181C24", "#F0F3F8"
 
+MAX_POINTS = 150  # per curve; longer curves are averaged
 MINIMUM_SPAN = 0.1  # of an axis, as a share of the quantity's magnitude: smaller differences would look large
 DPI = 160  # of figures
 VIDEO_DPI = 100  # of captions of videos

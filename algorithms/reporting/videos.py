@@ -31,10 +31,6 @@ HOLD = 0.5  # s for which the last frame of an episode is shown
 DEFAULT_FPS = 10  # where the environment does not say
 
 
-class NotRenderableError(ValueError):
-    """The environment has no frames to make a video of."""
-
-
 def record(
     policy: Policy,
     env_id: str,
@@ -60,7 +56,7 @@ def record(
         The number of frames.
 
     Raises:
-        NotRenderableError: if the environment cannot be rendered.
+        ValueError: if the environment cannot be rendered.
         OSError: if the file cannot be written.
     """
     env = make_render_env(env_id, env_arguments)
@@ -116,7 +112,7 @@ def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None)
         env_arguments: keyword arguments of the environment.
 
     Raises:
-        NotRenderableError: if the environment cannot be rendered.
+        ValueError: if the environment cannot be rendered.
     """
     arguments = {**(env_arguments or {}), "render_mode": "rgb_array"}
     if _is_ours(env_id):
@@ -129,7 +125,7 @@ def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None
     """Refuse an environment that does not declare the render mode "rgb_array"; arguments as :func:`make_render_env`.
 
     Raises:
-        NotRenderableError: with the render modes that it has.
+        ValueError: with the render modes that it has.
     """
     if _is_ours(env_id):
         return
@@ -137,7 +133,7 @@ def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None
     modes = list(env.unwrapped.metadata.get("render_modes", []))
     env.close()
     if "rgb_array" not in modes:
-        raise NotRenderableError(
+        raise ValueError(
             f"environment {env_id!r} cannot be rendered: metadata['render_modes'] = {modes} lacks 'rgb_array'"
         )
 

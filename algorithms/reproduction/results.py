@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.reporting.learning_curves import Columns
+    from algorithms.common.metrics_file import Columns
     from algorithms.reproduction.plan import PlannedRun
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"

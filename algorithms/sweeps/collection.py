@@ -34,13 +34,15 @@ from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
 from algorithms.experiments.run_files import changed_files
-from algorithms.reporting.learning_curves import MAX_POINTS, Columns
+from algorithms.reporting.style import MAX_POINTS
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from algorithms.common.metrics_file import Columns
 
 if os.name == "posix":
     import fcntl

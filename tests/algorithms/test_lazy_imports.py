@@ -65,6 +65,33 @@ def test_importing_one_algorithm_does_not_import_the_others(run_python: Callable
     assert loaded == "['algorithms.pcn']\n"
 
 
+@pytest.mark.slow
+def test_a_training_run_starts_without_what_it_ends_with(run_python: Callable[[str], str], tmp_path: Path) -> None:
+    printed = run_python(
+        "import contextlib, sys\n"
+        "from algorithms import MOA2C\n"
+        "from algorithms.commands import train\n"
+        "def update(*_):\n"
+        "    print([name for name in ('matplotlib', 'scipy.stats', 'imageio', 'PIL') if name in sys.modules])\n"
+        "    sys.exit()\n"
+        "MOA2C.update = update\n"
+        "with contextlib.suppress(SystemExit):\n"
+        f"    train.main(['--config', 'one_waypoint/mo_a2c_linear', '--output', {str(tmp_path / 'run')!r}])"
+    )
+    assert "[]" in printed.splitlines()
+
+
+@pytest.mark.slow
+def test_tables_need_no_matplotlib(run_python: Callable[[str], str]) -> None:
+    loaded = run_python(
+        "import sys\n"
+        "import algorithms.reporting.seed_tables, algorithms.reporting.tables, algorithms.sweeps.tables\n"
+        "import algorithms.zoo.listing\n"
+        "print([name for name in ('matplotlib', 'torch') if name in sys.modules])"
+    )
+    assert loaded == "[]\n"
+
+
 def test_every_public_name_can_be_imported_and_is_listed() -> None:
     for name in algorithms.__all__:
         assert getattr(algorithms, name) is not None

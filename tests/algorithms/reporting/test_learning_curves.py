@@ -15,8 +15,8 @@ from algorithms.common.metrics_file import MetricsFile
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting import learning_curves
-from algorithms.reporting.learning_curves import MAX_POINTS, CurveGroup, curve, curve_panels, drawn, load_groups, plot
-from algorithms.reporting.style import ALGORITHM_COLOURS, MINIMUM_SPAN
+from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
+from algorithms.reporting.style import ALGORITHM_COLOURS, MAX_POINTS, MINIMUM_SPAN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,6 @@ from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.reporting.videos import (
     HOLD,
-    NotRenderableError,
     check_renderable,
     make_render_env,
     record,
@@ -167,7 +166,7 @@ def test_an_environment_without_render_modes_cannot_be_rendered(
     message = (
         r"environment 'commute:commute-v0' cannot be rendered: metadata\['render_modes'\] = \[\] lacks 'rgb_array'"
     )
-    with pytest.raises(NotRenderableError, match=message):
+    with pytest.raises(ValueError, match=message):
         make_render_env("commute:commute-v0")
     check_renderable("mo-mountaincar-v0")
     check_renderable(ONE)
