@@ -66,10 +66,11 @@ if TYPE_CHECKING:
 
 
 class MOA2CConfig(NetworkSettings):
-    """Hyperparameters of MO-A2C.
+    """Hyperparameters of MO-A2C; those of actor and critic are described in NetworkSettings.
 
     Attributes:
-        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        learning_rate: Adam's step size at the start of training.
+        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
         gamma: discount of the critic.
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
         advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
@@ -77,9 +78,9 @@ class MOA2CConfig(NetworkSettings):
         observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
         observe_discount: include g^t in the state, on which eq. 4 depends too.
         steps: T, time steps per environment and update.
-        hidden, activation, network: of actor and critic, as in NetworkSettings.
-        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
-            first ``entropy_until`` of training.
+        entropy_start: c_e at the start of training.
+        entropy_end: c_e at the end, to which it moves geometrically.
+        entropy_until: fraction of the training after which c_e is ``entropy_end``.
         value_coefficient: c_v.
         max_grad_norm: maximum norm of the gradient.
         normalise_advantages: normalise the advantages of an update to mean 0 and standard deviation 1.

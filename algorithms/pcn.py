@@ -71,7 +71,8 @@ class PCNConfig(Settings):
     """Hyperparameters of PCN.
 
     Attributes:
-        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        learning_rate: Adam's step size at the start of training.
+        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
         gamma: discount of the returns that commands ask for.
         hidden: width of the two embeddings, then of the layers after them.
         batch_size: time steps of a gradient step.

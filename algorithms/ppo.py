@@ -49,19 +49,20 @@ if TYPE_CHECKING:
 
 
 class PPOConfig(NetworkSettings):
-    """Hyperparameters of PPO.
+    """Hyperparameters of PPO; those of actor and critic are described in NetworkSettings.
 
     Attributes:
-        learning_rate, learning_rate_end: Adam's step size, moving linearly from one to the other (None: constant).
+        learning_rate: Adam's step size at the start of training.
+        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
         gamma: discount.
         gae_lambda: lambda of eq. 2; 0 gives one-step advantages, 1 uses the whole rollout.
         steps: T, time steps per environment and update.
         epochs: passes over every rollout.
         minibatches: gradient steps per pass.
         clip: epsilon of eq. 4.
-        hidden, activation, network: of actor and critic, as in NetworkSettings.
-        entropy_start, entropy_end, entropy_until: c_e, moving geometrically from the first to the second over the
-            first ``entropy_until`` of training.
+        entropy_start: c_e at the start of training.
+        entropy_end: c_e at the end, to which it moves geometrically.
+        entropy_until: fraction of the training after which c_e is ``entropy_end``.
         value_coefficient: c_v.
         value_scale: nominal size of a scalar return, by which the critic's output is multiplied.
         max_grad_norm: maximum norm of the gradient.

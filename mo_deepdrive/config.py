@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
-from mo_deepdrive.names import nearest as nearest
+from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -163,7 +163,10 @@ class EnvConfig(Settings):
                 raise ValueError(f"objectives = {list(self.objectives)} must be one or more distinct names")
             for name in self.objectives:
                 if name not in INDEX:
-                    raise ValueError(f"objectives has {name!r}; {nearest(name, INDEX)}")
+                    raise ValueError(
+                        f"objectives has {name!r}; {nearest(name, INDEX)}; one of your own is registered by its "
+                        "module, which an id of the form 'module:ID' imports"
+                    )
         return self
 
     @property

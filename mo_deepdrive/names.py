@@ -20,6 +20,11 @@ def nearest(name: object, known: Iterable[str]) -> str:
     return f"{guess}known: {', '.join(names)}"
 
 
+def nearest_few(name: str, known: Iterable[str], count: int = 3) -> str:
+    """The ``count`` known names nearest to ``name``, where there are too many to list all: ``a, b, c``."""
+    return ", ".join(difflib.get_close_matches(name, sorted(known), n=count, cutoff=0.0))
+
+
 def check_name(name: object, what: str) -> None:
     """Refuse a name that is not lower case words joined by underscores.
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import moocore
 
 from mo_deepdrive.action_sequences import decode, discounted_sum, replay
-from mo_deepdrive.config import EnvConfig, nearest
+from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.reference_points import select_objectives
 from mo_deepdrive.scenarios import SCENARIOS

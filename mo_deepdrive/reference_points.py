@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 import yaml
 
-from mo_deepdrive.config import ActionType, EnvConfig, nearest
+from mo_deepdrive.config import ActionType, EnvConfig
+from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives

@@ -44,11 +44,16 @@ VEHICLE_COLOURS = ((38, 116, 232), (240, 126, 38))
 PANEL, TILE, RULE, TEXT, DIM = (24, 28, 36), (36, 42, 53), (54, 62, 76), (240, 243, 248), (150, 160, 176)
 FAILURE, NEUTRAL = (204, 58, 62), (96, 106, 124)
 END_COLOURS = {RUNNING: TILE, ARRIVED: (38, 150, 92), TIME_LIMIT: (170, 122, 34), OTHER_VEHICLE: NEUTRAL}
-READINGS = (("speed", "m/s"), ("g_force", "g"), ("jerk", "m/s³"), ("route_distance", "m"))  # fields and units
+READINGS = (  # fields, labels and units
+    ("speed", "Speed", "m/s"),
+    ("g_force", "G force", "g"),
+    ("jerk", "Jerk", "m/s³"),
+    ("route_distance", "Along the route", "m"),
+)
 
 
 def titled(name: str) -> str:
-    """A name in the code as a title: "route_distance" as "Route distance"."""
+    """A name in the code as a title: "lane_violation" as "Lane violation"."""
     return name.replace("_", " ").capitalize()
 
 
@@ -122,10 +127,10 @@ class Panel:
             row = self._height(v, 12)
             self._rectangle(20, row - 7, 14, 14, VEHICLE_COLOURS[v], radius=4)
             self._write("Vehicle" if self._alone else f"Vehicle {v}", 44, row, 24, TEXT)
-            for k, (field, unit) in enumerate(READINGS):
+            for k, (_, name, unit) in enumerate(READINGS):
                 left, upper = self._tile(v, k)
                 self._rectangle(left, upper, 144, 42 * self._pitch, TILE, radius=6)
-                self._write(titled(field), left + 10, upper + 12 * self._pitch, 18, DIM)
+                self._write(name, left + 10, upper + 12 * self._pitch, 18, DIM)
                 self._write(unit, -(left + 134), upper + 29 * self._pitch, 18, DIM)
             for text, x in (("Reward", 20), ("this decision", -226), ("episode", -316)):
                 self._write(text, x, self._height(v, 142), 18, DIM)
@@ -142,7 +147,7 @@ class Panel:
         if vehicle.end != RUNNING and not self._alone:  # where the other vehicle may still drive
             end += f", {vehicle.decisions / self._decision_frequency:.1f} s"
         self._write(end, -306, self._height(v, 12), 20, TEXT, END_COLOURS.get(int(vehicle.end), FAILURE))
-        for k, (field, _) in enumerate(READINGS):
+        for k, (field, *_) in enumerate(READINGS):
             left, upper = self._tile(v, k)
             self._write(f"{vehicle[field]:,.2f}", left + 10, upper + 29 * self._pitch, 26, TEXT)
         for k, sign in enumerate(self._signs):

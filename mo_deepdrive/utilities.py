@@ -10,7 +10,6 @@ given by its path, ``package.module:function``.
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -18,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from mo_deepdrive.config import nearest
+from mo_deepdrive.importing import import_named
+from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 Function = Callable[[Any], Any]
@@ -292,11 +292,7 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
 
 
 def _custom(path: str, arguments: dict[str, Any]) -> Function:
-    module_name, _, attribute = path.partition(":")
-    try:
-        function = getattr(importlib.import_module(module_name), attribute)
-    except Exception as error:  # a user's module may raise anything, such as SyntaxError
-        raise ValueError(f"utility {path!r} cannot be imported: {type(error).__name__}: {error}") from None
+    function: Function = import_named("utility", path)
     if not callable(function):
         raise ValueError(f"utility {path!r} is not callable")
     return (lambda returns: function(returns, **arguments)) if arguments else function

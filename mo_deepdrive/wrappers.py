@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo.utils import BaseParallelWrapper
 
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, make_utility
 
 if TYPE_CHECKING:

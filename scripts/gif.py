@@ -20,7 +20,7 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.build import load_policy
-from algorithms.experiments.cli import add_trust_argument
+from algorithms.experiments.cli import add_trust_argument, check_file
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import Frame, write_gif
@@ -86,6 +86,7 @@ def main(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     options = parse_arguments(arguments)
     try:
+        check_file("--output", options.output)
         if not 0 <= options.seed < 2**31:
             raise ValueError(f"--seed {options.seed} must be between 0 and {2**31 - 1}")
         if options.side < 16:

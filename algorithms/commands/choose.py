@@ -88,11 +88,12 @@ def choice_table(
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from algorithms.evaluation.statistics import Estimate, mean, rate
+    from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate, mean, rate
 
     chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
-    how = f"{episodes} episodes each, 95% intervals" if episodes > 1 else "1 episode each"
+    intervals = episodes >= MIN_SAMPLES
+    how = f"{episodes} episode{'' if episodes == 1 else 's'} each" + (", 95% intervals" if intervals else "")
     table = Table(
         title=f"{len(front)} policies by {preference.name}; {how}",
         title_justify="left",
@@ -108,7 +109,8 @@ def choice_table(
     for i, objective in enumerate(front.objectives):
         rows.append((objective, [mean(each.returns[:, 0, i]) for each in shown]))
     if np.isfinite(front.success).all():
-        rows.append(("arrivals", [rate(each.succeeded[:, 0]) for each in shown]))
+        arrivals = [rate(each.succeeded[:, 0]) for each in shown]
+        rows.append(("arrivals", arrivals if intervals else [Estimate(each.value) for each in arrivals]))
     rows.append(("decisions", [mean(each.lengths[:, 0].astype(np.float64)) for each in shown]))
     for name, (first, *rest) in rows:
         table.add_row(name, first.text().replace("[", r"\["), *(f"{each.value:.4g}" for each in rest))

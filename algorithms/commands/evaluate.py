@@ -15,7 +15,7 @@ from algorithms.experiments.cli import (
     INSTALLED,
     add_evaluation_arguments,
     add_trust_argument,
-    check_parent,
+    check_directory,
     evaluation_arguments,
     exit_on_error,
     make_parser,
@@ -60,7 +60,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
 
         run = Run.open(options.run, device=options.device, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
-        check_parent("--output", options.output)
+        check_directory("--output", options.output)
         warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
         agent = load_policy(run)
         filmed = report_agent(

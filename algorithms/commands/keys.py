@@ -74,9 +74,9 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             console.print(f"{title}\n", style="bold", markup=False, highlight=False)
             set_here = differing_values(values, keys)
             for key in keys:
-                line, description = key.text().splitlines()
+                line, *description = key.text().splitlines()
                 here = f"; here {set_here[key.name]}" if key.name in set_here else ""
-                for each in (line + here, description):
+                for each in (line + here, *description):
                     text = textwrap.fill(each, console.width, subsequent_indent="    ", break_on_hyphens=False)
                     console.print(text, markup=False, highlight=False, soft_wrap=True)
             console.print()

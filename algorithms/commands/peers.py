@@ -24,7 +24,7 @@ from algorithms.experiments.cli import (
     parse_training_arguments,
 )
 from algorithms.experiments.config import load_experiment
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from argparse import Namespace

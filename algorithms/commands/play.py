@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from algorithms.experiments.cli import (
     INSTALLED,
     add_trust_argument,
-    check_parent,
+    check_file,
     exit_on_error,
     make_parser,
     warn_of_changes,
@@ -50,7 +50,7 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     """Parse the command line.
 
     Raises:
-        ValueError: for a value out of range, or a video in a directory that does not exist.
+        ValueError: for a value out of range, or a video that cannot be written.
     """
     parser = make_parser(__doc__, program, "play")
     parser.add_argument("--env", required=True, metavar="ID", help="one of this package's environments")
@@ -66,7 +66,7 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
         raise ValueError(f"--seed {options.seed} must be between 0 and {MAX_SEED}")
     if options.fps is not None and not 1 <= options.fps <= MAX_FPS:
         raise ValueError(f"--fps {options.fps} must be between 1 and {MAX_FPS}")
-    check_parent("--record", options.record)
+    check_file("--record", options.record, ".mp4")
     return options
 
 

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, as_called, make_parser, warn_of_changes
+from algorithms.experiments.cli import INSTALLED, as_called, check_file, make_parser, warn_of_changes
 from algorithms.sweeps.manifest import is_sweep
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from algorithms.sweeps.plots import plot_sweep
 
     try:
+        check_file("--output", options.output)
         if not any(is_sweep(run) for run in options.runs):
             groups = load_groups(options.runs)
             for run in options.runs:

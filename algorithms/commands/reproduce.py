@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, as_called, make_parser
+from algorithms.experiments.cli import INSTALLED, as_called, check_directory, make_parser
 from algorithms.experiments.interrupts import Stopped
 from algorithms.reproduction import CLAIM_NUMBERS, FIGURES
 
@@ -60,6 +60,8 @@ def check_options(options: Namespace) -> None:
         value = getattr(options, name)
         if value is not None and value < 1:
             raise ValueError(f"--{name} {value} must be at least 1")
+    for name in ("runs", "output"):
+        check_directory(f"--{name}", getattr(options, name))
     if options.redraw and (options.quick or options.seeds is not None):
         raise ValueError("--redraw does not train; it cannot be combined with --quick or --seeds")
 

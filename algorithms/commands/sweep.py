@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import HEADLESS, INSTALLED, as_called, make_parser
+from algorithms.experiments.cli import HEADLESS, INSTALLED, as_called, check_directory, make_parser
 from algorithms.experiments.interrupts import Stopped, no_space
 from algorithms.sweeps import BACKENDS
 from algorithms.sweeps.sweep_settings import load_sweep
@@ -78,6 +78,7 @@ def check_options(options: Namespace) -> None:
     """
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers} must be at least 1")
+    check_directory("--output", options.output)
     for name, backends in BACKENDS_OF_OPTIONS.items():
         if getattr(options, name) and options.on not in backends:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.experiments.cli import INSTALLED, as_called, make_parser
+from algorithms.experiments.cli import INSTALLED, as_called, check_file, make_parser
 from algorithms.experiments.run_files import changed_files
 from algorithms.sweeps.manifest import is_sweep
 
@@ -44,7 +44,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
     )
-    parser.add_argument("--output", type=Path, metavar="FILE", help="also write both tables as CSV")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="also write the tables as CSV")
     parser.add_argument(
         "--sort",
         metavar="METRIC",
@@ -105,9 +105,11 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments, program)
     try:
+        check_file("--output", options.output)
         tables = print_tables(options, partial(warn, program=program))
         if options.output is not None:
-            atomic_write(options.output, csv_bytes([*tables[0], [], *tables[1]]))
+            scores, compared = tables
+            atomic_write(options.output, csv_bytes(scores if len(compared) == 1 else [*scores, [], *compared]))
             print(f"written: {options.output}")
     except (ValueError, OSError) as error:
         warn(f"error: {error}", program)

@@ -23,6 +23,7 @@ from algorithms.experiments.cli import (
     warn_of_changes,
 )
 from algorithms.experiments.config import load_experiment
+from algorithms.experiments.run_directory import resume_options
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -71,7 +72,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         if run.status.get("state") == "finished":
             print(f"{run.path} is finished; there is nothing to resume")
             return int(warn_of_changes(run.path))
-    resume_with = as_called(f"resume with: mo-deepdrive train --resume {run.path}", program)
+    how = resume_options(run.path, run.experiment.to_dict())
+    resume_with = as_called(f"resume with: mo-deepdrive train {how}", program)
     from algorithms.experiments.progress_bar import make_console
     from algorithms.experiments.training import train_and_finish
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.simulation.state import ENDS
 

@@ -55,7 +55,7 @@ def report_agent(
         OSError: if the numbers cannot be written.
     """
     if directory is not None:
-        directory.mkdir(exist_ok=True)
+        directory.mkdir(parents=True, exist_ok=True)
     if not experiment.known_utility:
         from algorithms.reporting.front_report import report_front
 
@@ -160,7 +160,8 @@ def attempt_film(recording: Callable[[], object], path: str | Path, what: str, c
         recording()
         seconds = video_seconds(path) if Path(path).is_file() else None
     except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
-        console.print(f"no video: {type(error).__name__}: {error}", markup=False, highlight=False, soft_wrap=True)
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        console.print(f"no video: {reason}", markup=False, highlight=False, soft_wrap=True)
         return False
     if seconds is not None:
         console.print(f"video: {path}: {what}, {seconds:.1f} s", markup=False, highlight=False, soft_wrap=True)

@@ -13,7 +13,7 @@ from algorithms.evaluation.front import check_reference_point
 from algorithms.evaluation.metrics import vehicle_name
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, c
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
 from algorithms.experiments.run_files import changed_files
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping, Sequence
@@ -183,22 +183,54 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
         seed = SPLITS[split].start
     elif seed not in SEEDS:
         raise ValueError(f"--seed {seed} must be between {SEEDS.start} and {SEEDS.stop - 1}")
-    check_parent("--video", options.video)
+    if options.video:
+        from algorithms.reporting.videos import check_renderable  # with the packages that render
+
+        check_file("--video", options.video, ".mp4")
+        try:
+            check_renderable(experiment.environment.id, experiment.environment.arguments)
+        except ValueError as error:
+            raise ValueError(f"--video {options.video!r}: {error}") from None
     return episodes, seed
 
 
-def check_parent(option: str, path: str | None) -> None:
-    """Check that the directory exists in which an option's file or directory is to be written.
+def check_file(option: str, path: str | Path | None, ending: str = "") -> None:
+    """Check, before any work, that an option's file can be written.
+
+    Args:
+        option: its name, for the message.
+        path: its value; None if it was not given.
+        ending: that its name must have.
+
+    Raises:
+        ValueError: if its directory does not exist, it is a directory, or its name ends otherwise.
+    """
+    if not path:
+        return
+    if not str(path).lower().endswith(ending):
+        raise ValueError(f"{option} {str(path)!r} must end in {ending}")
+    if Path(path).is_dir():
+        raise ValueError(f"{option} {str(path)!r} is a directory; it must be a file")
+    if not (parent := Path(path).absolute().parent).is_dir():
+        raise ValueError(f"{option} {str(path)!r}: {str(parent)!r} is not a directory")
+
+
+def check_directory(option: str, path: str | Path | None) -> None:
+    """Check, before any work, that an option's directory exists or can be made with its parents.
 
     Args:
         option: its name, for the message.
         path: its value; None if it was not given.
 
     Raises:
-        ValueError: if the directory does not exist.
+        ValueError: if it or one of its parents is a file.
     """
-    if path and not (parent := Path(path).absolute().parent).is_dir():
-        raise ValueError(f"{option} {path!r}: {str(parent)!r} is not a directory")
+    if not path:
+        return
+    whole = Path(path).absolute()
+    existing = next(each for each in (whole, *whole.parents) if each.exists())
+    if not existing.is_dir():
+        raise ValueError(f"{option} {str(path)!r}: {str(existing)!r} is not a directory")
 
 
 def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
@@ -15,7 +14,9 @@ from algorithms.evaluation.metrics import vehicle_name
 from algorithms.evaluation.splits import SPLITS, Split, check_episodes
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
-from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, nearest, parse
+from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, parse
+from mo_deepdrive.importing import import_module
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -191,6 +192,8 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
             or an override that cannot be read; all of them are named.
     """
     values = read_mapping(find_config(path))
+    if "config" in values and "algorithm" not in values:
+        raise ValueError(f"{str(path)!r} is the file of a sweep; mo-deepdrive sweep --config {path} trains its runs")
     for key, value in parse_overrides(overrides):
         override(values, key, value)
     return make_experiment(values, f"experiment {str(path)!r}")
@@ -304,10 +307,7 @@ def find_environment(env_id: str) -> EnvSpec:
     """
     module, _, name = env_id.rpartition(":")
     if module:
-        try:
-            importlib.import_module(module)
-        except ImportError as error:
-            raise ValueError(f"environment.id = {env_id!r}: cannot import {module!r}: {error}") from None
+        import_module(f"environment.id = {env_id!r}", module)
     if name not in gymnasium.registry:
         ours = ("mo_deepdrive.", "mo_gymnasium.")
         known = [
@@ -315,7 +315,8 @@ def find_environment(env_id: str) -> EnvSpec:
             for spec in gymnasium.registry.values()
             if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
         ]
-        raise ValueError(f"environment.id = {env_id!r} is not registered; {nearest(name, known)}")
+        own = "" if module else f"for one of your own write 'module:{name}', which imports its module; "
+        raise ValueError(f"environment.id = {env_id!r} is not registered; {own}{nearest(name, known)}")
     return gymnasium.registry[name]
 
 

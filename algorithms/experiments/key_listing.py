@@ -30,7 +30,7 @@ class Key:
         name: dotted path; a part in capitals stands for any name.
         type: as text, such as "float > 0"; "section" where the keys below it follow.
         default: in JSON; "required" if there is none, and empty for a section whose keys have defaults.
-        description: a line.
+        description: a line; empty if the settings model has none.
     """
 
     name: str
@@ -39,9 +39,9 @@ class Key:
     description: str
 
     def text(self) -> str:
-        """The key in a line and its description in another one."""
+        """The key in a line and its description, if it has one, in another one."""
         default = {"": "", "required": ", required"}.get(self.default, f", default {self.default}")
-        return f"{self.name}: {self.type}{default}\n    {self.description}"
+        return f"{self.name}: {self.type}{default}" + (f"\n    {self.description}" if self.description else "")
 
 
 def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:

@@ -8,13 +8,14 @@ dotted paths, so that an experiment can name them without importing them.
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from algorithms import ALGORITHMS
-from algorithms.common.importing import import_named
-from mo_deepdrive.config import Settings, nearest
+from mo_deepdrive.config import Settings
+from mo_deepdrive.importing import import_named
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,17 +43,6 @@ class AlgorithmEntry:
     is_peer: bool
 
 
-def import_object(path: str) -> Any:
-    """The object that ``"module:attribute"`` names.
-
-    Raises:
-        ImportError: if the module cannot be imported.
-        AttributeError: if it has no such attribute.
-    """
-    module, _, attribute = path.partition(":")
-    return getattr(importlib.import_module(module), attribute)
-
-
 def algorithm_names() -> list[str]:
     """The names of this project's algorithms in alphabetical order; imports none of them."""
     return sorted(ALGORITHMS)
@@ -67,7 +57,7 @@ def find_algorithm(name: object) -> AlgorithmEntry:
     if isinstance(name, str) and (name in ALGORITHMS or ":" in name):
         algorithm = agent_class(name)
         return AlgorithmEntry(name, bool(algorithm.known_utility), algorithm.Config, is_peer=False)
-    peers: Mapping[str, Any] = import_object(PEER_TABLE)
+    peers: Mapping[str, Any] = resolve_name(PEER_TABLE)
     if not isinstance(name, str) or name not in peers:
         hint = nearest(name, [*ALGORITHMS, *peers])
         raise ValueError(f"algorithm.name = {name!r} is unknown; {hint}; or package.module:Class")
@@ -118,5 +108,5 @@ def find_trained_policy(name: str) -> Path:
     Raises:
         ValueError: if there is none of this name, with the nearest name.
     """
-    directory: Path = import_object(FIND_TRAINED_POLICY)(name)
+    directory: Path = resolve_name(FIND_TRAINED_POLICY)(name)
     return directory

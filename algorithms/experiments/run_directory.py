@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import subprocess
 from datetime import datetime
 from importlib import metadata
@@ -113,14 +114,13 @@ class Run:
     def make(cls, experiment: Experiment, path: Path) -> Run:
         """As :meth:`create`, but raises OSError if the directory cannot be written."""
         path.mkdir(parents=True, exist_ok=True)
-        refusal = ValueError(f"run directory {str(path)!r} is not empty; choose another, or use --resume {path}")
         if _contents(path):
-            raise refusal
+            raise _not_empty(path)
         run = cls(path, experiment)
         run.lock()
         if _contents(path):  # another process created a run before this one had the lock
             run.unlock()
-            raise refusal
+            raise _not_empty(path)
         write_json(path / "versions.json", versions())
         run.set_status("running", 0)
         # Written last: a directory with a config.yaml is complete.
@@ -276,6 +276,11 @@ class Run:
         ]
 
 
+def is_run(path: Path) -> bool:
+    """Whether a directory is that of a run, or has a policy of the zoo."""
+    return (path / "config.yaml").is_file()
+
+
 def read_status(path: Path) -> dict[str, Any]:
     """The contents of a run's status.json; empty if it is missing or broken.
 
@@ -311,6 +316,25 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
     if paths.get("environment.id", "").partition(":")[0] in ALREADY_IMPORTED:
         del paths["environment.id"]
     return paths
+
+
+def resume_options(path: Path, values: Mapping[str, Any]) -> str:
+    """The options with which the command train resumes a run.
+
+    Args:
+        path: the run's directory.
+        values: the sections of its experiment; --trust is needed where they name code to import.
+    """
+    return f"--resume {shlex.quote(str(path))}" + (" --trust" if imported_paths(values) else "")
+
+
+def _not_empty(path: Path) -> ValueError:
+    """The error for the directory of a new run that has something in it, perhaps another run."""
+    try:
+        resume = f", or use {resume_options(path, read_mapping(path / 'config.yaml'))}"
+    except ValueError:  # no run, or one that cannot be resumed
+        resume = ""
+    return ValueError(f"run directory {str(path)!r} is not empty; choose another{resume}")
 
 
 def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:

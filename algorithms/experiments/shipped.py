@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
+
+from mo_deepdrive.names import nearest_few
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Within the package where it is installed from a wheel, beside the package in a checkout.
@@ -27,7 +28,9 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
         ValueError: if there is neither, with the places and the nearest shipped names.
     """
     path = Path(name)
-    candidates = [path] if beside is None else [path, Path(beside).parent / path]
+    candidates = [path]
+    if beside is not None and (other := Path(beside).parent / path).absolute() != path.absolute():
+        candidates.append(other)
     for candidate in candidates:
         if candidate.is_file():
             return candidate
@@ -36,6 +39,6 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
         return CONFIGS / f"{wanted}.yaml"
     if path.exists():
         return path  # what is wrong with it is said by who reads it
-    near = ", ".join(difflib.get_close_matches(wanted, names, n=3, cutoff=0.0))
     places = f" (looked for {' and '.join(map(str, candidates))})" if len(candidates) > 1 else ""
+    near = nearest_few(wanted, names)
     raise ValueError(f"config file {str(name)!r} does not exist{places}; the nearest names of shipped ones: {near}")

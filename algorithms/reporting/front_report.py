@@ -11,7 +11,7 @@ from rich.text import Text
 
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.pareto import farthest_point_subset
-from algorithms.evaluation.front import Front, best_known_front, measure_front
+from algorithms.evaluation.front import FRONT_FILE, Front, best_known_front, measure_front
 from algorithms.evaluation.metrics import FRONT, name_and_unit
 from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate
 from algorithms.reporting.captions import cut_off
@@ -78,7 +78,8 @@ def report_front(
         env.close()
     measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
     title = f"{algorithm} on {env_id}"
-    console.print(front_table(front, measured, f"{title}: {len(front)} policies", console.width))
+    whole = "--output DIR writes all" if directory is None else f"all are in {directory / FRONT_FILE}"
+    console.print(front_table(front, measured, title, console.width, whole))
     if directory is not None:
         policies = {FRONT: {name: asdict(Estimate(value)) for name, value in measured.items()}}
         front.write(directory, {**about, "reference_point": reference_point, "policies": policies})
@@ -94,10 +95,15 @@ def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
     return chosen[np.argsort(front.discounted[chosen, 0], kind="stable")]
 
 
-def front_table(front: Front, measured: Mapping[str, float], title: str, width: int) -> Group:
+def front_table(front: Front, measured: Mapping[str, float], title: str, width: int, whole: str = "") -> Group:
     """A table of some policies of a front with the intervals of their returns, and the front's indicators below it.
 
-    It takes ``width`` columns: objectives that do not fit are in a further table.
+    Args:
+        front: evaluated policies; of more than TABLE_ROWS those are shown that cover it.
+        measured: the indicators.
+        title: what the front belongs to.
+        width: columns of the terminal: objectives that do not fit are in a further table.
+        whole: where all policies are, for a front that is not shown as a whole.
     """
     numbers = [
         f"{name.replace('_', ' ')} {f'{value:,.0f}' if value >= 1e4 else f'{value:.4g}'}"
@@ -107,7 +113,8 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
     shown = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
     names = [front.objectives[i] for i in shown]
     rows = [["policy", *names, *(["arrivals"] if arrivals else []), "decisions"]]
-    for k in covering_policies(front, TABLE_ROWS).tolist():
+    chosen = covering_policies(front, TABLE_ROWS).tolist()
+    for k in chosen:
         cells = [
             Estimate(*(float(array[k, i]) for array in (front.returns, front.low, front.high))).text()
             if front.episodes >= MIN_SAMPLES
@@ -118,7 +125,10 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
     how = f"{front.episodes} episode{'' if front.episodes == 1 else 's'} each"
     how += ", 95% intervals" if front.episodes >= MIN_SAMPLES else ""
-    heading = Text(f"{title}; undiscounted returns, {how}", style="bold")
+    count = f"{len(front)} policies"
+    if len(chosen) < len(front):
+        count = f"{len(chosen)} of {count}, which cover the front" + (f" ({whole})" if whole else "")
+    heading = Text(f"{title}: {count}; undiscounted returns, {how}", style="bold")
     return Group(heading, *fitted_tables(rows, 1, width), Text(", ".join(numbers)))
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -13,30 +14,26 @@ from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
 from algorithms.evaluation.estimates import estimate_metrics
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import (
-    COLLISION,
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
+    END,
     LENGTH,
-    OFF_LANE,
     SUCCESS,
     UTILITY,
     UTILITY_ESR,
     UTILITY_SER,
     discounted_return_of,
-    end_by,
     return_of,
     split_name,
 )
+from algorithms.evaluation.statistics import Estimate, rate
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from algorithms.evaluation.episodes import Evaluation
-    from algorithms.evaluation.statistics import Estimate
 
-# Ends that need something to happen, and the objective that an environment has where it can.
-_OBJECTIVE_OF_END = {end_by(COLLISION): "collision", end_by(OFF_LANE): "lane_violation"}
 # Metrics that may have the values of another one.
 _REPEATED = {
     UTILITY_SER: UTILITY_ESR,
@@ -48,8 +45,8 @@ _REPEATED = {
 def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table:
     """A table with a row per metric and a column per policy.
 
-    Metrics that cannot differ from 0 (collisions where there is nothing to collide with) and those that repeat another
-    one (SER of a linear utility, the return of our destination) are left out; the files have all.
+    Ends that no episode had and metrics that repeat another one (SER of a linear utility, the return of our
+    destination) are left out; the files have all.
     """
     columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
     names: list[str] = []
@@ -59,10 +56,15 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
-    objectives = {objective for evaluation in evaluations.values() for objective in evaluation.objectives}
-    names = [name for name in names if _says_more(name, list(columns.values()), objectives)]
+    names = [name for name in names if _says_more(name, list(columns.values()))]
+    for policy, evaluation in evaluations.items():
+        never = rate(np.zeros(len(evaluation.returns), dtype=np.bool_))
+        if any(map(_is_end, columns[policy])):
+            columns[policy] = {**dict.fromkeys(filter(_is_end, names), never), **columns[policy]}
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", overflow="fold")
+    if any(_is_end(name) for estimates in columns.values() for name in estimates):
+        result.caption, result.caption_justify = f"Ends ({END}...) that no episode had are left out.", "left"
     for policy in columns:
         result.add_column(policy, justify="right", overflow="fold")
     for name in names:
@@ -71,10 +73,14 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     return result
 
 
-def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]], objectives: Collection[str]) -> bool:
-    """Whether a metric can have another value than it always has, and than another metric has."""
+def _is_end(name: str) -> bool:
+    return split_name(name).metric.startswith(END)
+
+
+def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]]) -> bool:
+    """Whether a metric is not that of an end that no episode had, and differs from the metric that it may repeat."""
     metric = split_name(name).metric
-    if metric in _OBJECTIVE_OF_END and _OBJECTIVE_OF_END[metric] not in objectives:
+    if _is_end(name):
         return any(name in column and column[name].value > 0.0 for column in columns)
     if metric in _REPEATED:
         other = name.removesuffix(metric) + _REPEATED[metric]

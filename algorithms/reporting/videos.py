@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +14,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
 from algorithms.evaluation.splits import SPLITS
 from algorithms.reporting.captions import cut_off
 from mo_deepdrive.envs.vector import DrivingVectorEnv
@@ -116,17 +115,31 @@ def make_render_env(env_id: str, env_arguments: Mapping[str, Any] | None = None)
         ValueError: if the environment cannot be rendered.
     """
     arguments = {**(env_arguments or {}), "render_mode": "rgb_array"}
-    module, _, name = env_id.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    if str(gymnasium.spec(name).vector_entry_point).startswith("mo_deepdrive."):
+    if _is_ours(env_id):
         return gymnasium.make_vec(env_id, num_envs=1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
-    env = make_env(env_id, 1, arguments)
+    check_renderable(env_id, env_arguments)
+    return make_env(env_id, 1, arguments)
+
+
+def check_renderable(env_id: str, env_arguments: Mapping[str, Any] | None = None) -> None:
+    """Refuse an environment that does not declare the render mode "rgb_array"; arguments as :func:`make_render_env`.
+
+    Raises:
+        ValueError: with the render modes that it has.
+    """
+    if _is_ours(env_id):
+        return
+    env = make_env(env_id, 1, dict(env_arguments or {}))
     modes = list(env.unwrapped.metadata.get("render_modes", []))
+    env.close()
     if "rgb_array" not in modes:
-        env.close()
-        raise ValueError(f"environment {env_id} has no render mode 'rgb_array'; it has {modes}")
-    return env
+        raise ValueError(
+            f"environment {env_id!r} cannot be rendered: metadata['render_modes'] = {modes} lacks 'rgb_array'"
+        )
+
+
+def _is_ours(env_id: str) -> bool:
+    return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
 
 
 def _episodes(

@@ -12,7 +12,8 @@ from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Count, load_experiment
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.shipped import find_config
-from mo_deepdrive.config import Settings, nearest, parse
+from mo_deepdrive.config import Settings, parse
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

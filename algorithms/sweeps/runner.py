@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.experiments.dashboard import Dashboard, count_states, summary_of
 from algorithms.experiments.interrupts import Interrupts
-from algorithms.experiments.run_directory import read_status
+from algorithms.experiments.run_directory import is_run, read_status
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
 from algorithms.sweeps.verification import verify
@@ -125,15 +125,33 @@ class SweepRunner:
         return 0
 
     def _expand(self) -> list[ManifestRow]:
-        """The runs of the sweep; with a search, those of the batches chosen so far."""
+        """The runs of the sweep; with a search, those of the batches chosen so far.
+
+        Raises:
+            ValueError: for an invalid sweep, or the directory of a run or of another sweep.
+        """
+        if is_run(self._directory):
+            raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another --output")
         search = self._settings.search
         scores: dict[str, float | None] = {}
         if search is not None and is_sweep(self._directory):
+            self._refuse_other_sweep(expand(self._settings, scores))  # whose scores may not have the search's metric
             rows = read_manifest(self._directory)
             scores |= read_scores([row.job(self._directory) for row in rows], search.metric)
             self._remember_failures(rows, search.batch)
         scores |= {job.id: None for job in self._failed if job.id is not None}
-        return expand(self._settings, scores)
+        expanded = expand(self._settings, scores)
+        self._refuse_other_sweep(expanded)
+        return expanded
+
+    def _refuse_other_sweep(self, rows: Sequence[ManifestRow]) -> None:
+        """Refuse a directory whose manifest has none of ``rows``; that of a sweep that was extended or cut has some."""
+        before = {row.id: row.name for row in iterate_manifest(self._directory)} if is_sweep(self._directory) else {}
+        if before and before.keys().isdisjoint(row.id for row in rows):
+            raise ValueError(
+                f"{str(self._directory)!r} has another sweep: none of its {len(before)} runs, such as "
+                f"{next(iter(before.values()))}, is in this one; choose another --output, or delete that sweep"
+            )
 
     def _remember_failures(self, rows: Sequence[ManifestRow], batch_size: int) -> None:
         """Do not retry failed runs of earlier batches: later batches were chosen with these failures."""

@@ -181,8 +181,11 @@ def load_sweep(path: str | Path) -> SweepSettings:
     Raises:
         ValueError: naming the file and every invalid key; or a config that does not exist, with the places.
     """
-    what, path = f"sweep {str(path)!r}", find_config(path)
-    settings = parse(SweepSettings, read_mapping(path), what)
+    name, path = str(path), find_config(path)
+    what, given = f"sweep {name!r}", read_mapping(path)
+    if "algorithm" in given and "config" not in given:
+        raise ValueError(f"{name!r} is the file of an experiment; mo-deepdrive train --config {name} trains it")
+    settings = parse(SweepSettings, given, what)
     space = {} if settings.search is None else settings.search.space
     places: dict[str, dict[str, Any]] = {
         "overrides": settings.overrides,
@@ -199,8 +202,8 @@ def load_sweep(path: str | Path) -> SweepSettings:
     for key, values in space.items():
         problems += [f"search.space.{key}: {problem}" for problem in _problems(values)]
     fixed = [(key, [value]) for key, value in settings.overrides.items()] + list(settings.grid.items())
-    for key, given in fixed:
-        if key == "training" and any(isinstance(value, dict) and "seed" in value for value in given):
+    for key, choices in fixed:
+        if key == "training" and any(isinstance(value, dict) and "seed" in value for value in choices):
             problems.append("'seed' in 'training': set seeds with the key 'seeds'")
     if len(set(settings.config)) < len(settings.config):
         problems.append(f"config = {settings.config} has a duplicate file")

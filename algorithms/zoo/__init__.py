@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest_few
 
 ZOO = Path(__file__).resolve().parent
 CONFIG, CHECKPOINT, ABOUT = "config.yaml", "checkpoint.safetensors", "about.json"
@@ -32,9 +32,12 @@ def find(name: str) -> Path:
     """The folder of a policy.
 
     Raises:
-        ValueError: for an unknown name, with the nearest known one.
+        ValueError: for an unknown name, with the nearest known ones.
     """
     known = names()
     if name not in known:
-        raise ValueError(f"the zoo has no policy {name!r}; {nearest(name, known)}" if known else "the zoo is empty")
+        if not known:
+            raise ValueError("the zoo is empty")
+        near = nearest_few(name, known)
+        raise ValueError(f"the zoo has no policy {name!r}; the nearest: {near}; mo-deepdrive zoo lists all")
     return ZOO / name

@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CAPTION = (
-    "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split. "
-    "Names end in -printed for the paper's hyperparameters, in -together where the first vehicle to end ends the "
-    "episode for both, and in -solved where the median run fails and another one is added. "
-    "All policies: docs/reproduction.md."
+    "Arrivals (both vehicles, where there are two) and utility (their sum): greedy / stochastic policy, test split."
 )
+ENDINGS = {
+    "-printed": "for the paper's hyperparameters",
+    "-together": "where the first vehicle to end ends the episode for both",
+    "-solved": "where the median run fails and another one is added",
+}
 
 
 def zoo_table() -> Table:
@@ -42,7 +44,9 @@ def zoo_table() -> Table:
     table = Table(
         title="policies of the zoo", title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
-    table.caption, table.caption_justify = CAPTION, "left"
+    endings = [f"in {ending} {what}" for ending, what in ENDINGS.items() if any(n.endswith(ending) for n in names())]
+    table.caption = CAPTION + (f" Names end {', '.join(endings)}." if endings else "")
+    table.caption_justify = "left"
     table.add_column("name", no_wrap=True)
     for column in ("task", "arrivals (%)", "utility (ESR)"):
         table.add_column(column, overflow="fold")

@@ -19,7 +19,13 @@ class REINFORCE(Agent):
     """One policy for all vehicles."""
 
     class Config(NetworkSettings):
-        """Step size, discount g, and the number of decisions in which every episode has ended."""
+        """Hyperparameters.
+
+        Attributes:
+            learning_rate: Adam's step size.
+            gamma: the discount g.
+            steps: number of decisions in which every episode has ended.
+        """
 
         learning_rate: LearningRate = 5e-3
         gamma: Fraction = 1.0

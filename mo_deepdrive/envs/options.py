@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.config import nearest
+from mo_deepdrive.names import nearest
 from mo_deepdrive.scenarios import FARTHEST, Scenario
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import SPAWN, with_obstacles

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.wrappers import BaseWrapper
 
-from mo_deepdrive.config import nearest, parse_arguments
+from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import option_names
 from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import RENDER_MODES, World
 from mo_deepdrive.extras import needed_for
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from gymnasium import spaces

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mo_deepdrive.config import EnvConfig, UtilityChoice, nearest, parse
+from mo_deepdrive.config import EnvConfig, UtilityChoice, parse
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.parallel import DrivingParallelEnv
 from mo_deepdrive.extras import needed_for
+from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, make_utility
 
 with needed_for("mo_deepdrive.envs.rllib", extra="rllib"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mo_deepdrive.config import EnvConfig, nearest
+from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
 from mo_deepdrive.scenarios import MAP_CENTRE, SCENARIOS, Scenario
 from mo_deepdrive.simulation.state import (
@@ -19,6 +19,8 @@ from mo_deepdrive.simulation.state import (
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mo_deepdrive.config import EnvConfig
 
 ORIGINAL_FREQUENCY = 60  # Hz; the frictions are per physics step at this frequency
 

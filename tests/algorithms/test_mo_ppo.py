@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from algorithms import MOA2C, MOPPO
 from tests.helpers.agents import (
     CONTINUOUS,
-    NONLINEAR,
-    exaggerate,
+    experienced,
     handmade,
-    make_agent,
 )
 
-if TYPE_CHECKING:
-    from algorithms.actor_critic import ActorCritic
-
 ADVANTAGES = pytest.mark.parametrize("advantage", ["utility_difference", "as_printed", "utility_gradient"])
-
-
-def learner_of(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCritic, Any]:
-    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
-    exaggerate(agent)
-    agent.learners[0].on_episodes_end(np.array([[12.0, 0.9, -4.0, -30.0]]))
-    return agent, agent.learners[0]
 
 
 @ADVANTAGES
@@ -37,8 +24,8 @@ def test_one_epoch_of_one_minibatch_is_the_step_of_mo_a2c(
     advantage: str, env: dict[str, Any], normalised: bool
 ) -> None:
     settings = {"advantage": advantage, "env": env, "normalise_advantages": normalised}
-    one, clipped = learner_of(MOPPO, epochs=1, minibatches=1, **settings)
-    other, plain = learner_of(MOA2C, **settings)
+    one, clipped = experienced(MOPPO, epochs=1, minibatches=1, **settings)
+    other, plain = experienced(MOA2C, **settings)
     for agent, learner in ((one, clipped), (other, plain)):
         metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05)
         assert metrics["policy/entropy"] > 0.0

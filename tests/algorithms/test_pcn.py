@@ -24,7 +24,7 @@ from algorithms.evaluation.front import indicators
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded, same
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,10 +60,6 @@ def saved(agent: PCN, folder: Path) -> dict[str, torch.Tensor]:
     """Everything that determines the future of an agent."""
     agent.save(folder / "saved.safetensors")
     return load_file(folder / "saved.safetensors")
-
-
-def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
-    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
 def scramble(agent: PCN, size: float) -> None:

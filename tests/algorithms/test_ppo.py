@@ -11,8 +11,7 @@ import torch
 from algorithms import A2C, MOPPO, PPO
 from tests.helpers.agents import (
     CONTINUOUS,
-    NONLINEAR,
-    exaggerate,
+    experienced,
     handmade,
     make_agent,
     same,
@@ -25,20 +24,13 @@ if TYPE_CHECKING:
 CLIPPED = pytest.mark.parametrize("cls", [PPO, MOPPO])
 
 
-def learner_of(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCritic, Any]:
-    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
-    exaggerate(agent)
-    agent.learners[0].on_episodes_end(np.array([[12.0, 0.9, -4.0, -30.0]]))
-    return agent, agent.learners[0]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("env", [{}, CONTINUOUS], ids=["discrete", "continuous"])
 @pytest.mark.parametrize("normalised", [False, True])
 def test_one_epoch_of_one_minibatch_is_the_step_of_a2c(env: dict[str, Any], normalised: bool) -> None:
     settings = {"env": env, "normalise_advantages": normalised}
-    one, clipped = learner_of(PPO, epochs=1, minibatches=1, **settings)
-    other, plain = learner_of(A2C, **settings)
+    one, clipped = experienced(PPO, epochs=1, minibatches=1, **settings)
+    other, plain = experienced(A2C, **settings)
     for agent, learner in ((one, clipped), (other, plain)):
         metrics = learner.update(handmade(agent, masked=True), learner.config.learning_rate, 0.05)
         assert metrics["policy/entropy"] > 0.0
@@ -65,7 +57,7 @@ def recorded_steps(learner: Any, rollout: Any, monkeypatch: pytest.MonkeyPatch) 
 def test_every_epoch_uses_every_acting_sample_once(
     cls: type[ActorCritic], epochs: int, minibatches: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    agent, learner = learner_of(cls, epochs=epochs, minibatches=minibatches)
+    agent, learner = experienced(cls, epochs=epochs, minibatches=minibatches)
     rollout = handmade(agent, steps=12, masked=True)
     count = int(rollout.acted.sum())
     assert 10 < count < rollout.acted.numel()
@@ -88,7 +80,7 @@ def test_every_epoch_uses_every_acting_sample_once(
 def test_the_old_policy_and_the_advantages_are_fixed_during_the_epochs(
     cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    agent, learner = learner_of(cls, epochs=3, minibatches=1, learning_rate=0.01)
+    agent, learner = experienced(cls, epochs=3, minibatches=1, learning_rate=0.01)
     rollout = handmade(agent)
     steps = recorded_steps(learner, rollout, monkeypatch)
 
@@ -105,7 +97,7 @@ def test_the_old_policy_and_the_advantages_are_fixed_during_the_epochs(
 def test_the_loss_is_the_clipped_surrogate_written_out_and_clipped_samples_have_no_gradient(
     cls: type[ActorCritic],
 ) -> None:
-    agent, learner = learner_of(cls, clip=0.2, value_coefficient=1e-9, max_grad_norm=1e9)
+    agent, learner = experienced(cls, clip=0.2, value_coefficient=1e-9, max_grad_norm=1e9)
     samples = learner.samples(handmade(agent, steps=20))
     # As if the policy had moved since: ratios on both sides of the clip.
     shift = torch.linspace(-0.6, 0.6, len(samples.actions))
@@ -154,7 +146,7 @@ def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(
 def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None:
     results = []
     for noise in (0.0, 5.0):
-        agent, learner = learner_of(cls)
+        agent, learner = experienced(cls)
         rollout = handmade(agent, masked=True)
         masked = ~rollout.acted
         rollout.rewards[masked] += noise
@@ -167,7 +159,7 @@ def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None
 
 @CLIPPED
 def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
-    agent, learner = learner_of(cls)
+    agent, learner = experienced(cls)
     rollout = handmade(agent)
     rollout.acted[:] = False
     before = state(agent)

@@ -68,6 +68,14 @@ def state(agent: ActorCritic) -> dict[str, torch.Tensor]:
     }
 
 
+def experienced(cls: type[ActorCritic], **hyperparameters: Any) -> tuple[ActorCritic, Any]:
+    """An agent far from its initial weights, in which an episode has ended, and its learner."""
+    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **hyperparameters)
+    exaggerate(agent)
+    agent.learners[0].on_episodes_end(np.array([[12.0, 0.9, -4.0, -30.0]]))
+    return agent, agent.learners[0]
+
+
 def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
     """Equal bit for bit."""
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)

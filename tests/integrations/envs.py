@@ -7,8 +7,9 @@ from typing import Any
 import gymnasium
 import mo_gymnasium
 import numpy as np
+import pytest
 
-import mo_deepdrive  # noqa: F401  (registers the ids)
+import mo_deepdrive
 from mo_deepdrive.wrappers import UtilityReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -32,6 +33,17 @@ def scalar(**options: Any) -> Any:
 def vector(env_id: str = ONE_WAYPOINT, num_envs: int = 3, **options: Any) -> Any:
     """The native vector environment."""
     return gymnasium.make_vec(env_id, num_envs=num_envs, **{**SHORT, **options})
+
+
+def parallel(**options: Any) -> Any:
+    """The parallel environment of two vehicles."""
+    return mo_deepdrive.parallel_env(**{**SHORT, **options})
+
+
+def aec(**options: Any) -> Any:
+    """The environment of two vehicles that act in turns; skips the test without MOMAland."""
+    pytest.importorskip("momaland", reason="MOMAland is not installed: it converts to AEC")
+    return mo_deepdrive.env(**{**SHORT, **options})
 
 
 def one_leaves_early(agents: list[str]) -> dict[str, int]:

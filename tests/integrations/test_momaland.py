@@ -12,17 +12,13 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from tests.integrations.envs import SHORT, WEIGHTS, one_leaves_early
+from tests.integrations.envs import SHORT, WEIGHTS, one_leaves_early, parallel
 from tests.integrations.matrix import Library, row
 
 LIBRARY = Library("MOMAland", "momaland", "momaland", "`mo_deepdrive.parallel_env()`, `mo_deepdrive.env()`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 EARLY = {"harmful_g_force": 0.1}
-
-
-def parallel(**options: Any) -> Any:
-    return mo_deepdrive.parallel_env(**{**SHORT, **options})
 
 
 def drive(env: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:

@@ -13,7 +13,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
-from tests.integrations.envs import SHORT, one_leaves_early
+from tests.integrations.envs import SHORT, aec, one_leaves_early, parallel
 from tests.integrations.matrix import Library, row
 
 if TYPE_CHECKING:
@@ -27,15 +27,6 @@ LIBRARY = Library(
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore")
-
-
-def parallel(**options: Any) -> Any:
-    return mo_deepdrive.parallel_env(**{**SHORT, **options})
-
-
-def aec(**options: Any) -> Any:
-    pytest.importorskip("momaland", reason="MOMAland is not installed: it converts to AEC")
-    return mo_deepdrive.env(**{**SHORT, **options})
 
 
 def drive_parallel(env: Any, shape: tuple[int, ...] = (6,)) -> int:

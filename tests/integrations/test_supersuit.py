@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
-from tests.integrations.envs import SHORT, VEHICLES, one_leaves_early, scalar
+from tests.integrations.envs import VEHICLES, aec, one_leaves_early, parallel, scalar
 from tests.integrations.matrix import Library, row
 
 if TYPE_CHECKING:
@@ -19,15 +18,6 @@ LIBRARY = Library("SuperSuit", "supersuit", "supersuit", "`supersuit.dtype_v0(mo
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 CONTINUOUS = {"action_type": "continuous"}
-
-
-def parallel(**options: Any) -> Any:
-    return mo_deepdrive.parallel_env(**{**SHORT, **options})
-
-
-def aec(**options: Any) -> Any:
-    pytest.importorskip("momaland", reason="MOMAland is not installed: it converts to AEC")
-    return mo_deepdrive.env(**{**SHORT, **options})
 
 
 def scalars(**options: Any) -> Any:

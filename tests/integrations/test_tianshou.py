@@ -38,8 +38,6 @@ def train_dqn(make: Any) -> Any:
     from tianshou.algorithm import DQN
     from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
     from tianshou.algorithm.optim import AdamOptimizerFactory
-    from tianshou.data import Collector, VectorReplayBuffer
-    from tianshou.env import DummyVectorEnv
     from tianshou.trainer import OffPolicyTrainerParams
     from tianshou.utils.net.common import Net
 
@@ -51,21 +49,13 @@ def train_dqn(make: Any) -> Any:
         eps_training=0.1,
     )
     algorithm = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.99, target_update_freq=10)
-    training = Collector(algorithm, DummyVectorEnv([make] * 2), VectorReplayBuffer(500, 2), exploration_noise=True)
-    training.reset()
-    return algorithm.run_training(
-        OffPolicyTrainerParams(
-            training_collector=training,
-            test_collector=Collector(algorithm, DummyVectorEnv([make] * 2)),
-            max_epochs=1,
-            epoch_num_steps=200,
-            collection_step_num_env_steps=20,
-            test_step_num_episodes=2,
-            batch_size=16,
-            update_step_num_gradient_steps_per_sample=0.1,
-            show_progress=False,
-            verbose=False,
-        )
+    return train(
+        algorithm,
+        make,
+        OffPolicyTrainerParams,
+        collection_step_num_env_steps=20,
+        batch_size=16,
+        update_step_num_gradient_steps_per_sample=0.1,
     )
 
 
@@ -74,8 +64,6 @@ def train_ppo(make: Any) -> Any:
     from tianshou.algorithm import PPO
     from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
     from tianshou.algorithm.optim import AdamOptimizerFactory
-    from tianshou.data import Collector, VectorReplayBuffer
-    from tianshou.env import DummyVectorEnv
     from tianshou.trainer import OnPolicyTrainerParams
     from tianshou.utils.net.common import Net
     from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
@@ -92,20 +80,33 @@ def train_ppo(make: Any) -> Any:
     )
     critic = ContinuousCritic(preprocess_net=Net(state_shape=shape, hidden_sizes=[8]))
     algorithm = PPO(policy=policy, critic=critic, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.99)
-    training = Collector(algorithm, DummyVectorEnv([make] * 2), VectorReplayBuffer(500, 2))
+    return train(
+        algorithm,
+        make,
+        OnPolicyTrainerParams,
+        collection_step_num_env_steps=100,
+        batch_size=32,
+        update_step_num_repetitions=1,
+    )
+
+
+def train(algorithm: Any, make: Any, parameters: Any, **options: Any) -> Any:
+    """The result of one short epoch in two environments, with Tianshou's trainer."""
+    from tianshou.data import Collector, VectorReplayBuffer
+    from tianshou.env import DummyVectorEnv
+
+    training = Collector(algorithm, DummyVectorEnv([make] * 2), VectorReplayBuffer(500, 2), exploration_noise=True)
     training.reset()
     return algorithm.run_training(
-        OnPolicyTrainerParams(
+        parameters(
             training_collector=training,
             test_collector=Collector(algorithm, DummyVectorEnv([make] * 2)),
             max_epochs=1,
             epoch_num_steps=200,
-            collection_step_num_env_steps=100,
             test_step_num_episodes=2,
-            batch_size=32,
-            update_step_num_repetitions=1,
             show_progress=False,
             verbose=False,
+            **options,
         )
     )
 

@@ -270,6 +270,22 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     assert "-0.00" not in [text for text, _ in written]
 
 
+@pytest.mark.parametrize("scenario", ["one_waypoint", "intersection"])
+def test_the_readings_have_labels_that_fit_their_tiles(scenario: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, ends = Panel._write, {}
+
+    def note(panel: Panel, text: str, x: float, *rest: Any) -> float:
+        end = write(panel, text, x, *rest)
+        ends.setdefault(text, end - x)
+        return end
+
+    monkeypatch.setattr(Panel, "_write", note)
+    batch, viewer = start(scenario)
+    viewer.draw(batch.state[0])
+    for label in ("Speed", "G force", "Jerk", "Along the route"):
+        assert ends[label] < 144 - 2 * 10, "a tile without its margins"
+
+
 def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
     batch, _ = start("intersection")
     trace = EpisodeTrace(2, 6, 10)

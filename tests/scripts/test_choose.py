@@ -181,6 +181,15 @@ def test_of_policies_that_all_reach_the_target_the_best_overall_is_chosen(
     assert overall[k] == pytest.approx(overall.max(), abs=1e-6)
 
 
+def test_few_episodes_have_no_intervals(folder: Path, choose: Choose) -> None:
+    code, out, error = choose(folder, "--episodes", 1, "--seed", SEED, "--weights", "distance=1")
+    assert code == 0, error
+    assert "1 episode each " in out
+    table = out.partition("episode each")[2]
+    assert "arrivals" in table
+    assert "[" not in table
+
+
 @pytest.mark.parametrize(
     ("options", "messages"),
     [

@@ -48,6 +48,8 @@ def test_evaluate_prints_and_writes_its_numbers(finished: Path, tmp_path: Path, 
     assert (numbers["episodes"], numbers["seed"], numbers["step"]) == (5, 9, 2016)
     refused(call("evaluate", finished, "--episodes", 0), "--episodes 0")
     refused(call("evaluate", finished, "--video", "nowhere/drive.mp4"), "nowhere")
+    refused(call("evaluate", finished, "--video", "drive.txt"), "--video 'drive.txt' must end in .mp4")
+    assert not (tmp_path / "drive.txt").exists()
 
 
 def test_evaluate_repeats_the_evaluation_at_the_end_of_training(finished: Path, tmp_path: Path, call: Call) -> None:

@@ -26,6 +26,7 @@ def test_plot_draws_runs(finished: Path, tmp_path: Path, call: Call) -> None:
     refused(call("plot", "nowhere"), "'nowhere' is not a run directory")
     refused(call("plot", finished, finished), "the same seed")
     refused(call("plot", finished, "--output", "curves.xyz"), "xyz")
+    refused(call("plot", finished, "--output", "nowhere/x.png"), "--output 'nowhere/x.png'", "nowhere' is not a direc")
 
 
 def test_plot_draws_runs_of_fronts(finished_front: Path, tmp_path: Path, call: Call) -> None:

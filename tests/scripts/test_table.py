@@ -168,10 +168,17 @@ def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, run_table
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
     rows = list(csv.reader(output.read_text().splitlines()))
-    end = rows.index([])
     assert rows[0] == ["environment", "algorithm", "steps", "policy", "seeds", "hypervolume", "cardinality"]
-    assert [row[5:] for row in rows[1:end]] == [["7.5", "3"]] * 2
-    assert len(rows) == end + 2  # the header of the comparisons
+    assert [row[5:] for row in rows[1:]] == [["7.5", "3"]] * 2, "and no lines of comparisons"
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_table(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_table(tmp_path, "--output", tmp_path / "nowhere" / "scores.csv") == 2
+    where = tmp_path / "nowhere"
+    message = f"error: --output '{where}/scores.csv': '{where}' is not a directory\n"
+    assert capsys.readouterr() == ("", message)
 
 
 def test_a_run_whose_final_evaluation_has_changed_is_left_out(

@@ -14,20 +14,22 @@ import time
 from dataclasses import dataclass
 from functools import reduce
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import yaml
 
+from algorithms.commands.train import parse_arguments
 from algorithms.common.metrics_file import read_metrics
 from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.cli import INSTALLED
 from algorithms.experiments.config import load_experiment
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="needs POSIX commands and signals")]
 
@@ -202,11 +204,11 @@ def directory_of(folder: Path, run_id: str) -> Path | None:
 
 
 def environment(folder: Path, server: Server, **variables: str) -> dict[str, str]:
-    """Environment variables: W&B is ``server``, `python` is this interpreter."""
+    """Environment variables: W&B is ``server``, `mo-deepdrive` runs in this interpreter."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
     return {
         **kept,
-        "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+        "PATH": os.pathsep.join([str(folder / "bin"), os.environ["PATH"]]),
         "PYTHONPATH": str(REPOSITORY),
         "WANDB_BASE_URL": f"http://127.0.0.1:{server.server_port}",
         "WANDB_API_KEY": "0123456789" * 4,
@@ -237,13 +239,15 @@ def call(folder: Path, server: Server, *arguments: str, **variables: str) -> str
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
     """The sweep in configs/sweeps, created in another project and run by the agent that `wandb sweep` prints."""
     folder = tmp_path_factory.mktemp("sweep")
-    (folder / "wandb").mkdir()
-    for name in ("configs", "scripts"):
-        (folder / name).symlink_to(REPOSITORY / name)
+    for name in ("wandb", "bin"):
+        (folder / name).mkdir()
+    program = folder / "bin" / "mo-deepdrive"  # as pip installs it
+    program.write_text(f"#!{sys.executable}\nimport sys\nfrom algorithms.__main__ import main\nsys.exit(main())\n")
+    program.chmod(0o755)
     with Server(folder) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
-            made = call(folder, server, "sweep", "--entity=team", "--project=elsewhere", DEFINITION)
+            made = call(folder, server, "sweep", "--entity=team", "--project=elsewhere", str(REPOSITORY / DEFINITION))
             agents = re.findall(r"wandb agent ([\w/-]+)", made)
             assert agents == [f"team/elsewhere/{SWEEP}"], made
             yield Sweep(folder, server, call(folder, server, "agent", *agents, WANDB_MODE="offline"))
@@ -259,15 +263,18 @@ def state(run: Path) -> str:
     return json.loads((run / "status.json").read_text())["state"]
 
 
-def test_every_value_of_the_sweep_is_valid_for_the_experiment() -> None:
+def test_the_command_is_the_installed_one_and_every_value_is_valid_for_the_experiment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     definition = yaml.safe_load((REPOSITORY / DEFINITION).read_text())
-    (config,) = [part.partition("=")[2] for part in definition["command"] if part.startswith("--config=")]
-    fixed = [part for part in definition["command"] if part.startswith("--") and not part.startswith("--config=")]
-    assert {"${env}", "${interpreter}", "${program}", "${args}"} < set(definition["command"])
-    assert definition["command"][-1] == "${args}"
+    environment, program, command, *words, given = definition["command"]
+    assert (environment, program, command, given) == ("${env}", "${program}", "train", "${args}")
+    options, fixed = parse_arguments(words, INSTALLED)
+    assert f"{definition['program']} {{}}" == INSTALLED
+    monkeypatch.chdir(tmp_path)  # an installed package has no checkout
     for key, parameter in definition["parameters"].items():
         for value in parameter.get("values") or [parameter["min"], parameter["max"]]:
-            experiment = load_experiment(REPOSITORY / config, [*fixed, f"--{key}={value}"])
+            experiment = load_experiment(options.config, [*fixed, f"--{key}={value}"])
             assert value_at(experiment.to_dict(), key) == value
     assert experiment.logging.wandb is not None
     assert experiment.logging.wandb.project == definition["project"]
@@ -295,7 +302,7 @@ def test_the_metric_of_the_sweep_is_logged(sweep: Sweep) -> None:
 def interrupt_after(step: int, run: Path, sweep: Sweep) -> int:
     """Resume a run outside the sweep and interrupt it after ``step``; returns the exit code."""
     process = subprocess.Popen(
-        [sys.executable, "scripts/train.py", "--resume", str(run)],
+        [str(sweep.folder / "bin" / "mo-deepdrive"), "train", "--resume", str(run)],
         cwd=sweep.folder,
         env=environment(sweep.folder, sweep.server, WANDB_MODE="offline"),
     )

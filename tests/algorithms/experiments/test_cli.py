@@ -12,7 +12,8 @@ from algorithms.experiments.cli import (
     HEADLESS,
     add_evaluation_arguments,
     add_training_arguments,
-    check_parent,
+    check_directory,
+    check_file,
     evaluation_arguments,
     exit_on_error,
     make_parser,
@@ -96,6 +97,7 @@ def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(exper
         (["--episodes=1001"], "--episodes = 1001 exceeds the 1,000 scenarios of the test split"),
         (["--seed=-1"], "--seed -1 must be between 0 and 2147483647"),
         (["--seed=2147483648"], "--seed 2147483648"),
+        (["--video=a.txt"], r"--video 'a\.txt' must end in \.mp4"),
         (["--video=nowhere/a.mp4"], "--video 'nowhere/a.mp4': .*nowhere' is not a directory"),
     ],
 )
@@ -104,11 +106,37 @@ def test_arguments_of_an_evaluation_are_checked(experiment: Experiment, argument
         evaluation_arguments(evaluation_options(*arguments), experiment)
 
 
-def test_only_the_directory_of_an_output_must_exist(tmp_path: Path) -> None:
-    check_parent("--output", str(tmp_path / "new"))
-    check_parent("--output", None)
-    with pytest.raises(ValueError, match=r"--output .*is not a directory"):
-        check_parent("--output", str(tmp_path / "nowhere" / "new"))
+def test_a_video_of_an_environment_without_frames_is_refused_before_the_evaluation(examples: None) -> None:
+    experiment = make_experiment(
+        {
+            **VALUES,
+            "environment": {"id": "commute:commute-v0"},
+            "utility": {"name": "linear", "arguments": {"weights": [1, 1]}},
+        }
+    )
+    with pytest.raises(ValueError, match=r"--video 'a\.mp4': environment 'commute:commute-v0' cannot be rendered"):
+        evaluation_arguments(evaluation_options("--video=a.mp4"), experiment)
+
+
+def test_a_file_is_refused_where_it_cannot_be_written(tmp_path: Path) -> None:
+    check_file("--output", None)
+    check_file("--output", tmp_path / "new.PNG", ".png")
+    with pytest.raises(ValueError, match=r"--output '.*nowhere/new': '.*nowhere' is not a directory"):
+        check_file("--output", tmp_path / "nowhere" / "new")
+    with pytest.raises(ValueError, match=rf"--output '{tmp_path}' is a directory; it must be a file"):
+        check_file("--output", tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_directory_is_refused_where_it_cannot_be_made(tmp_path: Path) -> None:
+    check_directory("--output", None)
+    check_directory("--output", tmp_path)
+    check_directory("--output", str(tmp_path / "new" / "newer"))
+    (tmp_path / "file").touch()
+    for path in ("file", "file/new"):
+        with pytest.raises(ValueError, match=rf"--output '{tmp_path}/{path}': '{tmp_path}/file' is not a directory"):
+            check_directory("--output", tmp_path / path)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_named_numbers_are_read() -> None:

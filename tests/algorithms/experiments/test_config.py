@@ -109,6 +109,12 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
     assert experiment.hyperparameters["learning_rate"] == 3e-4
 
 
+def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
+    message = "'sweeps/search' is the file of a sweep; mo-deepdrive sweep --config sweeps/search trains its runs"
+    with pytest.raises(ValueError, match=message):
+        load_experiment("sweeps/search")
+
+
 @pytest.mark.parametrize(
     ("override", "messages"),
     [
@@ -118,7 +124,12 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
         ("--environment.arguments.time_limi=1", ["time_limi", "did you mean 'time_limit'"]),
         ("--environment.arguments.scenario=intersection", ["scenario", "set by the id"]),
         ("--environment.id=mo-deepdrive-one-waypont-v0", ["did you mean 'mo-deepdrive-one-waypoint-v0'"]),
-        ("--environment.id=no_such_module:x-v0", ["no_such_module", "cannot import"]),
+        (
+            "--environment.id=no_such_module:x-v0",
+            ["'no_such_module' cannot be imported: ModuleNotFoundError", "looked for in '"],
+        ),
+        ("--environment.id=commute-v0", ["is not registered; for one of your own write 'module:commute-v0'"]),
+        ("--environment.arguments.objectives=[energy]", ["objectives has 'energy'", "an id of the form 'module:ID'"]),
         ("--algorithm.name=mo_a2d", ["mo_a2d", "did you mean 'mo_a2c'"]),
         ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, mo_a2c"]),
         ("--algorithm.gamma=2", ["'gamma' = 2", "less than or equal to 1"]),

@@ -75,8 +75,19 @@ def test_own_settings_are_described_by_their_docstrings_and_those_of_their_bases
         Key("algorithm.names", "list of str", '["a"]', ""),
         Key("algorithm.rate", "float", "0.5", "described in the field."),
     ]
+    assert model_keys(Own)[3].text() == 'names: list of str, default ["a"]', "no blank line where there is none"
     assert set(attribute_descriptions(Own)) >= {"gamma", "low", "high"}
     assert "ValueError" not in attribute_descriptions(Own)
+
+
+@pytest.mark.parametrize("algorithm", algorithm_names())
+def test_descriptions_are_complete_in_themselves(algorithm: str) -> None:
+    described = {key.name: key.description for key in experiment_keys(algorithm) if key.name.startswith("algorithm.")}
+    shared = [text for text in described.values() if list(described.values()).count(text) > 1]
+    assert shared == [], "each key has a description of its own"
+    assert not [name for name, text in described.items() if "as in NetworkSettings" in text]
+    assert described["algorithm.learning_rate_end"].endswith("null for a constant one.")
+    assert "null" not in described["algorithm.learning_rate"]
 
 
 def test_types_and_defaults_are_those_that_are_checked() -> None:

@@ -10,6 +10,7 @@ import gymnasium
 import pytest
 
 from algorithms.common.atomic_io import write_json
+from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.run_directory import Run, default_directory, imported_paths, read_status, versions
 from algorithms.experiments.run_files import broken_files
@@ -52,10 +53,27 @@ def test_changed_versions_are_named(tmp_path: Path, experiment: Experiment) -> N
 
 def test_a_directory_that_is_not_empty_is_refused(tmp_path: Path, experiment: Experiment) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(ValueError, match=r"is not empty.*--resume"):
+    with pytest.raises(ValueError, match=r"is not empty; choose another$"):
         Run.create(experiment, tmp_path)
     assert (tmp_path / "file").read_text() == "mine"
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_directory_of_a_run_is_refused_with_the_options_that_resume_it(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    path = tmp_path / "a run"
+    Run.create(experiment, path).unlock()
+    with pytest.raises(ValueError, match=rf"is not empty; choose another, or use --resume '{path}'$"):
+        Run.create(experiment, path)
+    values = experiment.to_dict()
+    values["algorithm"]["network"] = "my_networks:deep"
+    (path / "config.yaml").write_text(dump(values))
+    with pytest.raises(ValueError, match=rf"or use --resume '{path}' --trust$"):
+        Run.create(experiment, path)
+    (path / "config.yaml").write_text("{")
+    with pytest.raises(ValueError, match=r"choose another$"):
+        Run.create(experiment, path)
 
 
 def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path, experiment: Experiment) -> None:

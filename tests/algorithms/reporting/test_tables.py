@@ -30,19 +30,32 @@ def shown(evaluations: dict[str, Evaluation]) -> list[str]:
     return list(evaluation_table(evaluations, "a title").columns[0].cells)
 
 
-def test_rows_that_cannot_happen_or_repeat_others_are_not_shown() -> None:
+def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
+    held, other = evaluation(), evaluation()
+    assert [name for name in shown({"greedy": held}) if name.startswith("end/")] == ["end/circling"]
+    assert {"end/collision", "end/off_lane", "end/time_limit"} <= set(estimate_metrics(held)), "the files have them"
+    held.ends[0], other.ends[:] = "harmful_jerk", "time_limit"
+    table = evaluation_table({"greedy": held, "stochastic": other}, "a title")
+    names, *columns = (list(column.cells) for column in table.columns)
+    cells = {name: texts for name, *texts in zip(names, *columns, strict=True) if name.startswith("end/")}
+    assert list(cells) == ["end/time_limit", "end/circling", "end/harmful_jerk"]
+    never, always = r"0.000 \[0.000, 0.071]", r"1.000 \[0.929, 1.000]"
+    assert cells["end/time_limit"] == [never, always]
+    assert cells["end/harmful_jerk"][1] == never
+    assert table.caption == "Ends (end/...) that no episode had are left out."
+    without = evaluation(ends=False)
+    table = evaluation_table({"greedy": held, "stochastic": without}, "a title")
+    assert list(table.columns[2].cells)[names.index("end/circling") - 1] == "", "it is not known"
+    assert evaluation_table({"greedy": without}, "a title").caption is None
+
+
+def test_rows_that_repeat_others_are_not_shown() -> None:
     held = evaluation()
-    rows = shown({"greedy": held})
-    assert {"end/circling", "end/time_limit", "utility_ser"} <= set(rows)
-    assert not {"end/collision", "end/off_lane"} & set(rows)
-    assert {"end/collision", "end/off_lane"} <= set(estimate_metrics(held)), "the files have them"
-    held.ends[0] = "off_lane"
-    assert "end/off_lane" in shown({"greedy": held}), "it has happened"
+    assert "utility_ser" in shown({"greedy": held})
     held.objectives = ("destination", "collision")
     held.returns[..., 0] = held.succeeded
     held.utilities = (make_utility("linear", held.objectives, weights=[1.0, 0.01]),)
     rows = shown({"greedy": held, "stochastic": held})
-    assert "end/collision" in rows, "it can happen"
     assert not {"return/destination", "utility_ser", "discounted_utility_ser"} & set(rows)
 
 

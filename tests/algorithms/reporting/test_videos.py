@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Any
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from rich.console import Console
 
+from algorithms.experiments.agent_report import film
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.reporting.videos import HOLD, record, video_writer
+from algorithms.reporting.videos import (
+    HOLD,
+    check_renderable,
+    make_render_env,
+    record,
+    video_writer,
+)
 from mo_deepdrive.actions import action_names
 
 if TYPE_CHECKING:
@@ -141,4 +149,29 @@ def test_a_video_that_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: p
 def test_a_video_without_frames_is_not_written(tmp_path: Path) -> None:
     with video_writer(tmp_path / "episode.mp4", FPS):
         pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_environment_without_render_modes_cannot_be_rendered(
+    examples: None, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    experiment = make_experiment(
+        {
+            "environment": {"id": "commute:commute-v0"},
+            "utility": {"name": "linear", "arguments": {"weights": [1.0, 1.0]}},
+            "algorithm": {"name": "mo_a2c", "steps": 4, "hidden": [8]},
+            "training": {"total_timesteps": 8, "num_envs": 1},
+        }
+    )
+    message = (
+        r"environment 'commute:commute-v0' cannot be rendered: metadata\['render_modes'\] = \[\] lacks 'rgb_array'"
+    )
+    with pytest.raises(ValueError, match=message):
+        make_render_env("commute:commute-v0")
+    check_renderable("mo-mountaincar-v0")
+    check_renderable(ONE)
+    console = Console(width=200, record=True)
+    assert not film(build(experiment), experiment, tmp_path / "video.mp4", console, seed=0)
+    assert console.export_text().startswith("no video: environment 'commute:commute-v0' cannot be rendered: ")
+    assert not [warning for warning in recwarn if "render" in str(warning.message)]
     assert not list(tmp_path.iterdir())

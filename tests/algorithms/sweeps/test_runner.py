@@ -99,6 +99,57 @@ def test_runs_that_the_sweep_no_longer_has_are_counted(tmp_path: Path) -> None:
     assert "2 runs of the previous manifest are no longer in the sweep" in fewer.said.getvalue()
 
 
+def test_the_directory_of_another_sweep_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    assert MadeUpRuns(sweep, write_sweep(tmp_path, seeds=2)).run() == 0
+    before = (sweep / "manifest.jsonl").read_bytes()
+    other = write_sweep(tmp_path, overrides={"training.total_timesteps": 640})
+    message = (
+        r"sweep' has another sweep: none of its 4 runs, such as algorithm.learning_rate=0.001 seed 0 \([0-9a-f]+\), is "
+        "in this one; choose another --output, or delete that sweep"
+    )
+    for backend in ("local", "manifest"):
+        runner = MadeUpRuns(sweep, other, name=backend)
+        for start in (runner.run, runner.verify, runner.print_batch_script):
+            with pytest.raises(ValueError, match=message):
+                start()
+    assert runner.batches == []
+    assert (sweep / "manifest.jsonl").read_bytes() == before
+
+
+def test_a_sweep_is_extended_by_seeds_and_cells(tmp_path: Path) -> None:
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, write_sweep(tmp_path, seeds=1)).run()
+    first = ids(sweep)
+    extended = write_sweep(tmp_path, seeds=2, grid={"algorithm.learning_rate": [0.003, 0.01]})
+    runner = MadeUpRuns(sweep, extended)
+    assert runner.run() == 0
+    assert len(runner.batches[0]) == 3
+    assert set(first) & set(ids(sweep)) == {first[1]}
+
+
+def test_a_search_refuses_another_sweep_whatever_its_scores_are(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, write_sweep(tmp_path)).run()
+    search = {**SEARCH, "metric": "front/hypervolume"}
+    with pytest.raises(ValueError, match="has another sweep: none of its 2 runs"):
+        MadeUpRuns(sweep, write_sweep(tmp_path, search=search)).run()
+    MadeUpRuns(tmp_path / "search", write_sweep(tmp_path, search=SEARCH)).run()
+    longer = MadeUpRuns(tmp_path / "search", write_sweep(tmp_path, search={**SEARCH, "trials": 8}))
+    assert longer.run() == 0
+    assert [len(batch) for batch in longer.batches] == [2]
+
+
+def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.yaml").touch()
+    with pytest.raises(ValueError, match="run' is the directory of a run; choose another --output"):
+        MadeUpRuns(run, write_sweep(tmp_path)).run()
+    assert [path.name for path in run.iterdir()] == ["config.yaml"]
+
+
 def test_the_exit_code_after_a_signal_is_that_of_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     class Interrupted(MadeUpRuns):
         def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:

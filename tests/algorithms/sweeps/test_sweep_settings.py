@@ -192,3 +192,13 @@ def test_a_config_that_does_not_exist_is_refused_with_the_places_looked_at(
     message = str(refusal.value)
     places = "one_waypoint/mo_a2c_linera.yaml and ../one_waypoint/mo_a2c_linera.yaml"
     assert f"(looked for {places}); the nearest names of shipped ones: one_waypoint/mo_a2c_linear, " in message
+    (tmp_path / "empty" / "sweep.yaml").write_text("config: nn.yaml\n")
+    for same in ("sweep.yaml", tmp_path / "empty" / "sweep.yaml"):
+        with pytest.raises(ValueError, match=r"config file 'nn\.yaml' does not exist; the nearest names"):
+            load_sweep(same)
+
+
+def test_the_file_of_an_experiment_is_refused_with_the_command_for_it() -> None:
+    message = "'one_waypoint/pcn' is the file of an experiment; mo-deepdrive train --config one_waypoint/pcn trains it"
+    with pytest.raises(ValueError, match=message):
+        load_sweep("one_waypoint/pcn")

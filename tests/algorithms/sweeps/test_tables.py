@@ -32,8 +32,7 @@ def test_the_table_shows_the_best_cells_and_the_csv_has_all(
     assert "2 of 6 cells, by greedy utility" in shown.out
     lines = [" ".join(line.split()) for line in shown.out.splitlines() if line.startswith("  0.01")]
     assert [line.split(" 10.")[0] for line in lines] == ["0.01 16 3", "0.01 32 2 of 3"]
-    table_rows = list(csv.reader(output.read_text().splitlines()))
-    header, *cells = table_rows[: table_rows.index([])]
+    header, *cells = csv.reader(output.read_text().splitlines())
     assert header[:4] == ["algorithm.learning_rate", "algorithm.steps", "policy", "seeds"]
     assert len(cells) == 12
     assert cells[0][:4] == ["0.01", "16", "greedy", "3"]
