@@ -446,6 +446,7 @@ def print_comparison(commit: str, names: Sequence[str], pairs: int, output: Path
     machine, threads = paired_benchmark.machine(), paired_benchmark.THREADS
     caption = f"old: {commit:.12}, new: {new:.12}, {machine}; CPU time, {threads} thread, {pairs} pairs"
     table = Table("measurement", "old", "new", "unit", "speed-up [95% interval]", caption=caption)
+    table.columns[0].no_wrap = True
     for row in rows:
         table.add_row(*row.cells())
     Console().print(table)
