@@ -88,6 +88,7 @@ IDS = {
 LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
+PAIRS = 10
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 DEEP_SEA = CONFIGS / "deep_sea_treasure"
 DEEP_SEA_POINT = (0.0, -25.0)  # the reference point of morl-baselines
@@ -462,9 +463,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--sweep", action="store_true", help="measure only the summary of a sweep")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
-    parser.add_argument(
-        "--pairs", type=int, default=10, help="of each measurement, with --against (default: %(default)s)"
-    )
+    parser.add_argument("--pairs", type=int, help=f"of each measurement, with --against (default: {PAIRS})")
     parser.add_argument(
         "--only",
         nargs="+",
@@ -476,15 +475,18 @@ def main(argv: Sequence[str] | None = None) -> None:
     if arguments.output is not None and not arguments.output.parent.is_dir():
         parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
     if arguments.against is not None:
-        if arguments.pairs < 1:
-            parser.error(f"--pairs {arguments.pairs} must be at least 1")
+        pairs = PAIRS if arguments.pairs is None else arguments.pairs
+        if pairs < 1:
+            parser.error(f"--pairs {pairs} must be at least 1")
         try:
             commit = paired_benchmark.revision(arguments.against)
             names = paired_benchmark.select(arguments.only)
         except ValueError as error:
             parser.error(str(error))
-        print_comparison(commit, names, arguments.pairs, arguments.output)
+        print_comparison(commit, names, pairs, arguments.output)
         return
+    if arguments.only or arguments.pairs is not None:
+        parser.error("--only and --pairs are for --against COMMIT")
     torch.set_num_threads(1)
     repetitions = 3 if arguments.quick else 15
     training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)

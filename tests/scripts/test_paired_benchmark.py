@@ -132,6 +132,7 @@ def test_every_algorithm_is_measured(paired: ModuleType) -> None:
         (["--against", "HEAD:README.md"], "'HEAD:README.md' is not a commit of"),
         (["--against", "HEAD", "--only", "mak"], "'mak' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--pairs", "0"], "--pairs 0 must be at least 1"),
+        (["--only", "make"], "--only and --pairs are for --against COMMIT"),
         (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
     ],
 )
