@@ -41,6 +41,7 @@ ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION = (
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
 PCN_ENVS, PCN_STEPS = 16, 40_000
+TRAIN = "{TREE}/scripts/train.py"
 ONE_UPDATE = """
 environment: {id: mo-deepdrive-one-waypoint-v0}
 utility: {name: one_waypoint_linear}
@@ -129,12 +130,13 @@ def make(steps: int = 100_000) -> float:
 
 
 def start_up(*arguments: str) -> float:
-    """CPU seconds of ``python ARGUMENTS`` from start to end, with warm caches."""
+    """CPU seconds of ``python ARGUMENTS`` from start to end, with warm caches; {TREE} and {OUTPUT} are replaced."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "run.yaml").write_text(ONE_UPDATE)
         for output in ("warm-up", "run"):  # the last one is measured
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            command = [sys.executable, *(argument.replace("OUTPUT", output) for argument in arguments)]
+            places = {"TREE": os.environ["PYTHONPATH"], "OUTPUT": output}
+            command = [sys.executable, *(each.format(**places) for each in arguments)]
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             if done.returncode != 0:
@@ -178,10 +180,8 @@ CASES: dict[str, Case] = {
     "make_vec-intersection": Case(partial(make_vec, INTERSECTION)),
     "make": Case(make),
     "import": Case(partial(start_up, "-c", "import mo_deepdrive"), "s"),
-    "train-help": Case(partial(start_up, "-m", "algorithms", "train", "--help"), "s"),
-    "train-one-update": Case(
-        partial(start_up, "-m", "algorithms", "train", "--config", "run.yaml", "--output", "OUTPUT"), "s"
-    ),
+    "train-help": Case(partial(start_up, TRAIN, "--help"), "s"),
+    "train-one-update": Case(partial(start_up, TRAIN, "--config", "run.yaml", "--output", "{OUTPUT}"), "s"),
 }
 
 
@@ -383,12 +383,19 @@ def write_rows(path: Path, rows: Sequence[Row], about: Mapping[str, Any]) -> Non
 
 
 def main(name: str, tree: Path) -> None:
-    """Print the result of one measurement of the packages in ``tree``."""
-    import mo_deepdrive
+    """Print the result of one measurement of the packages in ``tree``.
 
-    if not Path(mo_deepdrive.__file__).is_relative_to(tree):
-        raise ImportError(f"mo_deepdrive is imported from {mo_deepdrive.__file__}, not from {tree}")
-    print(json.dumps(CASES[name].run()))
+    Raises:
+        ImportError: if a module of another installation was measured.
+    """
+    result = CASES[name].run()
+    for module_name, module in [*sys.modules.items()]:
+        file = getattr(module, "__file__", None)
+        ours = module_name.partition(".")[0] in ("mo_deepdrive", "algorithms")
+        # An installed package answers for modules that the tree lacks.
+        if ours and file is not None and not Path(file).is_relative_to(tree):
+            raise ImportError(f"{tree} has no module {module_name}")
+    print(json.dumps(result))
 
 
 if __name__ == "__main__":

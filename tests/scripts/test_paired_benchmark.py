@@ -160,12 +160,18 @@ def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Ca
 
 @needs_git
 @pytest.mark.slow
-def test_packages_of_the_given_tree_are_measured(paired: ModuleType, tmp_path: Path) -> None:
+def test_packages_of_the_given_tree_are_measured(paired: ModuleType) -> None:
     with paired.checkout("HEAD") as tree:
-        package = tree / "mo_deepdrive" / "__init__.py"
-        package.write_text("raise RuntimeError('this tree')")
+        (tree / "mo_deepdrive" / "__init__.py").write_text("raise RuntimeError('this tree')")
         with pytest.raises(paired.CannotMeasureError, match="RuntimeError: this tree"):
             paired.measure(tree, "import")
     assert not tree.exists()
-    with pytest.raises(paired.CannotMeasureError, match=f"not from {tmp_path}"):
-        paired.measure(tmp_path, "import")
+
+
+@pytest.mark.slow
+def test_modules_of_another_tree_are_an_error(paired: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = paired.Case(lambda: 1.0)
+    monkeypatch.setitem(paired.CASES, "make", case)
+    paired.main("make", REPOSITORY)
+    with pytest.raises(ImportError, match=r"elsewhere has no module (algorithms|mo_deepdrive)"):
+        paired.main("make", Path("elsewhere"))

@@ -38,7 +38,7 @@ def clock(wall_clock: ModuleType, monkeypatch: pytest.MonkeyPatch) -> list[float
     return now
 
 
-def test_evaluations_are_off_the_clock(wall_clock: ModuleType, clock: list[float]) -> None:
+def test_a_result_that_holds_is_timed_without_evaluations(wall_clock: ModuleType, clock: list[float]) -> None:
     asked = []
 
     def done(policy: str) -> bool:
@@ -49,13 +49,16 @@ def test_evaluations_are_off_the_clock(wall_clock: ModuleType, clock: list[float
     watch = wall_clock.Stopwatch(60.0, done)
     clock[0] += 5.0  # making the agent
     watch.start()
+    policies = ["bad", "good", "bad", *["good"] * 5]
+    for update, policy in enumerate(policies[:-1], 1):
+        clock[0] += 2.0
+        watch.lap(4096 * update, policy)
+        assert (watch.reached, watch.seconds, watch.steps) == (False, 2.0 * update, 4096 * update)
     clock[0] += 2.0
-    watch.lap(4096, "bad")
-    clock[0] += 3.0
     with pytest.raises(wall_clock.Finished):
-        watch.lap(8192, "good")
-    assert asked == ["bad", "good"]
-    assert (watch.reached, watch.seconds, watch.steps) == (True, 5.0, 8192)
+        watch.lap(4096 * 8, "good")
+    assert asked == policies
+    assert (watch.reached, watch.seconds, watch.steps) == (True, 8.0, 4096 * 4), "the first of the five that held"
 
 
 def test_the_limit_ends_a_run(wall_clock: ModuleType, clock: list[float]) -> None:
