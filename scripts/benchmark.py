@@ -2,6 +2,7 @@
 
     python scripts/benchmark.py --quick --output benchmark.csv
     python scripts/benchmark.py --sweep
+    python scripts/benchmark.py --against main --output pairs.csv
 
 Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
 machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
@@ -10,6 +11,8 @@ mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
 --sweep measures only the time and memory that scripts/sweep.py needs to list 10,000 runs (with --quick 1,000) and to
 show their status, and that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000 runs (with --quick
 100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary directory.
+
+--against compares the working tree with a commit, in pairs of measurements of CPU time: docs/benchmark.md.
 """
 
 from __future__ import annotations
@@ -31,10 +34,12 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import mo_gymnasium
 import numpy as np
+import paired_benchmark
 import polars as pl
 import torch
 from gymnasium.vector import AutoresetMode
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 import mo_deepdrive
@@ -73,7 +78,7 @@ from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 IDS = {
     "OneWaypoint": "mo-deepdrive-one-waypoint-v0",
@@ -83,6 +88,7 @@ IDS = {
 LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
+PAIRS = 10
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 DEEP_SEA = CONFIGS / "deep_sea_treasure"
 DEEP_SEA_POINT = (0.0, -25.0)  # the reference point of morl-baselines
@@ -433,13 +439,54 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
     return rows + listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
 
 
-def main() -> None:
+def print_comparison(commit: str, names: Sequence[str], pairs: int, output: Path | None) -> None:
+    """Compare the working tree with ``commit``, a hash; print the table and write it to ``output``."""
+    with paired_benchmark.checkout(commit) as old:
+        rows = paired_benchmark.compare(old, paired_benchmark.REPOSITORY, names, pairs, progress=track)
+    new = paired_benchmark.working_tree()
+    machine, threads = paired_benchmark.machine(), paired_benchmark.THREADS
+    caption = f"old: {commit:.12}, new: {new:.12}, {machine}; CPU time, {threads} thread, {pairs} pairs"
+    table = Table("measurement", "old", "new", "unit", "speed-up [95% interval]", caption=caption)
+    table.columns[0].no_wrap = True
+    for row in rows:
+        table.add_row(*row.cells())
+    Console().print(table)
+    if output is not None:
+        about = {"old_commit": commit, "new_commit": new, "machine": machine, "threads": threads}
+        paired_benchmark.write_rows(output, rows, about)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = make_parser(__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
     parser.add_argument("--sweep", action="store_true", help="measure only the summary of a sweep")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
-    arguments = parser.parse_args()
+    parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
+    parser.add_argument("--pairs", type=int, help=f"of each measurement, with --against (default: {PAIRS})")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="measurements of --against, such as a2c-64-32-discrete 'mo_*'",
+    )
+    arguments = parser.parse_args(argv)
+    if arguments.output is not None and not arguments.output.parent.is_dir():
+        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    if arguments.against is not None:
+        pairs = PAIRS if arguments.pairs is None else arguments.pairs
+        if pairs < 1:
+            parser.error(f"--pairs {pairs} must be at least 1")
+        try:
+            commit = paired_benchmark.revision(arguments.against)
+            names = paired_benchmark.select(arguments.only)
+        except ValueError as error:
+            parser.error(str(error))
+        print_comparison(commit, names, pairs, arguments.output)
+        return
+    if arguments.only or arguments.pairs is not None:
+        parser.error("--only and --pairs are for --against COMMIT")
     torch.set_num_threads(1)
     repetitions = 3 if arguments.quick else 15
     training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)

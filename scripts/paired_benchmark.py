@@ -1,0 +1,402 @@
+"""The paired measurements of ``scripts/benchmark.py --against COMMIT``.
+
+The script measures two trees with the same code, this file, which uses only interfaces that both have. Run as a
+program, it measures one tree: ``PYTHONPATH=TREE python scripts/paired_benchmark.py NAME`` prints the result.
+
+What is measured is the CPU time of the process, summed over its threads, because other programs on the machine change
+it much less than the time on the clock. Compilation and the first updates are excluded.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tarfile
+import tempfile
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from fnmatch import fnmatchcase
+from functools import partial
+from itertools import product
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import quantile_test
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION = (
+    f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection")
+)
+UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
+ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
+PCN_ENVS, PCN_STEPS = 16, 40_000
+TRAIN = "{TREE}/scripts/train.py"
+ONE_UPDATE = """
+environment: {id: mo-deepdrive-one-waypoint-v0}
+utility: {name: one_waypoint_linear}
+algorithm: {name: mo_a2c, steps: 16, hidden: [64, 32]}
+training: {total_timesteps: 4096, num_envs: 256}
+evaluation: {episodes: 1, final_episodes: 1}
+logging: {save_figures: false}
+"""
+# One thread, whatever the machine has.
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
+)
+THREADS = 1
+
+# ------------------------------------------------------------------------------------------------ what one tree can do
+
+
+def training(algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any]) -> float:
+    """Environment steps per CPU second of an actor-critic with the default settings."""
+    import algorithms
+    from algorithms.common.env_adapter import make_env
+    from mo_deepdrive.utilities import make_utility
+
+    env: Any = make_env(env_id, ENVS, arguments)
+    utility = make_utility(UTILITIES[env_id], env.unwrapped.objectives)
+    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
+    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS)
+
+
+def pcn(gradient_steps: int, batch_size: int) -> float:
+    """Environment steps per CPU second of PCN on OneWaypoint, with the network and buffer of the shipped YAML file."""
+    import algorithms
+    from algorithms.common.env_adapter import make_env
+
+    env = make_env(ONE_WAYPOINT, PCN_ENVS, {"fixed_destination": True})
+    settings = {"hidden": [64, 64], "learning_rate": 3e-3, "persistence": 0.95, "buffer_size": 100}
+    agent = algorithms.ALGORITHMS["pcn"](
+        env, seed=0, gradient_steps=gradient_steps, batch_size=batch_size, horizon_reduction=0, **settings
+    )
+    return training_rate(agent, 1, PCN_STEPS)
+
+
+def training_rate(agent: Any, warm_up: int, steps: int) -> float:
+    """Environment steps per CPU second of ``steps`` after the first ``warm_up``."""
+    agent.train(warm_up)
+    first, started = agent.step, process_time()
+    agent.train(first + steps)
+    return float((agent.step - first) / (process_time() - started))
+
+
+def make_vec(env_id: str, num_envs: int = 1024, steps: int = 1500) -> float:
+    """Environment steps per CPU second of ``gymnasium.make_vec`` under random actions."""
+    import gymnasium
+    from gymnasium.vector import AutoresetMode
+
+    import mo_deepdrive  # noqa: F401  (registers the ids)
+
+    env = gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).integers(0, 22, (100, *(env.action_space.shape or ())))
+    for action in actions:
+        env.step(action)
+    started = process_time()
+    for i in range(steps):
+        env.step(actions[i % len(actions)])
+    return num_envs * steps / (process_time() - started)
+
+
+def make(steps: int = 100_000) -> float:
+    """Steps per CPU second of ``mo_gymnasium.make`` under random actions."""
+    import mo_gymnasium
+
+    import mo_deepdrive  # noqa: F401  (registers the ids)
+
+    env = mo_gymnasium.make(ONE_WAYPOINT)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).integers(0, 22, steps).tolist()
+    started = process_time()
+    for i, action in enumerate([*actions[:1000], *actions]):
+        if i == 1000:
+            started = process_time()
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+    return steps / (process_time() - started)
+
+
+def start_up(*arguments: str) -> float:
+    """CPU seconds of ``python ARGUMENTS`` from start to end, with warm caches; {TREE} and {OUTPUT} are replaced."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "run.yaml").write_text(ONE_UPDATE)
+        for output in ("warm-up", "run"):  # the last one is measured
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            places = {"TREE": os.environ["PYTHONPATH"], "OUTPUT": output}
+            command = [sys.executable, *(each.format(**places) for each in arguments)]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            if done.returncode != 0:
+                raise RuntimeError(last_line(done.stderr))
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+@dataclass(frozen=True)
+class Case:
+    """One measurement.
+
+    Attributes:
+        run: measures it.
+        unit: of the result; a lower number of seconds is better, a higher rate.
+    """
+
+    run: Callable[[], float]
+    unit: str = "steps/s"
+
+    def speedup(self, old: float, new: float) -> float:
+        """How many times as fast the new tree is."""
+        return old / new if self.unit == "s" else new / old
+
+
+def _training_cases() -> Iterator[tuple[str, Case]]:
+    updates = {"a2c": 150, "mo_a2c": 150, "ppo": 30, "mo_ppo": 30}
+    for algorithm, hidden, action_type in product(updates, ([64, 32], [128, 64]), ("discrete", "continuous")):
+        name = "-".join([algorithm, *map(str, hidden), action_type])
+        arguments = {"action_type": action_type}
+        yield name, Case(partial(training, algorithm, ONE_WAYPOINT, hidden, updates[algorithm], arguments))
+    for algorithm, count in (("a2c", 60), ("mo_ppo", 12)):
+        yield f"two-{algorithm}-128-64", Case(partial(training, algorithm, INTERSECTION, [128, 64], count, {}))
+
+
+CASES: dict[str, Case] = {
+    **dict(_training_cases()),
+    "pcn-collection": Case(partial(pcn, gradient_steps=1, batch_size=1)),
+    "pcn": Case(partial(pcn, gradient_steps=400, batch_size=256)),
+    "make_vec-one-waypoint": Case(partial(make_vec, ONE_WAYPOINT)),
+    "make_vec-static-obstacle": Case(partial(make_vec, STATIC_OBSTACLE)),
+    "make_vec-intersection": Case(partial(make_vec, INTERSECTION)),
+    "make": Case(make),
+    "import": Case(partial(start_up, "-c", "import mo_deepdrive"), "s"),
+    "train-help": Case(partial(start_up, TRAIN, "--help"), "s"),
+    "train-one-update": Case(partial(start_up, TRAIN, "--config", "run.yaml", "--output", "{OUTPUT}"), "s"),
+}
+
+
+def select(patterns: Sequence[str]) -> list[str]:
+    """The names of :data:`CASES` that match one of ``patterns`` (shell wildcards); all without patterns.
+
+    Raises:
+        ValueError: for a pattern that matches none.
+    """
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in CASES):
+            raise ValueError(f"{pattern!r} matches no measurement; known: {', '.join(CASES)}")
+    return [name for name in CASES if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+# ----------------------------------------------------------------------------------------------------------- two trees
+
+
+class CannotMeasureError(Exception):
+    """A tree cannot run a measurement; the message says why."""
+
+
+def revision(commit: str, repository: Path = REPOSITORY) -> str:
+    """The full hash of ``commit``.
+
+    Raises:
+        ValueError: if there is no such commit.
+    """
+    done = _git(repository, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{commit}^{{commit}}")
+    if done.returncode != 0:
+        raise ValueError(f"{commit!r} is not a commit of {repository}")
+    return done.stdout.decode().strip()
+
+
+def working_tree(repository: Path = REPOSITORY) -> str:
+    """The hash of the checked-out commit, with "-dirty" if files differ from it; "unknown" outside a repository."""
+    done = _git(repository, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    return done.stdout.decode().strip() or "unknown"
+
+
+@contextmanager
+def checkout(commit: str, repository: Path = REPOSITORY) -> Iterator[Path]:
+    """A temporary folder with the files of ``commit``."""
+    done = _git(repository, "archive", "--format=tar", commit)
+    done.check_returncode()
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
+            archive.extractall(folder, filter="data")
+        yield Path(folder)
+
+
+def _git(repository: Path, *arguments: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(["git", "-C", str(repository), *arguments], capture_output=True, check=False)
+
+
+def machine() -> str:
+    """The model of the processor and the number of its threads."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{models[0] if models else platform.processor() or platform.machine()}, {os.cpu_count()} CPUs"
+
+
+def last_line(text: str) -> str:
+    """The last line of an error message."""
+    return (text.strip().splitlines() or ["no message"])[-1]
+
+
+def measure(tree: Path, name: str) -> float:
+    """The result of a measurement in a new process that imports the packages of ``tree``.
+
+    Raises:
+        CannotMeasureError: if it fails.
+    """
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__).resolve()), name],
+        env={**os.environ, **ONE_THREAD, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise CannotMeasureError(last_line(done.stderr))
+    return float(json.loads(last_line(done.stdout)))
+
+
+@dataclass
+class Pairs:
+    """A measurement of both trees, in pairs.
+
+    Attributes:
+        name: of the measurement.
+        old, new: one value per pair, in the unit of the case.
+        problem: why a tree cannot run it; empty if both can.
+    """
+
+    name: str
+    old: list[float] = field(default_factory=list)
+    new: list[float] = field(default_factory=list)
+    problem: str = ""
+
+    def row(self) -> Row:
+        """The medians of the values and of the speed-up of each pair."""
+        case = CASES[self.name]
+        if self.problem:
+            return Row(self.name, case.unit, problem=self.problem)
+        speedups = [case.speedup(old, new) for old, new in zip(self.old, self.new, strict=True)]
+        low, high = median_interval(speedups)
+        old, new, speedup = (float(np.median(values)) for values in (self.old, self.new, speedups))
+        return Row(self.name, case.unit, old, new, speedup, low, high, len(speedups))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table.
+
+    Attributes:
+        measurement: its name.
+        unit: of ``old`` and ``new``.
+        old, new: medians.
+        speedup: median over the pairs of how many times as fast the new tree is.
+        low, high: its 95% interval; None for fewer than six pairs.
+        pairs: their number.
+        problem: why there are no numbers.
+    """
+
+    measurement: str
+    unit: str
+    old: float | None = None
+    new: float | None = None
+    speedup: float | None = None
+    low: float | None = None
+    high: float | None = None
+    pairs: int = 0
+    problem: str = ""
+
+    def cells(self) -> list[str]:
+        """The cells of the printed table: measurement, old, new, unit, speed-up with its interval."""
+        if self.old is None or self.new is None:
+            return [self.measurement, "", "", self.unit, self.problem]
+        old, new = (f"{value:,.0f}" if value >= 1000 else f"{value:.2f}" for value in (self.old, self.new))
+        interval = "" if self.low is None else f" [{self.low:.3f}, {self.high:.3f}]"
+        return [self.measurement, old, new, self.unit, f"{self.speedup:.3f}{interval}"]
+
+
+def median_interval(values: Sequence[float]) -> tuple[float | None, float | None]:
+    """A 95% interval of the median from order statistics (Conover 1999); None for fewer than six values."""
+    interval = quantile_test(values, p=0.5).confidence_interval(0.95)
+    return (None, None) if np.isnan(interval.low) else (float(interval.low), float(interval.high))
+
+
+def compare(
+    old: Path,
+    new: Path,
+    names: Sequence[str],
+    pairs: int,
+    *,
+    measure: Callable[[Path, str], float] = measure,
+    progress: Callable[[Sequence[Any]], Any] = iter,
+) -> list[Row]:
+    """Measure two trees in alternation.
+
+    Every measurement runs once in each tree first, which fills the caches of the compiler and is not counted. Then each
+    pair measures one tree and the other right after it; which one is first changes from pair to pair.
+
+    Args:
+        old: one tree.
+        new: the other.
+        names: of :data:`CASES`.
+        pairs: of each measurement.
+        measure: called as ``measure(tree, name)``.
+        progress: wraps the sequence of all pairs, to show how far they are.
+    """
+    results = {name: Pairs(name) for name in names}
+    for pair, name in progress(list(product(range(-1, pairs), names))):
+        result = results[name]
+        if result.problem:
+            continue
+        sides = (("old", old, result.old), ("new", new, result.new))
+        for side, tree, values in sides[:: 1 if pair % 2 == 0 else -1]:
+            try:
+                value = measure(tree, name)
+            except CannotMeasureError as error:
+                result.problem = f"the {side} tree cannot run it: {error}"
+                break
+            if pair >= 0:
+                values.append(value)
+    return [result.row() for result in results.values()]
+
+
+def write_rows(path: Path, rows: Sequence[Row], about: Mapping[str, Any]) -> None:
+    """Write the table as CSV; ``about`` is repeated in every row."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*(each.name for each in fields(Row)), *about])
+        for row in rows:
+            cells = [f"{value:.6g}" if isinstance(value, float) else value for value in asdict(row).values()]
+            writer.writerow([*cells, *about.values()])
+
+
+def main(name: str, tree: Path) -> None:
+    """Print the result of one measurement of the packages in ``tree``.
+
+    Raises:
+        ImportError: if a module of another installation was measured.
+    """
+    result = CASES[name].run()
+    for module_name, module in [*sys.modules.items()]:
+        file = getattr(module, "__file__", None)
+        ours = module_name.partition(".")[0] in ("mo_deepdrive", "algorithms")
+        # An installed package answers for modules that the tree lacks.
+        if ours and file is not None and not Path(file).is_relative_to(tree):
+            raise ImportError(f"{tree} has no module {module_name}")
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(os.environ["PYTHONPATH"]))

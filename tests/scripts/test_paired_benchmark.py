@@ -1,0 +1,177 @@
+"""``scripts/benchmark.py --against``: pairs of measurements of two trees."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import refused
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
+    from tests.helpers.script_runs import Call
+
+OLD, NEW = Path("old"), Path("new")
+IN_A_REPOSITORY = subprocess.run(["git", "rev-parse", "HEAD"], cwd=REPOSITORY, capture_output=True, check=False)
+needs_git = pytest.mark.skipif(IN_A_REPOSITORY.returncode != 0, reason="not a Git repository")
+
+
+@pytest.fixture
+def paired(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module; scripts find each other as Python's own search path has it."""
+    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+    return load_script("paired_benchmark")
+
+
+def test_a_row_has_medians_and_the_median_of_the_ratios(paired: ModuleType) -> None:
+    old, new = [100.0, 200.0, 100.0], [300.0, 300.0, 200.0]
+    row = paired.Pairs("make", old, new).row()
+    assert (row.old, row.new, row.speedup, row.pairs) == (100.0, 300.0, 2.0, 3)
+    assert (row.low, row.high) == (None, None), "three pairs say too little"
+    assert row.cells() == ["make", "100.00", "300.00", "steps/s", "2.000"]
+
+
+def test_fewer_seconds_are_a_speedup(paired: ModuleType) -> None:
+    row = paired.Pairs("import", [1.0, 2.0], [0.5, 1.0]).row()
+    assert (row.unit, row.old, row.new, row.speedup) == ("s", 1.5, 0.75, 2.0)
+
+
+@pytest.mark.parametrize(("count", "low", "high"), [(6, 1, 6), (10, 2, 9), (20, 6, 15)])
+def test_the_interval_is_between_order_statistics(paired: ModuleType, count: int, low: int, high: int) -> None:
+    ratios = np.random.default_rng(0).permutation(np.arange(1.0, count + 1.0))
+    assert paired.median_interval(ratios) == (low, high)
+    row = paired.Pairs("make", [1.0] * count, list(ratios)).row()
+    assert row.cells()[-1] == f"{(count + 1) / 2:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def test_five_pairs_have_no_interval(paired: ModuleType) -> None:
+    assert paired.median_interval([1.0, 2.0, 3.0, 4.0, 5.0]) == (None, None)
+
+
+def test_trees_alternate_and_the_first_round_is_not_counted(paired: ModuleType) -> None:
+    calls = []
+
+    def measure(tree: Path, name: str) -> float:
+        calls.append((tree, name))
+        return float(len(calls))
+
+    rows = paired.compare(OLD, NEW, ["make", "import"], 2, measure=measure)
+    first, swapped = [OLD, NEW, OLD, NEW], [NEW, OLD, NEW, OLD]
+    assert [tree for tree, _ in calls] == swapped + first + swapped
+    assert [name for _, name in calls] == ["make", "make", "import", "import"] * 3
+    assert [(row.measurement, row.pairs, row.old, row.new) for row in rows] == [
+        ("make", 2, (5 + 10) / 2, (6 + 9) / 2),
+        ("import", 2, (7 + 12) / 2, (8 + 11) / 2),
+    ]
+
+
+def test_what_a_tree_cannot_run_is_said_once(paired: ModuleType) -> None:
+    calls = []
+
+    def measure(tree: Path, name: str) -> float:
+        calls.append(name)
+        if tree == OLD and name == "import":
+            raise paired.CannotMeasureError("No module named 'x'")
+        return 1.0
+
+    rows = paired.compare(OLD, NEW, ["make", "import"], 3, measure=measure)
+    assert [row.problem for row in rows] == ["", "the old tree cannot run it: No module named 'x'"]
+    assert [row.pairs for row in rows] == [3, 0]
+    assert rows[1].cells() == ["import", "", "", "s", "the old tree cannot run it: No module named 'x'"]
+    assert calls.count("import") == 2, "not again in later pairs"
+
+
+def test_the_file_has_a_row_per_measurement(paired: ModuleType, tmp_path: Path) -> None:
+    rows = [paired.Pairs("make", [1.0] * 6, [1.5] * 6).row(), paired.Pairs("import", problem="no").row()]
+    paired.write_rows(tmp_path / "pairs.csv", rows, {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1})
+    with (tmp_path / "pairs.csv").open(newline="") as file:
+        read = list(csv.DictReader(file))
+    assert [row["measurement"] for row in read] == ["make", "import"]
+    assert {name: read[0][name] for name in ("speedup", "low", "high", "pairs")} == {
+        "speedup": "1.5",
+        "low": "1.5",
+        "high": "1.5",
+        "pairs": "6",
+    }
+    assert (read[1]["speedup"], read[1]["problem"], read[1]["machine"]) == ("", "no", "b, 2 CPUs")
+
+
+def test_names_are_selected_by_patterns(paired: ModuleType) -> None:
+    assert paired.select([]) == list(paired.CASES)
+    assert paired.select(["make_vec*", "import"]) == [
+        "make_vec-one-waypoint",
+        "make_vec-static-obstacle",
+        "make_vec-intersection",
+        "import",
+    ]
+    with pytest.raises(ValueError, match="'imports' matches no measurement"):
+        paired.select(["make", "imports"])
+
+
+def test_every_algorithm_is_measured(paired: ModuleType) -> None:
+    for algorithm in ("a2c", "mo_a2c", "ppo", "mo_ppo"):
+        for rest in ("64-32-discrete", "64-32-continuous", "128-64-discrete", "128-64-continuous"):
+            assert f"{algorithm}-{rest}" in paired.CASES
+    assert {"two-a2c-128-64", "two-mo_ppo-128-64", "pcn-collection", "pcn", "make"} <= set(paired.CASES)
+
+
+@needs_git
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--against", "no-such-commit"], "'no-such-commit' is not a commit of"),
+        (["--against", "HEAD:README.md"], "'HEAD:README.md' is not a commit of"),
+        (["--against", "HEAD", "--only", "mak"], "'mak' matches no measurement; known: a2c-64-32-discrete"),
+        (["--against", "HEAD", "--pairs", "0"], "--pairs 0 must be at least 1"),
+        (["--only", "make"], "--only and --pairs are for --against COMMIT"),
+        (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
+    ],
+)
+@pytest.mark.usefixtures("paired")
+def test_what_cannot_be_compared_is_refused(call: Call, options: list[str], message: str) -> None:
+    refused(call("benchmark", *options), message)
+
+
+@needs_git
+@pytest.mark.slow
+def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Call, tmp_path: Path) -> None:
+    code, out, error = call(
+        "benchmark", "--against", "HEAD", "--pairs", "1", "--only", "import", "--output", "pairs.csv"
+    )
+    assert code in (0, None), error
+    assert "import" in out
+    with (tmp_path / "pairs.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert (row["measurement"], row["unit"], row["pairs"], row["threads"]) == ("import", "s", "1", "1")
+    assert float(row["speedup"]) == pytest.approx(float(row["old"]) / float(row["new"]), rel=1e-4)
+    assert 0.01 < float(row["new"]) < 60.0
+    assert row["old_commit"] == paired.revision("HEAD")
+    assert row["new_commit"].removesuffix("-dirty") == row["old_commit"]
+
+
+@needs_git
+@pytest.mark.slow
+def test_packages_of_the_given_tree_are_measured(paired: ModuleType) -> None:
+    with paired.checkout("HEAD") as tree:
+        (tree / "mo_deepdrive" / "__init__.py").write_text("raise RuntimeError('this tree')")
+        with pytest.raises(paired.CannotMeasureError, match="RuntimeError: this tree"):
+            paired.measure(tree, "import")
+    assert not tree.exists()
+
+
+@pytest.mark.slow
+def test_modules_of_another_tree_are_an_error(paired: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = paired.Case(lambda: 1.0)
+    monkeypatch.setitem(paired.CASES, "make", case)
+    paired.main("make", REPOSITORY)
+    with pytest.raises(ImportError, match=r"elsewhere has no module (algorithms|mo_deepdrive)"):
+        paired.main("make", Path("elsewhere"))
