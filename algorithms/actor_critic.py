@@ -213,7 +213,8 @@ class ActorCritic(Agent):
         metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
         for v, learner in enumerate(self.learners):
             learner.on_episodes_end(episodes.discounted[episodes.vehicles == v])
-            losses = learner.update(rollout.of_vehicle(v, self.device), learning_rate, entropy_coefficient)
+            own = rollout.of_vehicle(v, self.device, others=learner.others_size > 0)
+            losses = learner.update(own, learning_rate, entropy_coefficient)
             prefix = vehicle_prefix(v, len(self.learners))
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import nn
 
-from algorithms.common.importing import import_named
 from algorithms.common.perceptron import Perceptron
+from mo_deepdrive.importing import import_named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

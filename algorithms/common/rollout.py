@@ -43,14 +43,21 @@ class Rollout:
     truncated: torch.Tensor
     acted: torch.Tensor
 
-    def of_vehicle(self, v: int, device: torch.device) -> VehicleRollout:
-        """The part of vehicle ``v``: every tensor without the vehicle axis, on ``device``."""
+    def of_vehicle(self, v: int, device: torch.device, *, others: bool = True) -> VehicleRollout:
+        """The part of vehicle ``v``: every tensor without the vehicle axis, on ``device``.
+
+        Args:
+            v: index of the vehicle.
+            device: of the tensors.
+            others: with what the other vehicles observe; without, those tensors have no columns.
+        """
         own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
-        others = {
-            name: torch.cat([tensor[:, :, :v], tensor[:, :, v + 1 :]], dim=2).flatten(2).to(device)
+        rest = [each for each in range(self.observations.shape[2]) if others and each != v]
+        seen_by_rest = {
+            name: tensor[:, :, rest].flatten(2).to(device)
             for name, tensor in (("others", self.observations), ("final_others", self.final))
         }
-        return VehicleRollout(**own, **others)
+        return VehicleRollout(**own, **seen_by_rest)
 
 
 @dataclass
@@ -101,16 +108,20 @@ class Samples(NamedTuple):
     def at(self, where: torch.Tensor) -> Samples:
         """The samples where a mask is True; the axes of the mask become one."""
         if where.all():
-            return Samples(*(tensor.flatten(0, where.dim() - 1) for tensor in self))
-        return Samples(*(tensor[where] for tensor in self))
+            return self._each(lambda tensor: tensor.flatten(0, where.dim() - 1))
+        rows = where.flatten().nonzero().squeeze(1)
+        return self._each(lambda tensor: tensor.flatten(0, where.dim() - 1).index_select(0, rows))
 
     def shuffled(self, generator: torch.Generator) -> Samples:
         """The samples in random order."""
         order = torch.randperm(len(self.actions), generator=generator).to(self.actions.device)
-        inputs = self.inputs.index_select(0, order)
+        return self._each(lambda tensor: tensor.index_select(0, order))
+
+    def _each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
+        inputs = function(self.inputs)
+        # Where the critic sees what the actor sees, it is not copied twice.
         same = self.critic_inputs.data_ptr() == self.inputs.data_ptr()
-        critic_inputs = inputs if same else self.critic_inputs.index_select(0, order)
-        return Samples(inputs, critic_inputs, *(tensor.index_select(0, order) for tensor in self[2:]))
+        return Samples(inputs, inputs if same else function(self.critic_inputs), *map(function, self[2:]))
 
     def split(self, parts: int) -> list[Samples]:
         """Consecutive parts of nearly equal size; fewer than ``parts`` if there are fewer samples."""
