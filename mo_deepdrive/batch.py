@@ -15,7 +15,7 @@ from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
 from mo_deepdrive.limits import check_state
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.dynamics import PATH_WIDTH
+from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
 from mo_deepdrive.simulation.measures import make_measures, measure_batch
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
@@ -52,12 +52,12 @@ TELEMETRY = (
 
 @dataclass(frozen=True)
 class _Part:
-    """Consecutive worlds that one thread moves: views of the buffers, and a scratch path."""
+    """Consecutive worlds that one thread moves: views of the buffers, and scratch."""
 
     rows: slice
     worlds: NDArray[Any]
     controls: NDArray[np.float64]
-    path: NDArray[np.float64]
+    scratch: tuple[NDArray[Any], NDArray[Any]]
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
@@ -128,7 +128,7 @@ class WorldBatch:
             rows=part,
             worlds=self.state[part],
             controls=self._controls[part],
-            path=np.zeros((self.scenario.vehicles, self.config.physics_steps + 1, PATH_WIDTH)),
+            scratch=make_scratch(self.scenario.vehicles, self.config.physics_steps),
             observations=self.observations[part],
             rewards=self.rewards[part],
             terminated=self.terminated[part],
@@ -232,7 +232,7 @@ class WorldBatch:
             part.worlds,
             part.controls,
             self.params,
-            part.path,
+            *part.scratch,
             part.observations,
             part.rewards,
             part.terminated,
