@@ -164,21 +164,23 @@ def write(worlds: Records, i: int, v: int, params: Record, out: NDArray[np.float
             out[i, v, position + 3] = other.vy
             out[i, v, position + 4] = other.ax
             out[i, v, position + 5] = other.ay
+            position += 6
+            x = other.x
+            y = other.y
+            cos_other = other.cos_heading
+            sin_other = other.sin_heading
+            for corner in range(4):
+                ahead = HALF_LENGTH if corner < 2 else -HALF_LENGTH
+                right = HALF_WIDTH if corner == 1 or corner == 2 else -HALF_WIDTH
+                px, py = geometry.corner(x, y, cos_other, sin_other, ahead, right)
+                out[i, v, position + 2 * corner] = geometry.angle_to(front_x, front_y, cos, sin, px, py)
+                out[i, v, position + 2 * corner + 1] = geometry.distance(front_x, front_y, px, py)
         else:
             for offset in range(6):
                 out[i, v, position + offset] = 0.0
-        position += 6
-        for corner in range(4):
-            angle = 0.0
-            away = ABSENT_DISTANCE
-            if other.end == RUNNING:
-                ahead = HALF_LENGTH if corner < 2 else -HALF_LENGTH
-                right = HALF_WIDTH if corner == 1 or corner == 2 else -HALF_WIDTH
-                px, py = geometry.corner(other.x, other.y, other.cos_heading, other.sin_heading, ahead, right)
-                angle = geometry.angle_to(front_x, front_y, cos, sin, px, py)
-                away = geometry.distance(front_x, front_y, px, py)
-            out[i, v, position + 2 * corner] = angle
-            out[i, v, position + 2 * corner + 1] = away
+            for corner in range(4):
+                out[i, v, position + 6 + 2 * corner] = 0.0
+                out[i, v, position + 7 + 2 * corner] = ABSENT_DISTANCE
 
 
 def bounds(scenario: Scenario, limits: dict[str, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

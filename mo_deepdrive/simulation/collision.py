@@ -1,8 +1,8 @@
 """Collisions of solid shapes along their paths in one decision.
 
 Shapes are tested at every physics step. If a vehicle moves or turns by more than a quarter of its width within a step,
-poses in between are tested, too, so that nothing passes through anything at any speed. Paths (vehicles, physics steps + 1)
-of POSE are those of ``dynamics.drive``, with one world in each lane.
+poses in between are tested, too, so that nothing passes through anything at any speed. A path, from ``dynamics.drive``,
+is (vehicles, physics_steps + 1) of POSE, with one world per lane.
 """
 
 from __future__ import annotations

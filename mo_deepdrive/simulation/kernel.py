@@ -144,7 +144,13 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
 
 @jit
 def step_worlds(
-    worlds: Records, first: int, last: int, controls: NDArray[np.float64], params: Record, motion: Records, path: Records
+    worlds: Records,
+    first: int,
+    last: int,
+    controls: NDArray[np.float64],
+    params: Record,
+    motion: Records,
+    path: Records,
 ) -> None:
     """Move the running vehicles of the worlds ``first`` to ``last`` - 1 by one decision and measure their objectives.
 
