@@ -57,7 +57,7 @@ class _Part:
     rows: slice
     worlds: NDArray[Any]
     controls: NDArray[np.float64]
-    scratch: tuple[NDArray[Any], NDArray[Any]]
+    scratch: tuple[NDArray[Any], ...]
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
@@ -102,6 +102,7 @@ class WorldBatch:
         self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._measures = make_measures(config)
         self._spawn = np.zeros(1, dtype=with_obstacles(SPAWN, self.scenario.obstacles))
+        self._sight = np.zeros(1, dtype=observation.SIGHT)
         self._no_pins = np.zeros_like(self._spawn)
         pin_nothing(self._no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
@@ -128,7 +129,10 @@ class WorldBatch:
             rows=part,
             worlds=self.state[part],
             controls=self._controls[part],
-            scratch=make_scratch(self.scenario.vehicles, self.config.physics_steps),
+            scratch=(
+                *make_scratch(self.scenario.vehicles, self.config.physics_steps),
+                np.zeros(1, dtype=observation.SIGHT),
+            ),
             observations=self.observations[part],
             rewards=self.rewards[part],
             terminated=self.terminated[part],
@@ -157,6 +161,7 @@ class WorldBatch:
                 self.params,
                 self._spawn,
                 fair,
+                self._sight,
                 self.observations,
                 self.terminated,
                 self.truncated,
@@ -260,7 +265,7 @@ class WorldBatch:
         """
         check_state(state, self.config, self.params["n_waypoints"][0, : state.shape[1]])
         self.state[:] = state
-        observe_batch(self.state, self.params, self.observations, self.terminated, self.truncated)
+        observe_batch(self.state, self.params, self._sight, self.observations, self.terminated, self.truncated)
 
     def end_names(self, row: int) -> tuple[str, ...]:
         """Why each vehicle of world ``row`` has ended; "" if it has not."""

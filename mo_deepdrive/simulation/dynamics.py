@@ -14,9 +14,7 @@ addition theorems. h - w is the heading one step ago, whose sine and cosine are 
 remain. Steer changes by equal parts, so its sine and cosine change by a constant rotation; sin(slip) and cos(slip)
 follow from tan(slip) without a function call.
 
-Up to LANES worlds move side by side: every quantity is an array with one value per lane, and the innermost loop runs
-over the lanes. It has no branches and no calls, so the compiler makes vector instructions of it. Each lane is computed
-as if it were alone, so results do not depend on which worlds share a block.
+Worlds move side by side in lanes (see ``lanes.py``), so the innermost loop runs over the lanes.
 """
 
 from __future__ import annotations
@@ -27,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.lanes import in_lanes
 from mo_deepdrive.simulation.state import (
     AXLE_A,
     AXLE_B,
@@ -45,21 +44,14 @@ SLIP_RATIO = AXLE_A / (AXLE_A + AXLE_B)
 MAX_STEER_CHANGE = 0.03  # rad per physics step, under constrain_controls
 MAX_THROTTLE_CHANGE = 0.04  # m/s^2 per physics step, under constrain_controls
 
-LANES = 16  # two vectors of AVX-512, or four of AVX2
-
-
-def _lanes(*names: str) -> np.dtype[Any]:
-    return np.dtype((np.record, [(name, np.float64, (LANES,)) for name in names]))
-
-
 # What changes within a decision, besides the pose; the units are those of VEHICLE.
-MOTION = _lanes(
+MOTION = in_lanes(
     *("heading", "speed", "yaw_step", "vx", "vy", "ax", "ay", "jerk_x", "jerk_y", "cos_before", "sin_before"),
     *("steer", "steer_step", "end_steer", "cos_steer", "sin_steer", "cos_turn", "sin_turn"),
     *("throttle", "throttle_step", "end_throttle", "end_brake", "drag", "drag_change"),
 )
 # One row of a path: the pose after a physics step, or before the first one, and the length of the path up to there (m).
-POSE = _lanes("x", "y", "cos", "sin", "moved")
+POSE = in_lanes("x", "y", "cos", "sin", "moved")
 
 
 def make_scratch(vehicles: int, physics_steps: int) -> tuple[NDArray[Any], NDArray[Any]]:

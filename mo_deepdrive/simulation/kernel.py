@@ -13,8 +13,9 @@ from mo_deepdrive import observation
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.simulation import progress
 from mo_deepdrive.simulation.collision import hits_any_obstacle, vehicles_collide
-from mo_deepdrive.simulation.dynamics import LANES, drive
+from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.placing import draw_spawn, place, spawn_is_fair
 from mo_deepdrive.simulation.state import (
     ARRIVED,
@@ -170,33 +171,32 @@ def step_worlds(
 
 
 @jit
-def observe_world(
-    worlds: Records,
-    i: int,
-    params: Record,
-    observations: NDArray[np.float32],
-    terminated: NDArray[np.bool_],
-    truncated: NDArray[np.bool_],
-) -> None:
-    """Write what the vehicles of world ``i`` observe and whether they have ended."""
+def observe_worlds(
+    worlds: Records, first: int, last: int, params: Record, sight: Records,
+    observations: NDArray[np.float32], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Write what the vehicles of the worlds ``first`` to ``last`` - 1 observe and whether they have ended."""
     for v in range(worlds.shape[1]):
-        observation.write(worlds, i, v, params, observations)
-        end = worlds[i, v].end
-        terminated[i, v] = end != RUNNING and end != TIME_LIMIT
-        truncated[i, v] = end == TIME_LIMIT
+        observation.write(worlds, first, last, v, params, sight, observations)
+        for i in range(first, last):
+            end = worlds[i, v].end
+            terminated[i, v] = end != RUNNING and end != TIME_LIMIT
+            truncated[i, v] = end == TIME_LIMIT
 
 
 @jit
 def observe_batch(
     worlds: Records,
     params: Records,
+    sight: Records,
     observations: NDArray[np.float32],
     terminated: NDArray[np.bool_],
     truncated: NDArray[np.bool_],
 ) -> None:
     """Write what all vehicles of all worlds observe, from the state alone."""
-    for i in range(worlds.shape[0]):
-        observe_world(worlds, i, params[0], observations, terminated, truncated)
+    for first in range(0, worlds.shape[0], LANES):
+        last = min(first + LANES, worlds.shape[0])
+        observe_worlds(worlds, first, last, params[0], sight, observations, terminated, truncated)
 
 
 @jit
@@ -206,6 +206,7 @@ def step_batch(
     params: Records,
     motion: Records,
     path: Records,
+    sight: Records,
     observations: NDArray[np.float32],
     rewards: NDArray[np.float32],
     terminated: NDArray[np.bool_],
@@ -219,6 +220,7 @@ def step_batch(
         params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
         motion: (1,) of MOTION, scratch.
         path: (vehicles, physics_steps + 1) of POSE, scratch.
+        sight: (1,) of SIGHT, scratch.
         observations: (worlds, vehicles, size) float32, written.
         rewards: (worlds, vehicles, objectives) float32, written but for the columns of objectives that the kernel
             does not measure; zero for vehicles that had ended before.
@@ -228,8 +230,8 @@ def step_batch(
     for first in range(0, worlds.shape[0], LANES):
         last = min(first + LANES, worlds.shape[0])
         step_worlds(worlds, first, last, controls, params[0], motion, path)
+        observe_worlds(worlds, first, last, params[0], sight, observations, terminated, truncated)
         for i in range(first, last):
-            observe_world(worlds, i, params[0], observations, terminated, truncated)
             for v in range(worlds.shape[1]):
                 for k in range(params[0].n_objectives):
                     # Adding zero turns a cost of -0.0 into 0.0.
@@ -247,6 +249,7 @@ def reset_batch(
     params: Records,
     spawn: Records,
     fair: NDArray[np.bool_],
+    sight: Records,
     observations: NDArray[np.float32],
     terminated: NDArray[np.bool_],
     truncated: NDArray[np.bool_],
@@ -262,6 +265,7 @@ def reset_batch(
         spawn: (1,) of SPAWN, scratch.
         fair: (k,) bool, written; False where the draw is not a valid scenario. Such a world is unchanged and must be
             drawn again.
+        sight: (1,) of SIGHT, scratch.
         observations: as in step_batch, written for the worlds placed.
         terminated: likewise.
         truncated: likewise.
@@ -272,4 +276,4 @@ def reset_batch(
         fair[j] = spawn_is_fair(spawn[0], params[0])
         if fair[j]:
             place(worlds, i, spawn[0], params[0])
-            observe_world(worlds, i, params[0], observations, terminated, truncated)
+            observe_worlds(worlds, i, i + 1, params[0], sight, observations, terminated, truncated)
