@@ -57,7 +57,9 @@ class _Part:
     rows: slice
     worlds: NDArray[Any]
     controls: NDArray[np.float64]
-    scratch: tuple[NDArray[Any], ...]
+    motion: NDArray[Any]
+    path: NDArray[Any]
+    sight: NDArray[Any]
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
@@ -125,14 +127,14 @@ class WorldBatch:
 
     def _part(self, rows: NDArray[np.int64]) -> _Part:
         part = slice(int(rows[0]), int(rows[-1]) + 1)
+        motion, path = make_scratch(self.scenario.vehicles, self.config.physics_steps)
         return _Part(
             rows=part,
             worlds=self.state[part],
             controls=self._controls[part],
-            scratch=(
-                *make_scratch(self.scenario.vehicles, self.config.physics_steps),
-                np.zeros(1, dtype=observation.SIGHT),
-            ),
+            motion=motion,
+            path=path,
+            sight=np.zeros(1, dtype=observation.SIGHT),
             observations=self.observations[part],
             rewards=self.rewards[part],
             terminated=self.terminated[part],
@@ -237,7 +239,9 @@ class WorldBatch:
             part.worlds,
             part.controls,
             self.params,
-            *part.scratch,
+            part.motion,
+            part.path,
+            part.sight,
             part.observations,
             part.rewards,
             part.terminated,
