@@ -73,6 +73,27 @@ def action_names(action_type: str) -> tuple[str, ...]:
 
 
 @jit
+def find_unknown(actions: NDArray[np.int64], count: int) -> int:
+    """The first world with a discrete action (worlds, vehicles) outside [0, count), or -1."""
+    for i in range(actions.shape[0]):
+        for v in range(actions.shape[1]):
+            if not 0 <= actions[i, v] < count:
+                return i
+    return -1
+
+
+@jit
+def find_infinite(actions: NDArray[np.float64]) -> int:
+    """The first world with a continuous action (worlds, vehicles, 3) that is not finite, or -1."""
+    for i in range(actions.shape[0]):
+        for v in range(actions.shape[1]):
+            for axis in range(actions.shape[2]):
+                if not math.isfinite(actions[i, v, axis]):
+                    return i
+    return -1
+
+
+@jit
 def decode_discrete(
     worlds: Records, actions: NDArray[np.int64], table: NDArray[np.float64], controls: NDArray[np.float64]
 ) -> None:

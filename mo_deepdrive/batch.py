@@ -217,13 +217,12 @@ class WorldBatch:
         if actions.dtype.kind not in kinds:
             raise ValueError(f"actions have dtype {actions.dtype}; expected {allowed}")
         actions = np.ascontiguousarray(actions, dtype=dtype)
-        if self.continuous:
-            fine = bool(np.isfinite(actions).all())
-        else:
-            fine = bool(actions.min() >= 0 and actions.max() < len(self._table))
-        if not fine:
-            each = np.isfinite(actions).all(-1) if self.continuous else (actions >= 0) & (actions < len(self._table))
-            row = int(np.flatnonzero(~each.all(axis=1))[0])
+        row = (
+            action_sets.find_infinite(actions)
+            if self.continuous
+            else action_sets.find_unknown(actions, len(self._table))
+        )
+        if row >= 0:
             raise ValueError(f"action {actions[row].tolist()} of world {row} is not allowed; expected {allowed}")
         return actions
 
