@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from typing import Any
 
 import numba
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from llvmlite.binding import get_host_cpu_features
 
 from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.observation import SIGHT, look
 from mo_deepdrive.simulation.dynamics import drive, make_scratch
 from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.params import make_params
@@ -358,7 +360,7 @@ def assert_accurate(angles: np.ndarray) -> None:
 def test_sine_and_cosine_are_accurate_up_to_the_largest_angle() -> None:
     rng = np.random.default_rng(0)
     for largest in (10.0, 1e4, LARGEST):
-        assert_accurate(rng.uniform(-largest, largest, 400_000))
+        assert_accurate(rng.uniform(-largest, largest, 200_000))
     assert_accurate(np.linspace(-LARGEST, LARGEST, 100_001))
     sign = rng.choice([-1.0, 1.0], 100_000)
     assert_accurate(sign * 10 ** rng.uniform(-300.0, math.log10(LARGEST), 100_000))
@@ -448,19 +450,35 @@ def test_worlds_that_move_side_by_side_move_as_if_they_were_alone() -> None:
     assert (worlds["x"] != before["x"])[~ended].all()
 
 
+def move(worlds: Any, controls: Any, params: Any, motion: Any, path: Any) -> None:
+    drive(worlds, 0, LANES, 0, controls, params[0], motion, path)
+
+
+def see(sight: Any) -> None:
+    look(sight[0], LANES)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 @pytest.mark.skipif(not get_host_cpu_features().get("avx2"), reason="the processor has no AVX2")
-def test_the_compiler_makes_vector_instructions_of_the_physics_steps() -> None:
-    def move(worlds, controls, params, motion, path):  # type: ignore[no-untyped-def]
-        drive(worlds, 0, LANES, 0, controls, params[0], motion, path)
-
-    worlds, controls = make_worlds(LANES)
+@pytest.mark.parametrize(
+    ("function", "instructions"),
+    [
+        (move, (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.floor\.\w+\(")),
+        (see, (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.copysign\.\w+\(")),
+    ],
+)
+def test_the_compiler_makes_vector_instructions(function: Any, instructions: tuple[str, ...]) -> None:
     params = make_params(EnvConfig(scenario="one_waypoint"))
-    compiled = numba.njit(error_model="numpy")(move)
-    compiled(worlds, controls, params, *make_scratch(1, params[0].physics_steps))
+    arguments = (
+        (*make_worlds(LANES), params, *make_scratch(1, params[0].physics_steps))
+        if function is move
+        else (np.zeros(1, dtype=SIGHT),)
+    )
+    compiled = numba.njit(error_model="numpy")(function)
+    compiled(*arguments)
     (code,) = compiled.inspect_llvm().values()
-    for instruction in (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.floor\.\w+\("):
+    for instruction in instructions:
         assert re.search(rf"{instruction} ?<\d+ x double>", code), instruction
 
 
