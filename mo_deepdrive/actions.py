@@ -73,6 +73,27 @@ def action_names(action_type: str) -> tuple[str, ...]:
 
 
 @jit
+def find_unknown(actions: NDArray[np.int64], count: int) -> int:
+    """The first world with a discrete action (worlds, vehicles) outside [0, count), or -1."""
+    for i in range(actions.shape[0]):
+        for v in range(actions.shape[1]):
+            if not 0 <= actions[i, v] < count:
+                return i
+    return -1
+
+
+@jit
+def find_infinite(actions: NDArray[np.float64]) -> int:
+    """The first world with a continuous action (worlds, vehicles, 3) that is not finite, or -1."""
+    for i in range(actions.shape[0]):
+        for v in range(actions.shape[1]):
+            for axis in range(actions.shape[2]):
+                if not math.isfinite(actions[i, v, axis]):
+                    return i
+    return -1
+
+
+@jit
 def decode_discrete(
     worlds: Records, actions: NDArray[np.int64], table: NDArray[np.float64], controls: NDArray[np.float64]
 ) -> None:
@@ -86,25 +107,18 @@ def decode_discrete(
     """
     for i in range(actions.shape[0]):
         for v in range(actions.shape[1]):
+            # Random actions make branches slow, so these are selections of one value of several.
             action = actions[i, v]
             vehicle = worlds[i, v]
             change = table[action, SPEED_CHANGE]
-            steer = table[action, DECAY] * vehicle.steer + table[action, OFFSET]
-            if table[action, CURL] != 0.0:
-                speed = max(vehicle.speed, 1.0)
-                steer += table[action, CURL] / (speed * speed)
-            throttle = 0.0
-            brake = 0.0
-            if change == MAINTAIN:
-                throttle = vehicle.throttle
-                if vehicle.speed > vehicle.previous_speed:
-                    throttle *= 0.99
-                elif vehicle.speed < vehicle.previous_speed:
-                    throttle *= 1.01
-            elif change == DECREASE:
-                brake = 1.0 if vehicle.throttle == 0.0 else 0.0
-            elif change == INCREASE:
-                throttle = 1.0
+            speed = max(vehicle.speed, 1.0)
+            steer = table[action, DECAY] * vehicle.steer + table[action, OFFSET] + table[action, CURL] / (speed * speed)
+            drift = 0.99 if vehicle.speed > vehicle.previous_speed else 1.0
+            drift = 1.01 if vehicle.speed < vehicle.previous_speed else drift
+            throttle = 1.0 if change == INCREASE else 0.0
+            throttle = vehicle.throttle * drift if change == MAINTAIN else throttle
+            brake = 1.0 if vehicle.throttle == 0.0 else 0.0
+            brake = brake if change == DECREASE else 0.0
             controls[i, v, 0] = steer
             controls[i, v, 1] = throttle
             controls[i, v, 2] = brake

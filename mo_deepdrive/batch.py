@@ -15,7 +15,7 @@ from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
 from mo_deepdrive.limits import check_state
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.dynamics import PATH_WIDTH
+from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
 from mo_deepdrive.simulation.measures import make_measures, measure_batch
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
@@ -52,12 +52,14 @@ TELEMETRY = (
 
 @dataclass(frozen=True)
 class _Part:
-    """Consecutive worlds that one thread moves: views of the buffers, and a scratch path."""
+    """Consecutive worlds that one thread moves: views of the buffers, and scratch."""
 
     rows: slice
     worlds: NDArray[Any]
     controls: NDArray[np.float64]
-    path: NDArray[np.float64]
+    motion: NDArray[Any]
+    path: NDArray[Any]
+    sight: NDArray[Any]
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
@@ -102,6 +104,7 @@ class WorldBatch:
         self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._measures = make_measures(config)
         self._spawn = np.zeros(1, dtype=with_obstacles(SPAWN, self.scenario.obstacles))
+        self._sight = np.zeros(1, dtype=observation.SIGHT)
         self._no_pins = np.zeros_like(self._spawn)
         pin_nothing(self._no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
@@ -124,11 +127,14 @@ class WorldBatch:
 
     def _part(self, rows: NDArray[np.int64]) -> _Part:
         part = slice(int(rows[0]), int(rows[-1]) + 1)
+        motion, path = make_scratch(self.scenario.vehicles, self.config.physics_steps)
         return _Part(
             rows=part,
             worlds=self.state[part],
             controls=self._controls[part],
-            path=np.zeros((self.scenario.vehicles, self.config.physics_steps + 1, PATH_WIDTH)),
+            motion=motion,
+            path=path,
+            sight=np.zeros(1, dtype=observation.SIGHT),
             observations=self.observations[part],
             rewards=self.rewards[part],
             terminated=self.terminated[part],
@@ -157,6 +163,7 @@ class WorldBatch:
                 self.params,
                 self._spawn,
                 fair,
+                self._sight,
                 self.observations,
                 self.terminated,
                 self.truncated,
@@ -210,13 +217,12 @@ class WorldBatch:
         if actions.dtype.kind not in kinds:
             raise ValueError(f"actions have dtype {actions.dtype}; expected {allowed}")
         actions = np.ascontiguousarray(actions, dtype=dtype)
-        if self.continuous:
-            fine = bool(np.isfinite(actions).all())
-        else:
-            fine = bool(actions.min() >= 0 and actions.max() < len(self._table))
-        if not fine:
-            each = np.isfinite(actions).all(-1) if self.continuous else (actions >= 0) & (actions < len(self._table))
-            row = int(np.flatnonzero(~each.all(axis=1))[0])
+        row = (
+            action_sets.find_infinite(actions)
+            if self.continuous
+            else action_sets.find_unknown(actions, len(self._table))
+        )
+        if row >= 0:
             raise ValueError(f"action {actions[row].tolist()} of world {row} is not allowed; expected {allowed}")
         return actions
 
@@ -232,7 +238,9 @@ class WorldBatch:
             part.worlds,
             part.controls,
             self.params,
+            part.motion,
             part.path,
+            part.sight,
             part.observations,
             part.rewards,
             part.terminated,
@@ -260,7 +268,7 @@ class WorldBatch:
         """
         check_state(state, self.config, self.params["n_waypoints"][0, : state.shape[1]])
         self.state[:] = state
-        observe_batch(self.state, self.params, self.observations, self.terminated, self.truncated)
+        observe_batch(self.state, self.params, self._sight, self.observations, self.terminated, self.truncated)
 
     def end_names(self, row: int) -> tuple[str, ...]:
         """Why each vehicle of world ``row`` has ended; "" if it has not."""

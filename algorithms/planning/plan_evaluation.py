@@ -12,8 +12,8 @@ from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFo
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.reference_fronts import front_config
-from mo_deepdrive.simulation.dynamics import PATH_WIDTH
-from mo_deepdrive.simulation.kernel import step_world
+from mo_deepdrive.simulation.dynamics import make_scratch
+from mo_deepdrive.simulation.kernel import step_worlds
 from mo_deepdrive.simulation.state import RUNNING
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def simulate_plans(
     rules: Any,
     table: NDArray[Any],
     params: Any,
+    motion: NDArray[Any],
     path: NDArray[Any],
     controls: NDArray[Any],
     discrete: NDArray[Any],
@@ -44,7 +45,8 @@ def simulate_plans(
         rules: (n,) of RULE.
         table: (actions, 4) of a discrete action set; empty for a continuous one.
         params: (1,) of PARAMS.
-        path: scratch, the path of one world.
+        motion: scratch, from make_scratch.
+        path: likewise.
         controls: (n, 1, 3) scratch.
         discrete: (1, 1) integers, scratch.
         continuous: (1, 1, 3) scratch.
@@ -65,7 +67,7 @@ def simulate_plans(
                 for axis in range(3):
                     continuous[0, 0, axis] = plans[i, t, axis] / FULL_SCALE
                 decode_continuous(continuous, controls[i : i + 1])
-            step_world(worlds, i, controls, params[0], path)
+            step_worlds(worlds, i, i + 1, controls, params[0], motion, path)
             for k in range(params[0].n_objectives):
                 value = params[0].objective_sign[k] * vehicle.objectives[params[0].objective_index[k]]
                 for g in range(len(weights)):
@@ -94,7 +96,7 @@ class PlanEvaluator:
         self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), self.batch.scenario.draws)))
         self.format = PlanFormat(action_type, config.max_decisions)
         self.simulated_decisions = 0
-        self._path = np.zeros((1, config.physics_steps + 1, PATH_WIDTH))
+        self._scratch = make_scratch(1, config.physics_steps)
         self._weights = np.array([gamma ** np.arange(config.max_decisions) for gamma in GAMMAS])
 
     def evaluate(self, plans: Plans, source: int, rules: NDArray[Any] | None = None) -> EvaluatedPlans:
@@ -118,7 +120,7 @@ class PlanEvaluator:
             rules.view(np.recarray),
             self.format.table,
             self.batch.params,
-            self._path,
+            *self._scratch,
             np.zeros((n, 1, 3)),
             np.zeros((1, 1), dtype=np.int64),
             np.zeros((1, 1, 3)),

@@ -262,14 +262,15 @@ class DrivingVectorEnv(VectorEnv):
 
     def _ends(self, over: NDArray[np.bool_]) -> dict[str, Any]:
         """Why the episodes of the worlds ``over`` ended, in the form of Gymnasium's vector infos."""
-        codes = self.batch.state["end"][over]
+        rows = np.flatnonzero(over)
+        codes = self.batch.state["end"][rows]
         shape: tuple[int, ...] = (self.num_envs, self.vehicles)
         if self.vehicles == 1:
             codes, shape = codes[:, 0], (self.num_envs,)
-        end = np.full(shape, None, dtype=object)
-        end[over] = END_NAMES[codes]
+        end = np.empty(shape, dtype=object)  # None where nothing is written
+        end[rows] = END_NAMES[codes]
         success = np.zeros(shape, dtype=np.bool_)
-        success[over] = codes == ARRIVED
+        success[rows] = codes == ARRIVED
         return {"end": end, "_end": over.copy(), "success": success, "_success": over.copy()}
 
     def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:

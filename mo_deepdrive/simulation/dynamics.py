@@ -13,33 +13,50 @@ The original rotates (ahead, side) = dt v (cos(w + slip), sin(w + slip)) by the 
 addition theorems. h - w is the heading one step ago, whose sine and cosine are known, so one sine and cosine per step
 remain. Steer changes by equal parts, so its sine and cosine change by a constant rotation; sin(slip) and cos(slip)
 follow from tan(slip) without a function call.
+
+Worlds move side by side in lanes (see ``lanes.py``), so the innermost loop runs over the lanes.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.lanes import in_lanes
 from mo_deepdrive.simulation.state import (
     AXLE_A,
     AXLE_B,
     GRAVITY,
+    RUNNING,
     TOP_SPEED,
     Record,
+    Records,
 )
 from mo_deepdrive.simulation.trigonometry import sine_cosine
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 SLIP_RATIO = AXLE_A / (AXLE_A + AXLE_B)
 MAX_STEER_CHANGE = 0.03  # rad per physics step, under constrain_controls
 MAX_THROTTLE_CHANGE = 0.04  # m/s^2 per physics step, under constrain_controls
 
-# Columns of the path that `drive` records: the initial pose in row 0, then the pose after each physics step.
-PATH_X, PATH_Y, PATH_COS, PATH_SIN, PATH_WIDTH = 0, 1, 2, 3, 4
+# What changes within a decision, besides the pose; the units are those of VEHICLE.
+MOTION = in_lanes(
+    *("heading", "speed", "yaw_step", "vx", "vy", "ax", "ay", "jerk_x", "jerk_y", "cos_before", "sin_before"),
+    *("steer", "steer_step", "end_steer", "cos_steer", "sin_steer", "cos_turn", "sin_turn"),
+    *("throttle", "throttle_step", "end_throttle", "end_brake", "drag", "drag_change"),
+)
+# One row of a path: the pose after a physics step, or before the first one, and the length of the path up to there (m).
+POSE = in_lanes("x", "y", "cos", "sin", "moved")
+
+
+def make_scratch(vehicles: int, physics_steps: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The scratch buffers of :func:`drive`: motion (1,) of MOTION and path (vehicles, physics_steps + 1) of POSE."""
+    return np.zeros(1, dtype=MOTION), np.zeros((vehicles, physics_steps + 1), dtype=POSE)
 
 
 @jit
@@ -49,38 +66,27 @@ def limited(change: float, limit: float) -> float:
 
 
 @jit
-def drive(
-    vehicle: Record, i: int, v: int, controls: NDArray[np.float64], params: Record, path: NDArray[np.float64]
-) -> float:
-    """Move ``vehicle`` by one decision and record its poses.
-
-    Args:
-        vehicle: record of dtype VEHICLE, changed in place.
-        i: which world.
-        v: which vehicle.
-        controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake (1).
-        params: record of dtype PARAMS.
-        path: (vehicles, physics_steps + 1, 4) buffer for x, y, cos(heading), sin(heading).
-
-    Returns:
-        The length of the path (m).
-    """
+def load(
+    vehicle: Record, i: int, v: int, controls: NDArray[np.float64], params: Record, lane: int, m: Record, pose: Record
+) -> None:
+    """Copy a vehicle to a lane, and divide the change of its controls into physics steps."""
     n = params.physics_steps
-    dt = params.dt
-    rate = 1.0 / dt
-    steer = vehicle.steer
-    throttle = vehicle.throttle
     brake = vehicle.brake
     target_brake = 0.0 if params.ignore_brake else controls[i, v, 2]
     if target_brake == 0.0:
         brake = 0.0
-    steer_change = controls[i, v, 0] - steer
-    throttle_change = controls[i, v, 1] - throttle
+    steer_change = controls[i, v, 0] - vehicle.steer
+    throttle_change = controls[i, v, 1] - vehicle.throttle
     if params.constrain_controls:
         steer_change = limited(steer_change, MAX_STEER_CHANGE * n)
         throttle_change = limited(throttle_change, MAX_THROTTLE_CHANGE * n)
-    end_steer = steer + steer_change
-    end_throttle = throttle + throttle_change
+    m.steer[lane] = vehicle.steer
+    m.steer_step[lane] = steer_change / n
+    m.end_steer[lane] = vehicle.steer + steer_change
+    m.throttle[lane] = vehicle.throttle
+    m.throttle_step[lane] = throttle_change / n
+    m.end_throttle[lane] = vehicle.throttle + throttle_change
+    m.end_brake[lane] = target_brake
 
     # 0.96^brake along the linear ramp of the brake is a geometric sequence.
     drag = params.speed_friction
@@ -88,102 +94,144 @@ def drive(
     if brake != 0.0 or target_brake != 0.0:
         drag *= math.exp(brake * params.log_brake_friction)
         drag_change = math.exp((target_brake - brake) / n * params.log_brake_friction)
+    m.drag[lane] = drag
+    m.drag_change[lane] = drag_change
 
-    clipped = abs(steer) > math.pi or abs(end_steer) > math.pi
-    steer_step = steer_change / n
-    steer_sin, steer_cos = sine_cosine(steer)
-    turn_cos = 1.0
-    turn_sin = 0.0
-    if steer_step != 0.0 and not clipped:
-        turn_sin, turn_cos = sine_cosine(steer_step)
+    m.heading[lane] = vehicle.heading
+    m.speed[lane] = vehicle.speed
+    m.yaw_step[lane] = vehicle.yaw_step
+    m.cos_before[lane] = vehicle.cos_before
+    m.sin_before[lane] = vehicle.sin_before
+    m.vx[lane] = vehicle.vx
+    m.vy[lane] = vehicle.vy
+    m.ax[lane] = vehicle.ax
+    m.ay[lane] = vehicle.ay
+    pose.x[lane] = vehicle.x
+    pose.y[lane] = vehicle.y
+    pose.cos[lane] = vehicle.cos_heading
+    pose.sin[lane] = vehicle.sin_heading
+    pose.moved[lane] = 0.0
 
-    x = vehicle.x
-    y = vehicle.y
-    heading = vehicle.heading
-    speed = vehicle.speed
-    yaw = vehicle.yaw_step
-    cos_heading = vehicle.cos_heading
-    sin_heading = vehicle.sin_heading
-    cos_before = vehicle.cos_before
-    sin_before = vehicle.sin_before
-    vx = vehicle.vx
-    vy = vehicle.vy
-    ax = vehicle.ax
-    ay = vehicle.ay
-    jerk_x = 0.0
-    jerk_y = 0.0
-    moved = 0.0
-    yaw_gain = dt / AXLE_B
 
-    path[v, 0, PATH_X] = x
-    path[v, 0, PATH_Y] = y
-    path[v, 0, PATH_COS] = cos_heading
-    path[v, 0, PATH_SIN] = sin_heading
-    for step in range(1, n + 1):
-        if clipped:
-            clipped_steer = limited(steer + step * steer_step, math.pi)
-            steer_sin, steer_cos = sine_cosine(clipped_steer)
-        else:
-            turned = steer_cos * turn_cos - steer_sin * turn_sin
-            steer_sin = steer_sin * turn_cos + steer_cos * turn_sin
-            steer_cos = turned
-        drag *= drag_change
-        push = throttle + step * (throttle_change / n)
-        if speed > TOP_SPEED:
-            push = 0.0
-
-        # tan(slip) = ratio * tan(steer), cos(slip) >= 0 because atan lies in [-pi/2, pi/2].
-        across = SLIP_RATIO * steer_sin
-        norm = 1.0 / math.sqrt(across * across + steer_cos * steer_cos)
-        slip_cos = abs(steer_cos) * norm
-        slip_sin = math.copysign(across * norm, across * steer_cos)
-
-        move = dt * speed
-        dx = -move * (sin_before * slip_cos - cos_before * slip_sin)
-        dy = move * (cos_before * slip_cos + sin_before * slip_sin)
-        x += dx
-        y += dy
-        yaw = (yaw + yaw_gain * speed * slip_sin) * params.yaw_friction
-        speed = (speed + dt * push) * drag
-        heading += yaw
-        cos_before = cos_heading
-        sin_before = sin_heading
-        sin_heading, cos_heading = sine_cosine(heading)
-
-        new_vx = dx * rate
-        new_vy = dy * rate
-        new_ax = (new_vx - vx) * rate
-        new_ay = (new_vy - vy) * rate
-        jerk_x = (new_ax - ax) * rate
-        jerk_y = (new_ay - ay) * rate
-        vx = new_vx
-        vy = new_vy
-        ax = new_ax
-        ay = new_ay
-        moved += abs(move)
-        path[v, step, PATH_X] = x
-        path[v, step, PATH_Y] = y
-        path[v, step, PATH_COS] = cos_heading
-        path[v, step, PATH_SIN] = sin_heading
-
+@jit
+def store(vehicle: Record, lane: int, m: Record, pose: Record) -> None:
+    """Copy a lane to its vehicle."""
     vehicle.previous_speed = vehicle.speed
-    vehicle.x = x
-    vehicle.y = y
-    vehicle.heading = heading
-    vehicle.speed = speed
-    vehicle.yaw_step = yaw
-    vehicle.cos_heading = cos_heading
-    vehicle.sin_heading = sin_heading
-    vehicle.cos_before = cos_before
-    vehicle.sin_before = sin_before
-    vehicle.vx = vx
-    vehicle.vy = vy
-    vehicle.ax = ax
-    vehicle.ay = ay
-    vehicle.g_force = math.sqrt(ax * ax + ay * ay) / GRAVITY
-    vehicle.jerk = math.sqrt(jerk_x * jerk_x + jerk_y * jerk_y)
-    vehicle.steer = end_steer
-    vehicle.throttle = end_throttle
-    vehicle.brake = target_brake
-    vehicle.travelled += moved
-    return moved
+    vehicle.x = pose.x[lane]
+    vehicle.y = pose.y[lane]
+    vehicle.cos_heading = pose.cos[lane]
+    vehicle.sin_heading = pose.sin[lane]
+    vehicle.travelled += pose.moved[lane]
+    vehicle.heading = m.heading[lane]
+    vehicle.speed = m.speed[lane]
+    vehicle.yaw_step = m.yaw_step[lane]
+    vehicle.cos_before = m.cos_before[lane]
+    vehicle.sin_before = m.sin_before[lane]
+    vehicle.vx = m.vx[lane]
+    vehicle.vy = m.vy[lane]
+    vehicle.ax = m.ax[lane]
+    vehicle.ay = m.ay[lane]
+    vehicle.g_force = math.sqrt(m.ax[lane] * m.ax[lane] + m.ay[lane] * m.ay[lane]) / GRAVITY
+    vehicle.jerk = math.sqrt(m.jerk_x[lane] * m.jerk_x[lane] + m.jerk_y[lane] * m.jerk_y[lane])
+    vehicle.steer = m.end_steer[lane]
+    vehicle.throttle = m.end_throttle[lane]
+    vehicle.brake = m.end_brake[lane]
+
+
+@jit
+def clip_steer(m: Record, lanes: int, step: int) -> None:
+    """Set the steer after ``step`` physics steps of those lanes where it begins or ends beyond pi."""
+    for lane in range(lanes):
+        if abs(m.steer[lane]) > math.pi or abs(m.end_steer[lane]) > math.pi:
+            steer = limited(m.steer[lane] + step * m.steer_step[lane], math.pi)
+            m.sin_steer[lane], m.cos_steer[lane] = sine_cosine(steer)
+
+
+@jit
+def drive(
+    worlds: Records, first: int, last: int, v: int, controls: NDArray[np.float64], params: Record,
+    motion: Records, path: Records,
+) -> None:  # fmt: skip
+    """Move vehicle ``v`` of the worlds ``first`` to ``last`` - 1 by one decision and record its poses.
+
+    Args:
+        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
+        first: the world in lane 0.
+        last: the world after the last one, at most ``first`` + LANES.
+        v: which vehicle.
+        controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake (1).
+        params: record of dtype PARAMS.
+        motion: (1,) of MOTION, scratch.
+        path: (vehicles, physics_steps + 1) of POSE, written, but for the other vehicles.
+    """
+    n = params.physics_steps
+    dt = params.dt
+    rate = 1.0 / dt
+    yaw_gain = dt / AXLE_B
+    yaw_friction = params.yaw_friction
+    lanes = last - first
+    m = motion[0]
+    clipped = False
+    for lane in range(lanes):
+        load(worlds[first + lane, v], first + lane, v, controls, params, lane, m, path[v, 0])
+        clipped = clipped or abs(m.steer[lane]) > math.pi or abs(m.end_steer[lane]) > math.pi
+    for lane in range(lanes):
+        m.sin_steer[lane], m.cos_steer[lane] = sine_cosine(m.steer[lane])
+        m.sin_turn[lane], m.cos_turn[lane] = sine_cosine(m.steer_step[lane])
+
+    for step in range(1, n + 1):
+        before = path[v, step - 1]
+        now = path[v, step]
+        for lane in range(lanes):
+            cos_steer = m.cos_steer[lane] * m.cos_turn[lane] - m.sin_steer[lane] * m.sin_turn[lane]
+            sin_steer = m.sin_steer[lane] * m.cos_turn[lane] + m.cos_steer[lane] * m.sin_turn[lane]
+            m.cos_steer[lane] = cos_steer
+            m.sin_steer[lane] = sin_steer
+        if clipped:
+            clip_steer(m, lanes, step)
+        for lane in range(lanes):
+            cos_before = m.cos_before[lane]
+            sin_before = m.sin_before[lane]
+            cos_steer = m.cos_steer[lane]
+            speed = m.speed[lane]
+            drag = m.drag[lane] * m.drag_change[lane]
+            push = m.throttle[lane] + step * m.throttle_step[lane] if speed <= TOP_SPEED else 0.0
+
+            # tan(slip) = ratio * tan(steer), cos(slip) >= 0 because atan lies in [-pi/2, pi/2].
+            across = SLIP_RATIO * m.sin_steer[lane]
+            norm = 1.0 / math.sqrt(across * across + cos_steer * cos_steer)
+            cos_slip = abs(cos_steer) * norm
+            sin_slip = across * norm if cos_steer >= 0.0 else -across * norm
+
+            move = dt * speed
+            dx = -move * (sin_before * cos_slip - cos_before * sin_slip)
+            dy = move * (cos_before * cos_slip + sin_before * sin_slip)
+            yaw = (m.yaw_step[lane] + yaw_gain * speed * sin_slip) * yaw_friction
+            heading = m.heading[lane] + yaw
+            sin_heading, cos_heading = sine_cosine(heading)
+            vx = dx * rate
+            vy = dy * rate
+            ax = (vx - m.vx[lane]) * rate
+            ay = (vy - m.vy[lane]) * rate
+
+            now.x[lane] = before.x[lane] + dx
+            now.y[lane] = before.y[lane] + dy
+            now.cos[lane] = cos_heading
+            now.sin[lane] = sin_heading
+            now.moved[lane] = before.moved[lane] + abs(move)
+            m.cos_before[lane] = before.cos[lane]
+            m.sin_before[lane] = before.sin[lane]
+            m.heading[lane] = heading
+            m.yaw_step[lane] = yaw
+            m.speed[lane] = (speed + dt * push) * drag
+            m.drag[lane] = drag
+            m.jerk_x[lane] = (ax - m.ax[lane]) * rate
+            m.jerk_y[lane] = (ay - m.ay[lane]) * rate
+            m.vx[lane] = vx
+            m.vy[lane] = vy
+            m.ax[lane] = ax
+            m.ay[lane] = ay
+
+    for lane in range(lanes):
+        if worlds[first + lane, v].end == RUNNING:
+            store(worlds[first + lane, v], lane, m, path[v, n])

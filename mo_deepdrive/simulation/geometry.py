@@ -10,6 +10,7 @@ import math
 
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import LENGTH, WIDTH
+from mo_deepdrive.simulation.trigonometry import angle_of
 
 HALF_LENGTH = LENGTH / 2
 HALF_WIDTH = WIDTH / 2
@@ -27,9 +28,7 @@ def angle_to(front_x: float, front_y: float, cos: float, sin: float, px: float, 
     """Angle (rad, in [-pi, pi], positive to the right) from the heading to the point (px, py)."""
     dx = px - front_x
     dy = py - front_y
-    if dx == 0.0 and dy == 0.0:
-        return 0.0
-    return math.atan2(dx * cos + dy * sin, dy * cos - dx * sin)
+    return angle_of(dx * cos + dy * sin, dy * cos - dx * sin)
 
 
 @jit

@@ -15,6 +15,7 @@ from mo_deepdrive.simulation import progress
 from mo_deepdrive.simulation.collision import hits_any_obstacle, vehicles_collide
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.placing import draw_spawn, place, spawn_is_fair
 from mo_deepdrive.simulation.state import (
     ARRIVED,
@@ -81,35 +82,29 @@ def ending(vehicle: Record, collided: bool, arrived: bool, params: Record) -> in
 
 
 @jit
-def step_world(
-    worlds: Records, i: int, controls: NDArray[np.float64], params: Record, path: NDArray[np.float64]
-) -> None:
-    """Move the running vehicles of world ``i`` by one decision and measure their objectives.
+def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> None:
+    """Measure the objectives of the running vehicles of world ``i`` after they have moved, and end their episodes.
 
     Args:
         worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
         i: which world. (Arrays are passed whole: a view costs an atomic reference count.)
-        controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake.
         params: record of dtype PARAMS.
-        path: (vehicles, physics_steps + 1, 4) scratch buffer.
+        path: (vehicles, physics_steps + 1) of POSE, from ``drive``.
+        lane: of the world in ``path``.
     """
     vehicles = worlds.shape[1]
-    moved = 0.0
     all_running = True
     for v in range(vehicles):
         vehicle = worlds[i, v]
         for k in range(len(vehicle.objectives)):
             vehicle.objectives[k] = 0.0
-        if vehicle.end == RUNNING:
-            moved += drive(vehicle, i, v, controls, params, path)
-        else:
-            all_running = False
+        all_running = all_running and vehicle.end == RUNNING
 
     collided = False
     if params.has_obstacle and all_running:
-        collided = hits_any_obstacle(worlds[i, 0], moved, params, path)
+        collided = hits_any_obstacle(worlds[i, 0], params, path, lane)
     if vehicles > 1 and all_running:
-        collided = vehicles_collide(worlds[i, 0], worlds[i, 1], moved, params, path)
+        collided = vehicles_collide(params, path, lane)
 
     # Everything that depends on the positions of both vehicles is computed before either can end.
     for v in range(vehicles):
@@ -149,33 +144,59 @@ def step_world(
 
 
 @jit
-def observe_world(
+def step_worlds(
     worlds: Records,
-    i: int,
+    first: int,
+    last: int,
+    controls: NDArray[np.float64],
     params: Record,
-    observations: NDArray[np.float32],
-    terminated: NDArray[np.bool_],
-    truncated: NDArray[np.bool_],
+    motion: Records,
+    path: Records,
 ) -> None:
-    """Write what the vehicles of world ``i`` observe and whether they have ended."""
+    """Move the running vehicles of the worlds ``first`` to ``last`` - 1 by one decision and measure their objectives.
+
+    Args:
+        worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
+        first: the first world.
+        last: the world after the last one, at most ``first`` + LANES.
+        controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake.
+        params: record of dtype PARAMS.
+        motion: (1,) of MOTION, scratch.
+        path: (vehicles, physics_steps + 1) of POSE, scratch.
+    """
     for v in range(worlds.shape[1]):
-        observation.write(worlds, i, v, params, observations)
-        end = worlds[i, v].end
-        terminated[i, v] = end != RUNNING and end != TIME_LIMIT
-        truncated[i, v] = end == TIME_LIMIT
+        drive(worlds, first, last, v, controls, params, motion, path)
+    for i in range(first, last):
+        judge(worlds, i, params, path, i - first)
+
+
+@jit
+def observe_worlds(
+    worlds: Records, first: int, last: int, params: Record, sight: Records,
+    observations: NDArray[np.float32], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Write what the vehicles of the worlds ``first`` to ``last`` - 1 observe and whether they have ended."""
+    for v in range(worlds.shape[1]):
+        observation.write(worlds, first, last, v, params, sight, observations)
+        for i in range(first, last):
+            end = worlds[i, v].end
+            terminated[i, v] = end != RUNNING and end != TIME_LIMIT
+            truncated[i, v] = end == TIME_LIMIT
 
 
 @jit
 def observe_batch(
     worlds: Records,
     params: Records,
+    sight: Records,
     observations: NDArray[np.float32],
     terminated: NDArray[np.bool_],
     truncated: NDArray[np.bool_],
 ) -> None:
     """Write what all vehicles of all worlds observe, from the state alone."""
-    for i in range(worlds.shape[0]):
-        observe_world(worlds, i, params[0], observations, terminated, truncated)
+    for first in range(0, worlds.shape[0], LANES):
+        last = min(first + LANES, worlds.shape[0])
+        observe_worlds(worlds, first, last, params[0], sight, observations, terminated, truncated)
 
 
 @jit
@@ -183,7 +204,9 @@ def step_batch(
     worlds: Records,
     controls: NDArray[np.float64],
     params: Records,
-    path: NDArray[np.float64],
+    motion: Records,
+    path: Records,
+    sight: Records,
     observations: NDArray[np.float32],
     rewards: NDArray[np.float32],
     terminated: NDArray[np.bool_],
@@ -195,22 +218,26 @@ def step_batch(
         worlds: (worlds, vehicles) of VEHICLE, changed in place.
         controls: (worlds, vehicles, 3) target controls, from actions.decode_*.
         params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
-        path: (vehicles, physics_steps + 1, 4) scratch buffer.
+        motion: (1,) of MOTION, scratch.
+        path: (vehicles, physics_steps + 1) of POSE, scratch.
+        sight: (1,) of SIGHT, scratch.
         observations: (worlds, vehicles, size) float32, written.
         rewards: (worlds, vehicles, objectives) float32, written but for the columns of objectives that the kernel
             does not measure; zero for vehicles that had ended before.
         terminated: (worlds, vehicles) bool, written; stays True until the world is placed again.
         truncated: likewise.
     """
-    for i in range(worlds.shape[0]):
-        step_world(worlds, i, controls, params[0], path)
-        observe_world(worlds, i, params[0], observations, terminated, truncated)
-        for v in range(worlds.shape[1]):
-            for k in range(params[0].n_objectives):
-                # Adding zero turns a cost of -0.0 into 0.0.
-                rewards[i, v, params[0].objective_column[k]] = (
-                    params[0].objective_sign[k] * worlds[i, v].objectives[params[0].objective_index[k]] + 0.0
-                )
+    for first in range(0, worlds.shape[0], LANES):
+        last = min(first + LANES, worlds.shape[0])
+        step_worlds(worlds, first, last, controls, params[0], motion, path)
+        observe_worlds(worlds, first, last, params[0], sight, observations, terminated, truncated)
+        for i in range(first, last):
+            for v in range(worlds.shape[1]):
+                for k in range(params[0].n_objectives):
+                    # Adding zero turns a cost of -0.0 into 0.0.
+                    rewards[i, v, params[0].objective_column[k]] = (
+                        params[0].objective_sign[k] * worlds[i, v].objectives[params[0].objective_index[k]] + 0.0
+                    )
 
 
 @jit
@@ -222,6 +249,7 @@ def reset_batch(
     params: Records,
     spawn: Records,
     fair: NDArray[np.bool_],
+    sight: Records,
     observations: NDArray[np.float32],
     terminated: NDArray[np.bool_],
     truncated: NDArray[np.bool_],
@@ -237,6 +265,7 @@ def reset_batch(
         spawn: (1,) of SPAWN, scratch.
         fair: (k,) bool, written; False where the draw is not a valid scenario. Such a world is unchanged and must be
             drawn again.
+        sight: (1,) of SIGHT, scratch.
         observations: as in step_batch, written for the worlds placed.
         terminated: likewise.
         truncated: likewise.
@@ -247,4 +276,4 @@ def reset_batch(
         fair[j] = spawn_is_fair(spawn[0], params[0])
         if fair[j]:
             place(worlds, i, spawn[0], params[0])
-            observe_world(worlds, i, params[0], observations, terminated, truncated)
+            observe_worlds(worlds, i, i + 1, params[0], sight, observations, terminated, truncated)

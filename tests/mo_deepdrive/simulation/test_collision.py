@@ -13,6 +13,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from mo_deepdrive.simulation import collision, geometry
+from mo_deepdrive.simulation.dynamics import make_scratch
 
 EDGE = 1e-9  # m; closer to contact, rounding decides
 IDLE = 0
@@ -398,33 +399,40 @@ def test_two_vehicles_that_cross_at_any_speed_do_not_pass_through_each_other(
 # ------------------------------------------------------------------------------------------ between two physics steps
 
 
+LANE = 3
+
+
 def path_of(*poses: tuple[float, float, float]) -> np.ndarray:
-    """The path of a vehicle through poses (x, y, heading), as `drive` records it, after another vehicle's."""
-    rows = [(x, y, math.cos(heading), math.sin(heading)) for x, y, heading in poses]
-    return np.array([np.full((len(rows), 4), np.nan), rows])
+    """The path of a vehicle through poses (x, y, heading), as `drive` records it in LANE, after another vehicle's."""
+    _, path = make_scratch(2, len(poses) - 1)
+    for i, (x, y, heading) in enumerate(poses):
+        for name, value in (("x", x), ("y", y), ("cos", math.cos(heading)), ("sin", math.sin(heading))):
+            path[name][:, i, :] = np.nan
+            path[name][1, i, LANE] = value
+    return path
 
 
 @pytest.mark.parametrize("part", [0.25, 0.5, 0.75])
 def test_a_pose_between_two_steps_divides_the_way_and_the_turn(part: float) -> None:
     path = path_of((9.0, 9.0, 9.0), (1.0, 2.0, 0.4), (3.0, -2.0, 1.4))
-    x, y, cos, sin = collision.pose(path, 1, 2, part)
+    x, y, cos, sin = collision.pose(path, 1, 2, LANE, part)
     assert (x, y) == pytest.approx((1.0 + 2.0 * part, 2.0 - 4.0 * part))
     chord = [(1 - part) * wave(0.4) + part * wave(1.4) for wave in (math.cos, math.sin)]
     assert (cos, sin) == pytest.approx(tuple(np.array(chord) / math.hypot(*chord)))
-    assert collision.pose(path, 1, 2, 1.0) == (3.0, -2.0, math.cos(1.4), math.sin(1.4))
+    assert collision.pose(path, 1, 2, LANE, 1.0) == (3.0, -2.0, math.cos(1.4), math.sin(1.4))
 
 
 def test_half_way_through_half_a_turn_the_pose_has_the_heading_of_the_end() -> None:
     path = path_of((0.0, 0.0, 0.0), (2.0, 4.0, math.pi))
-    path[:, 1, 3] = 0.0  # math.sin(math.pi) is not zero
-    assert collision.pose(path, 1, 1, 0.5) == (1.0, 2.0, -1.0, 0.0)
+    path["sin"][1, 1, LANE] = 0.0  # math.sin(math.pi) is not zero
+    assert collision.pose(path, 1, 1, LANE, 0.5) == (1.0, 2.0, -1.0, 0.0)
 
 
 def test_no_corner_moves_farther_than_the_bound(shapes: Any) -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
         first, second, other = ((*rng.uniform(-3.0, 3.0, 2), rng.uniform(-4.0, 4.0)) for _ in range(3))
-        bound = collision.sweep(path_of(other, first, second, other), 1, 2)
+        bound = collision.sweep(path_of(other, first, second, other), 1, 2, LANE)
         moved = np.linalg.norm(shapes.box(*second) - shapes.box(*first), axis=1).max()
         assert moved <= bound + EDGE
         ways = math.dist(first[:2], second[:2]), 2 * abs(math.sin((second[2] - first[2]) / 2))

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from llvmlite.binding import get_host_cpu_features
 
 from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.simulation.dynamics import PATH_WIDTH, drive
+from mo_deepdrive.observation import SIGHT, look
+from mo_deepdrive.simulation.dynamics import drive, make_scratch
+from mo_deepdrive.simulation.lanes import LANES
 from mo_deepdrive.simulation.params import make_params
-from mo_deepdrive.simulation.state import VEHICLE
-from mo_deepdrive.simulation.trigonometry import sine_cosine
+from mo_deepdrive.simulation.state import ENDS, VEHICLE
+from mo_deepdrive.simulation.trigonometry import LARGEST, angle_of, sine_cosine
 
 Real = np.longdouble
 needs_extended_precision = pytest.mark.skipif(
@@ -144,11 +149,11 @@ def compiled_decisions(car: Car, targets: list[tuple[float, float, float]], rule
     # The heading one physics step ago.
     vehicle.cos_before, vehicle.sin_before = math.cos(car.heading - car.yaw_step), math.sin(car.heading - car.yaw_step)
     params = rules.params
-    path = np.zeros((1, params.physics_steps + 1, PATH_WIDTH))
+    scratch = make_scratch(1, params.physics_steps)
     cars = []
     for target in targets:
         controls = np.array([[target]], dtype=np.float64)
-        drive(vehicle, 0, 0, controls, params, path)
+        drive(state, 0, 1, 0, controls, params, *scratch)
         cars.append(Car(**{name: float(vehicle[name]) for name in FIELDS}))
     return cars
 
@@ -352,18 +357,20 @@ def assert_accurate(angles: np.ndarray) -> None:
 
 
 @needs_extended_precision
-def test_sine_and_cosine_are_accurate_within_a_few_thousand_turns() -> None:
+def test_sine_and_cosine_are_accurate_up_to_the_largest_angle() -> None:
     rng = np.random.default_rng(0)
-    assert_accurate(rng.uniform(-1e4, 1e4, 400_000))
-    assert_accurate(rng.uniform(-10.0, 10.0, 400_000))
-    assert_accurate(np.linspace(-1e4, 1e4, 100_001))
+    for largest in (10.0, 1e4, LARGEST):
+        assert_accurate(rng.uniform(-largest, largest, 200_000))
+    assert_accurate(np.linspace(-LARGEST, LARGEST, 100_001))
+    sign = rng.choice([-1.0, 1.0], 100_000)
+    assert_accurate(sign * 10 ** rng.uniform(-300.0, math.log10(LARGEST), 100_000))
 
 
 @needs_extended_precision
 def test_sine_and_cosine_are_accurate_next_to_multiples_of_an_eighth_turn() -> None:
     rng = np.random.default_rng(1)
-    multiples = np.arange(-12_732, 12_733) * (math.pi / 4)
-    angles = multiples[np.abs(multiples) < 1e4]
+    most = int(LARGEST / (math.pi / 4))
+    angles = np.concatenate([np.arange(-1000, 1001), rng.integers(-most, most, 100_000)]) * (math.pi / 4)
     assert_accurate(angles)
     assert_accurate(np.nextafter(angles, np.inf))
     assert_accurate(np.nextafter(angles, -np.inf))
@@ -371,16 +378,7 @@ def test_sine_and_cosine_are_accurate_next_to_multiples_of_an_eighth_turn() -> N
 
 
 @needs_extended_precision
-def test_sine_and_cosine_are_accurate_beyond_a_few_thousand_turns() -> None:
-    rng = np.random.default_rng(2)
-    sign = rng.choice([-1.0, 1.0], 100_000)
-    assert_accurate(sign * 10 ** rng.uniform(4.0, 12.0, 100_000))
-    edge = np.array([1e4, -1e4])
-    assert_accurate(np.concatenate([np.nextafter(edge, 0.0), edge, np.nextafter(edge, 2 * edge)]))
-
-
-@needs_extended_precision
-@given(st.floats(-1e12, 1e12))
+@given(st.floats(-LARGEST, LARGEST))
 @example(0.0)
 @example(5e-324)
 @example(1e-300)
@@ -395,17 +393,109 @@ def test_sine_and_cosine_of_simple_angles_are_exact() -> None:
         assert sine_cosine(-angle) == (-sine, cosine)
 
 
+@numba.njit
+def angles_of(y, x, out):  # type: ignore[no-untyped-def]
+    for k in range(len(y)):
+        out[k] = angle_of(y[k], x[k])
+
+
+@needs_extended_precision
+def test_the_angle_of_a_direction_is_accurate() -> None:
+    rng = np.random.default_rng(3)
+    turn = np.concatenate([rng.uniform(-math.pi, math.pi, 200_000), np.arange(-16, 17) * (math.pi / 16)])
+    length = 10 ** rng.uniform(-6.0, 6.0, len(turn))
+    y, x, out = length * np.sin(turn), length * np.cos(turn), np.zeros(len(turn))
+    angles_of(y, x, out)
+    exact = np.arctan2(y.astype(Real), x.astype(Real))
+    assert (np.abs(out - exact) <= 4e-16 * np.abs(exact)).all()
+
+
+def test_the_angle_of_a_simple_direction_is_that_of_atan2() -> None:
+    for y in (0.0, -0.0, 1.0, -1.0):
+        for x in (0.0, 1.0, -1.0):
+            ours, expected = angle_of(y, x), math.atan2(y, x)
+            assert (ours, math.copysign(1.0, ours)) == (expected, math.copysign(1.0, expected))
+
+
+def make_worlds(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Worlds with a vehicle in any state, some with a steer to be clipped and some that have ended, and controls."""
+    rng = np.random.default_rng(4)
+    worlds = np.zeros((count, 1), dtype=VEHICLE)
+    for name in FIELDS:
+        worlds[name] = rng.normal(0.0, 2.0, (count, 1))
+    worlds["steer"][::4] = 4.0
+    worlds["brake"] = rng.choice([0.0, 1.0], (count, 1))
+    worlds["end"] = rng.choice([0, ENDS.index("arrived")], (count, 1), p=[0.8, 0.2])
+    for cos, sin in (("cos_heading", "sin_heading"), ("cos_before", "sin_before")):
+        angle = rng.uniform(-4.0, 4.0, (count, 1))
+        worlds[cos], worlds[sin] = np.cos(angle), np.sin(angle)
+    controls = rng.normal(0.0, 2.0, (count, 1, 3))
+    controls[:, :, 2] = rng.choice([0.0, 0.7], (count, 1))
+    return worlds, controls
+
+
+def test_worlds_that_move_side_by_side_move_as_if_they_were_alone() -> None:
+    worlds, controls = make_worlds(LANES)
+    params = Rules().params
+    alone = worlds.copy()
+    for first, last in ((0, 3), (3, LANES)):
+        drive(worlds, first, last, 0, controls, params, *make_scratch(1, params.physics_steps))
+    for i in range(LANES):
+        drive(alone, i, i + 1, 0, controls, params, *make_scratch(1, params.physics_steps))
+    assert worlds.tobytes() == alone.tobytes()
+    before, _ = make_worlds(LANES)
+    ended = worlds["end"] != 0
+    assert ended.any()
+    assert worlds[ended].tobytes() == before[ended].tobytes()
+    assert (worlds["x"] != before["x"])[~ended].all()
+
+
+def move(worlds: Any, controls: Any, params: Any, motion: Any, path: Any) -> None:
+    drive(worlds, 0, LANES, 0, controls, params[0], motion, path)
+
+
+def see(sight: Any) -> None:
+    look(sight[0], LANES)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+@pytest.mark.skipif(not get_host_cpu_features().get("avx2"), reason="the processor has no AVX2")
+@pytest.mark.parametrize(
+    ("function", "instructions"),
+    [
+        (move, (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.floor\.\w+\(")),
+        (see, (r"fmul", r"fdiv", r"call .*@llvm\.sqrt\.\w+\(", r"call .*@llvm\.copysign\.\w+\(")),
+    ],
+)
+def test_the_compiler_makes_vector_instructions(function: Any, instructions: tuple[str, ...]) -> None:
+    params = make_params(EnvConfig(scenario="one_waypoint"))
+    arguments = (
+        (*make_worlds(LANES), params, *make_scratch(1, params[0].physics_steps))
+        if function is move
+        else (np.zeros(1, dtype=SIGHT),)
+    )
+    compiled = numba.njit(error_model="numpy")(function)
+    compiled(*arguments)
+    (code,) = compiled.inspect_llvm().values()
+    for instruction in instructions:
+        assert re.search(rf"{instruction} ?<\d+ x double>", code), instruction
+
+
 def test_the_path_leads_from_the_pose_before_the_decision_to_that_after_it() -> None:
     params = make_params(EnvConfig(scenario="one_waypoint"))[0]
-    vehicle = np.zeros(1, VEHICLE)[0]
+    worlds = np.zeros((1, 2), VEHICLE)
+    vehicle = worlds[0, 1]
     vehicle.x, vehicle.y, vehicle.heading, vehicle.speed, vehicle.steer = 3.0, -2.0, 0.5, 8.0, 0.2
     vehicle.cos_heading = vehicle.cos_before = math.cos(0.5)
     vehicle.sin_heading = vehicle.sin_before = math.sin(0.5)
-    path = np.full((2, params.physics_steps + 1, PATH_WIDTH), np.nan)
-    moved = drive(vehicle, 0, 1, np.array([[[9.0, 9.0, 0.0], [0.2, 0.0, 0.0]]]), params, path)
-    assert path[1, 0].tolist() == [3.0, -2.0, math.cos(0.5), math.sin(0.5)]
-    assert path[1, -1].tolist() == [vehicle.x, vehicle.y, vehicle.cos_heading, vehicle.sin_heading]
-    steps = np.linalg.norm(np.diff(path[1, :, :2], axis=0), axis=1)
-    assert steps.sum() == pytest.approx(moved)
+    motion, path = make_scratch(2, params.physics_steps)
+    drive(worlds, 0, 1, 1, np.array([[[9.0, 9.0, 0.0], [0.2, 0.0, 0.0]]]), params, motion, path)
+    rows = [[row[name][0] for name in ("x", "y", "cos", "sin")] for row in path[1]]
+    assert rows[0] == [3.0, -2.0, math.cos(0.5), math.sin(0.5)]
+    assert rows[-1] == [vehicle.x, vehicle.y, vehicle.cos_heading, vehicle.sin_heading]
+    steps = np.linalg.norm(np.diff(np.array(rows)[:, :2], axis=0), axis=1)
+    assert path["moved"][1, :, 0] == pytest.approx([0.0, *np.cumsum(steps)])
+    assert vehicle.travelled == path["moved"][1, -1, 0]
     assert steps == pytest.approx(8.0 * params.dt * 0.999 ** np.arange(params.physics_steps))
-    assert np.isnan(path[0]).all()
+    assert not path[0].view(np.uint8).any()
