@@ -438,6 +438,7 @@ def test_deep_sea_treasure_is_learned_in_seconds(cls: type[ActorCritic]) -> None
         cls,
         SEA,
         num_envs=8,
+        seed=1,
         utility=make_utility("linear", ("treasure", "time"), weights=[0.5, 0.5]),
         steps=16,
         learning_rate=3e-3,

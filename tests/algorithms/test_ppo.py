@@ -123,7 +123,7 @@ def test_the_loss_is_the_clipped_surrogate_written_out_and_clipped_samples_have_
 def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(
     cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    agent, learner = learner_of(cls, epochs=3, minibatches=2, learning_rate=0.02, clip=0.1)
+    agent, learner = experienced(cls, epochs=3, minibatches=2, learning_rate=0.02, clip=0.1)
     ratios: list[torch.Tensor] = []
     inner = learner.gradient_step
 
