@@ -164,7 +164,7 @@ def test_the_example_learns_in_environments_of_others(env_id: str) -> None:
             "environment": {"id": env_id},
             "utility": {"name": "linear", "arguments": {"weights": weights}},
             "algorithm": {"name": "reinforce:REINFORCE", "steps": 30 if env_id.startswith("deep") else 10},
-            "training": {"total_timesteps": 10_000, "num_envs": 16},
+            "training": {"total_timesteps": 10_000, "num_envs": 16, "seed": 3},
         }
     )
     agent = build(experiment)
