@@ -1,7 +1,7 @@
 # `make train` and `make test` each work on a machine with nothing but Python (3.10 to 3.13) and make.
 PYTHON ?= python3
 VENV ?= .venv
-CONFIG ?= configs/one_waypoint/mo_a2c_linear.yaml
+CONFIG ?= configs/one_waypoint/quickstart.yaml
 SEED ?= 0
 RAY_VENV ?= .venv-ray
 PEERS_VENV ?= .venv-peers
