@@ -46,7 +46,7 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.losses import clipped_surrogate
+from algorithms.common.losses import clipped_surrogate, policy_change
 from algorithms.common.networks import centralised_inputs, make_actor, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.rollout import Samples
@@ -180,10 +180,7 @@ class MOPPOLearner(Learner):
             strict=True,
         )
         means = {name: float(torch.stack([each[name] for each in losses]).mean()) for name in losses[0]}
-        log_ratio = torch.cat(log_ratios)
-        ratio = log_ratio.exp()
-        means[CLIP_FRACTION] = float(((ratio - 1.0).abs() > self.config.clip).to(ratio.dtype).mean())
-        means[APPROX_KL] = float((ratio - 1.0 - log_ratio).mean())
+        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
         return means
 
     @torch.no_grad()
@@ -243,7 +240,7 @@ class MOPPOLearner(Learner):
     def gradient_step(
         self, samples: Samples, learning_rate: float, entropy_coefficient: float
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """One gradient step of eq. 7; its losses, the fraction of clipped samples and the KL divergence from pi_old."""
+        """One gradient step of eq. 7; its losses, and log rho of the samples before it."""
         config = self.config
         with self.optimiser.recording():
             log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)

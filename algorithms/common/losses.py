@@ -1,4 +1,4 @@
-"""Losses whose gradient is written out: pure functions of tensors."""
+"""The clipped surrogate with its gradient written out, and how far it has moved a policy."""
 
 from __future__ import annotations
 
@@ -39,3 +39,15 @@ def clipped_surrogate(
     """
     surrogate: torch.Tensor = _ClippedSurrogate.apply(log_prob, old_log_prob, advantages, clip)  # type: ignore[no-untyped-call]
     return surrogate
+
+
+def policy_change(log_ratio: torch.Tensor, clip: float) -> tuple[float, float]:
+    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi).
+
+    Args:
+        log_ratio: (M,) log rho of samples of pi_old.
+        clip: epsilon.
+    """
+    ratio = log_ratio.exp()
+    clipped = ((ratio - 1.0).abs() > clip).to(ratio.dtype)
+    return float(clipped.mean()), float((ratio - 1.0 - log_ratio).mean())

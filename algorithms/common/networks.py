@@ -119,7 +119,7 @@ class _CategoricalLogProbAndEntropy(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None]:
-        """D log p_a / dz_k = [k = a] - p_k and dH / dz_k = -p_k (log p_k + H)."""
+        """From d log p_a / dz_k = [k = a] - p_k and dH / dz_k = -p_k (log p_k + H)."""
         rows, log_p, p, entropy = ctx.saved_tensors
         by_log_prob, by_entropy = (each.reshape(-1) for each in gradients)
         factor = torch.addcmul(torch.addcmul(by_log_prob, by_entropy, entropy), by_entropy, log_p)
