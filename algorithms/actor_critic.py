@@ -14,8 +14,8 @@ import torch
 
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.actors import GaussianActor
 from algorithms.common.checkpoints import strip_prefix
-from algorithms.common.networks import GaussianActor
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, VehicleRollout
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_prefix
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
+    from algorithms.common.actors import Actor
     from algorithms.common.env_adapter import EnvAdapter
-    from algorithms.common.networks import Actor
     from mo_deepdrive.utilities import Utility
 
 

@@ -33,6 +33,7 @@ import torch
 from pydantic import model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.actors import make_actor
 from algorithms.common.advantages import (
     AdvantageForm,
     generalised_advantages,
@@ -51,7 +52,7 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.networks import centralised_inputs, make_actor, make_network
+from algorithms.common.networks import centralised_inputs, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.running_mean import RunningMean
 from algorithms.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS

@@ -16,13 +16,14 @@ pi_old that collected it:
 
 from __future__ import annotations
 
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated
 
 import torch
 from pydantic import Field, model_validator
-from torch.nn import functional
 
 from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.hyperparameters import (
     Count,
@@ -36,8 +37,8 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.losses import clipped_surrogate, policy_change
-from algorithms.common.networks import centralised_inputs, make_actor, make_network
+from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.common.networks import centralised_inputs, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.rollout import Samples
 from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
@@ -148,7 +149,7 @@ class PPOLearner(Learner):
             ),
             strict=True,
         )
-        means = {name: float(torch.stack([each[name] for each in losses]).mean()) for name in losses[0]}
+        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
         means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
         return means
 
@@ -196,20 +197,19 @@ class PPOLearner(Learner):
 
     def gradient_step(
         self, samples: Samples, learning_rate: float, entropy_coefficient: float
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    ) -> tuple[dict[str, float], torch.Tensor]:
         """One gradient step of eq. 4; its losses, and log rho of the samples before it."""
         config = self.config
         with self.optimiser.recording():
             log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
-            policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
-            value_loss = functional.mse_loss(
-                self.critic(samples.critic_inputs).squeeze(-1), samples.targets / config.value_scale
-            )
-            entropy = entropies.mean()
-            loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+            values = self.critic(samples.critic_inputs)
+        policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
+        value_loss = squared_error(values, (samples.targets / config.value_scale).unsqueeze(-1))
+        entropy = mean(entropies)
+        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
         self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
-        losses = {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
-        return {name: each.detach() for name, each in losses.items()}, log_prob.detach() - samples.log_prob
+        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        return losses, log_prob.detach() - samples.log_prob
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 

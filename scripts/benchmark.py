@@ -36,7 +36,6 @@ import mo_gymnasium
 import numpy as np
 import paired_benchmark
 import polars as pl
-import torch
 from gymnasium.vector import AutoresetMode
 from rich.console import Console
 from rich.progress import track
@@ -47,6 +46,7 @@ from algorithms import ALGORITHMS
 from algorithms.common.atomic_io import write_json
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import hypervolume
+from algorithms.common.threads import set_threads
 from algorithms.common.yaml_io import dump
 from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import (
@@ -487,7 +487,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         return
     if arguments.only or arguments.pairs is not None:
         parser.error("--only and --pairs are for --against COMMIT")
-    torch.set_num_threads(1)
+    set_threads(1)
     repetitions = 3 if arguments.quick else 15
     training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)
     if arguments.sweep:

@@ -37,6 +37,7 @@ from rich.table import Table
 
 from algorithms import ALGORITHMS
 from algorithms.common.env_adapter import make_env
+from algorithms.common.threads import set_threads
 from algorithms.evaluation.episodes import Policy, evaluate
 from algorithms.evaluation.metrics import SUCCESS
 from algorithms.experiments.cli import make_parser
@@ -336,7 +337,7 @@ class Result:
 
 def race(learner: str, env_id: str, seed: int, limit: float) -> Result:
     """Train ``learner`` in this process until it arrives or for ``limit`` CPU seconds."""
-    torch.set_num_threads(1)
+    set_threads(1)
     watch = Stopwatch(limit, arrives if env_id == ONE_WAYPOINT else None)
     for each in (Stopwatch(0.0), watch):  # a first update, which compiles or loads what is compiled, does not count
         torch.manual_seed(seed)  # peers use the global generators

@@ -17,6 +17,7 @@ import torch
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.commands import COMMANDS
+from algorithms.common.threads import set_threads
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.golden import FULL_SET, SAMPLE, Golden, is_complete, read_golden
@@ -44,7 +45,7 @@ hypothesis.settings.load_profile("mo-deepdrive")
 def _one_thread() -> Iterator[None]:
     """Run torch on one thread: tests run in parallel, and its threads would compete for the cores."""
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    set_threads(1)
     yield
     torch.set_num_threads(before)
 

@@ -74,8 +74,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments, program)
 
-    import torch
-
+    from algorithms.common.threads import set_threads
     from algorithms.experiments.progress_bar import make_console
     from algorithms.peers.listing import peers_table
     from algorithms.peers.running import run_peer
@@ -88,7 +87,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         experiment = load_peer_experiment(options.config, overrides)
         run = new_run(options, experiment)
     print(f"run {run.path}", flush=True)
-    torch.set_num_threads(experiment.training.threads)
+    set_threads(experiment.training.threads)
     seed_everything(experiment.training.seed)
     with exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
         try:

@@ -1,44 +1,120 @@
-"""The clipped surrogate with its gradient written out, and how far it has moved a policy."""
+"""Losses with their gradients written out, the clipped surrogate among them, and how far it has moved a policy."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import TYPE_CHECKING
 
-import torch
+import numpy as np
+
+from mo_deepdrive.simulation.jit import jit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import torch
+    from numpy.typing import NDArray
+
+    Gradient = tuple[torch.Tensor, NDArray[np.float32]]
 
 
-class _ClippedSurrogate(torch.autograd.Function):
-    """The gradient by log pi of min(rho A, clip(rho) A) is rho A where that is the minimum, and else 0."""
+class Loss:
+    """A scalar with its gradient by the outputs of networks; sums and multiples have the gradients that they should.
 
-    @staticmethod
-    def forward(
-        ctx: Any, log_prob: torch.Tensor, old_log_prob: torch.Tensor, advantages: torch.Tensor, clip: float
-    ) -> torch.Tensor:
-        ratio = (log_prob - old_log_prob).exp_()
-        surrogate = ratio * advantages
-        clipped = ratio.clamp_(1.0 - clip, 1.0 + clip).mul_(advantages)
-        ctx.save_for_backward(surrogate.where(surrogate <= clipped, 0.0))
-        return torch.minimum(surrogate, clipped).mean()
+    Args:
+        value: the scalar.
+        gradients: pairs of an output and the gradient by it, in its shape.
 
-    @staticmethod
-    def backward(ctx: Any, by_mean: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
-        (gradient,) = ctx.saved_tensors
-        return gradient * (by_mean / len(gradient)), None, None, None
+    Example:
+        >>> outputs = torch.tensor([1.0, 3.0])
+        >>> loss = 0.5 * mean(outputs) - squared_error(outputs, torch.tensor([1.0, 1.0]))
+        >>> float(loss)
+        -1.0
+        >>> sum(gradient for _, gradient in loss.gradients)
+        array([ 0.25, -1.75], dtype=float32)
+    """
+
+    def __init__(self, value: float, gradients: Sequence[Gradient]):
+        self.value = value
+        self.gradients = list(gradients)
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __add__(self, other: Loss) -> Loss:
+        return Loss(self.value + other.value, self.gradients + other.gradients)
+
+    def __sub__(self, other: Loss) -> Loss:
+        return self + -other
+
+    def __neg__(self) -> Loss:
+        return -1.0 * self
+
+    def __rmul__(self, factor: float) -> Loss:
+        scale = np.float32(factor)
+        return Loss(factor * self.value, [(outputs, scale * gradient) for outputs, gradient in self.gradients])
+
+
+def mean(outputs: torch.Tensor) -> Loss:
+    """The mean of ``outputs``."""
+    array = _array(outputs)
+    return Loss(float(array.mean()), [(outputs, np.full_like(array, 1.0 / array.size))])
+
+
+def squared_error(outputs: torch.Tensor, targets: torch.Tensor) -> Loss:
+    """The mean of (y - v)^2 over all elements of the outputs v and the targets y.
+
+    Raises:
+        ValueError: if they differ in shape.
+    """
+    if outputs.shape != targets.shape:
+        raise ValueError(f"targets have shape {tuple(targets.shape)}; the outputs have {tuple(outputs.shape)}")
+    error = _array(outputs) - _array(targets)
+    gradient = np.float32(2.0 / error.size) * error
+    return Loss(0.5 * float(np.vdot(gradient, error)), [(outputs, gradient)])
 
 
 def clipped_surrogate(
     log_prob: torch.Tensor, old_log_prob: torch.Tensor, advantages: torch.Tensor, clip: float
-) -> torch.Tensor:
+) -> Loss:
     """E[min(rho A, clip(rho, 1 - epsilon, 1 + epsilon) A)] with rho = pi / pi_old (Schulman et al. 2017, eq. 7).
 
     Args:
-        log_prob: (M,) log pi of the actions; the only argument with a gradient.
+        log_prob: (M,) log pi of the actions, by which the loss has a gradient.
         old_log_prob: (M,) log pi_old.
         advantages: (M,) A.
         clip: epsilon.
     """
-    surrogate: torch.Tensor = _ClippedSurrogate.apply(log_prob, old_log_prob, advantages, clip)  # type: ignore[no-untyped-call]
-    return surrogate
+    old, weights = _array(old_log_prob), _array(advantages)
+    gradient = np.empty_like(old)
+    value = _clipped_surrogate(_array(log_prob), old, weights, clip, gradient)
+    return Loss(value, [(log_prob, gradient)])
+
+
+@jit
+def _clipped_surrogate(
+    log_prob: NDArray[np.float32],
+    old_log_prob: NDArray[np.float32],
+    advantages: NDArray[np.float32],
+    clip: float,
+    gradient: NDArray[np.float32],
+) -> float:
+    """The gradient by log pi is rho A where that is the minimum, and else 0."""
+    total, count = 0.0, len(log_prob)
+    for i in range(count):
+        # In double precision, or a surrogate that is not clipped could be rounded above itself.
+        ratio = math.exp(np.float64(log_prob[i]) - np.float64(old_log_prob[i]))
+        advantage = np.float64(advantages[i])
+        surrogate = ratio * advantage
+        clipped = min(max(ratio, 1.0 - clip), 1.0 + clip) * advantage
+        gradient[i] = surrogate / count if surrogate <= clipped else 0.0
+        total += min(surrogate, clipped)
+    return total / count
+
+
+def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = tensor.detach().cpu().numpy()
+    return array
 
 
 def policy_change(log_ratio: torch.Tensor, clip: float) -> tuple[float, float]:

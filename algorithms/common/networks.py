@@ -1,10 +1,10 @@
-"""Multilayer perceptrons, actors (policy networks) and the command-conditioned network of PCN."""
+"""Multilayer perceptrons, users' own networks, inputs of centralised critics, and the network of PCN."""
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from algorithms.common.hyperparameters import Activation, NetworkSettings
 
-LOG_TWO_PI = math.log(2 * math.pi)
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {
     "relu": nn.ReLU,
     "tanh": nn.Tanh,
@@ -102,106 +101,6 @@ def _users_network(path: str, inputs: int, outputs: int, generator: torch.Genera
             raise ValueError(f"{call} cannot be used: {reason}") from error
     network.zero_grad()
     return network
-
-
-class _CategoricalLogProbAndEntropy(torch.autograd.Function):
-    """log p_a and H = -sum_k p_k log p_k of p = softmax(z), for logits z (..., n) and actions a (...)."""
-
-    @staticmethod
-    def forward(ctx: Any, logits: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        # (n, M), as a perceptron's outputs lie in memory.
-        log_p = logits.reshape(-1, logits.shape[-1]).t().log_softmax(0)
-        p = log_p.exp()
-        rows = actions.view(1, -1)
-        entropy = torch.mul(p, log_p).sum(0).neg_()
-        ctx.save_for_backward(rows, log_p, p, entropy)
-        return log_p.gather(0, rows).view(actions.shape), entropy.view(actions.shape)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None]:
-        """From d log p_a / dz_k = [k = a] - p_k and dH / dz_k = -p_k (log p_k + H)."""
-        rows, log_p, p, entropy = ctx.saved_tensors
-        by_log_prob, by_entropy = (each.reshape(-1) for each in gradients)
-        factor = torch.addcmul(torch.addcmul(by_log_prob, by_entropy, entropy), by_entropy, log_p)
-        by_logits = factor.mul_(p).neg_().scatter_add_(0, rows, by_log_prob.unsqueeze(0))
-        return by_logits.t().reshape(*gradients[0].shape, -1), None
-
-
-class CategoricalActor(nn.Module):
-    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
-
-    Args:
-        body: network from (..., inputs) to n logits.
-    """
-
-    def __init__(self, body: nn.Module):
-        super().__init__()
-        self.body = body
-
-    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row, by inversion: the first whose cumulative probability is not below a uniform number."""
-        logits: torch.Tensor = self.body(x)
-        cumulative = logits.reshape(-1, logits.shape[-1]).t().softmax(0).cumsum(0)
-        uniform = 1.0 - torch.rand(cumulative.shape[1], generator=generator, device=x.device)  # in (0, 1]
-        return (cumulative < uniform * cumulative[-1]).sum(0).view(x.shape[:-1])
-
-    def greedy(self, x: torch.Tensor) -> torch.Tensor:
-        """The most probable action per row."""
-        logits: torch.Tensor = self.body(x)
-        return logits.argmax(-1)
-
-    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
-        log_prob, entropy = _CategoricalLogProbAndEntropy.apply(self.body(x), actions)  # type: ignore[no-untyped-call]
-        return log_prob, entropy
-
-
-class GaussianActor(nn.Module):
-    """Diagonal Gaussian policy with a free log standard deviation; actions are float tensors (..., k).
-
-    The environment clips actions to its box; the log-probability is that of the unclipped sample.
-
-    Args:
-        body: network from (..., inputs) to the means of the actions.
-        actions: k.
-    """
-
-    def __init__(self, body: nn.Module, actions: int):
-        super().__init__()
-        self.body = body
-        self.log_std = nn.Parameter(torch.full((actions,), -0.5))
-
-    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """One action per row."""
-        mean = self.body(x)
-        return torch.normal(mean, self.log_std.exp().expand_as(mean), generator=generator)
-
-    def greedy(self, x: torch.Tensor) -> torch.Tensor:
-        """The mean action per row."""
-        mean: torch.Tensor = self.body(x)
-        return mean
-
-    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-density of ``actions`` and entropy of the policy, each (...)."""
-        z = (actions - self.body(x)) / self.log_std.exp()
-        log_density = (-0.5 * z.square() - self.log_std - 0.5 * LOG_TWO_PI).sum(-1)
-        entropy = (self.log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum()
-        return log_density, entropy.expand(log_density.shape)
-
-
-Actor = CategoricalActor | GaussianActor
-
-
-def make_actor(
-    config: NetworkSettings, inputs: int, actions: int, generator: torch.Generator, *, continuous: bool
-) -> Actor:
-    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
-
-    Raises:
-        ValueError: as :func:`make_network`.
-    """
-    body = make_network(config, inputs, actions, generator, output_gain=0.01)
-    return GaussianActor(body, actions) if continuous else CategoricalActor(body)
 
 
 def centralised_inputs(inputs: torch.Tensor, others: torch.Tensor, observation_scales: torch.Tensor) -> torch.Tensor:

@@ -6,14 +6,14 @@ import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 
-from algorithms.common.perceptron import recorded_passes
+from algorithms.common.losses import Loss
+from algorithms.common.tape import Tape, recording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-
-    from algorithms.common.perceptron import Pass
 
 
 def linear_schedule(start: float, end: float | None, progress: float) -> float:
@@ -61,8 +61,10 @@ class Adam:
         self._gradient, self._mean, self._mean_square = (torch.zeros_like(self._vector) for _ in range(3))
         for parameter, values in zip(self.parameters, self._parts(self._vector), strict=True):
             parameter.data = values
-        self._passes: list[Pass] = []
         self.gradients = dict(zip(self.parameters, self._parts(self._gradient), strict=True))
+        on_cpu = self._gradient.device.type == "cpu"
+        self._arrays = {each: gradient.numpy() for each, gradient in self.gradients.items()} if on_cpu else {}
+        self._tape = Tape()
 
     def _parts(self, vector: torch.Tensor) -> list[torch.Tensor]:
         """Views of a vector in the shapes of the parameters."""
@@ -71,34 +73,57 @@ class Adam:
 
     @contextmanager
     def recording(self) -> Iterator[None]:
-        """Within the context, perceptrons keep their passes for the next :meth:`minimise`, which is then faster."""
-        with recorded_passes() as self._passes:
+        """Within the context, networks note their gradients for the next :meth:`minimise`, which is then faster."""
+        with recording() as self._tape:
             yield
 
     @torch.no_grad()
-    def minimise(self, loss: torch.Tensor, learning_rate: float, max_grad_norm: float | None = None) -> None:
+    def minimise(self, loss: torch.Tensor | Loss, learning_rate: float, max_grad_norm: float | None = None) -> None:
         """One step down the gradient of ``loss``, whose norm is reduced to ``max_grad_norm`` where it is larger."""
         self._differentiate(loss)
-        gradient = self._gradient
-        if max_grad_norm is not None:
-            gradient *= (max_grad_norm / (gradient.norm() + 1e-6)).clamp_(max=1.0)
+        norm = float(self._gradient.norm())
+        if max_grad_norm is not None and norm > max_grad_norm:
+            self._gradient *= max_grad_norm / (norm + 1e-6)
         self.steps += 1
-        self._mean.lerp_(gradient, 1.0 - self.beta1)
-        self._mean_square.mul_(self.beta2).addcmul_(gradient, gradient, value=1.0 - self.beta2)
-        root = (self._mean_square / (1.0 - self.beta2**self.steps)).sqrt_().add_(self.epsilon)
-        self._vector.addcdiv_(self._mean, root, value=-learning_rate / (1.0 - self.beta1**self.steps))
+        torch._fused_adam_(
+            [self._vector],
+            [self._gradient],
+            [self._mean],
+            [self._mean_square],
+            [],
+            [torch.tensor(float(self.steps), device=self._vector.device)],
+            lr=learning_rate,
+            beta1=self.beta1,
+            beta2=self.beta2,
+            weight_decay=0.0,
+            eps=self.epsilon,
+            amsgrad=False,
+            maximize=False,
+        )
 
-    def _differentiate(self, loss: torch.Tensor) -> None:
-        """Fill the gradient: by autograd from the loss to the recorded passes, by the perceptrons from there on."""
-        passes, self._passes = self._passes, []
-        found = torch.autograd.grad(loss, [*(each.outputs for each in passes), *self.parameters], allow_unused=True)
+    def _differentiate(self, loss: torch.Tensor | Loss) -> None:
+        """Fill the gradient: by autograd what is in its graph, and by the tape what leads to where the graph begins."""
+        tape, self._tape = self._tape, Tape()
+        by_outputs = loss.gradients if isinstance(loss, Loss) else [(loss, np.ones((), np.float32))]
+        on_tape = [(outputs, gradient) for outputs, gradient in by_outputs if outputs in tape]
+        in_graph = [(outputs, gradient) for outputs, gradient in by_outputs if outputs not in tape]
         self._gradient.zero_()
-        for each, by_outputs in zip(passes, found, strict=False):
-            if by_outputs is not None:
-                each.add_gradient(by_outputs, self.gradients)
-        for parameter, by_parameter in zip(self.parameters, found[len(passes) :], strict=True):
-            if by_parameter is not None:
-                self.gradients[parameter] += by_parameter
+        if in_graph:
+            outputs, gradients = zip(*in_graph, strict=True)
+            found = torch.autograd.grad(
+                outputs,
+                [*tape.outputs, *self.parameters],
+                [torch.from_numpy(each).to(self._vector) for each in gradients],
+                allow_unused=True,
+            )
+            for leaf, by_leaf in zip((*tape.outputs, *self.parameters), found, strict=True):
+                if by_leaf is None:
+                    continue
+                if isinstance(leaf, torch.nn.Parameter):
+                    self.gradients[leaf] += by_leaf
+                else:
+                    on_tape.append((leaf, by_leaf.numpy()))
+        tape.add_gradients(on_tape, self._arrays)
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """The number of steps and both means as tensors named ``PARAMETER.ENTRY``; empty before the first step."""

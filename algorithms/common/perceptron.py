@@ -1,82 +1,116 @@
-"""A multilayer perceptron with ReLU whose gradient is written out: little more than its matrix products.
+"""A multilayer perceptron with ReLU, compiled: little more than its matrix products.
 
-At the sizes of our networks, autograd's graph of the layers costs as much as the products. The matrices lie in memory
-as the products are fastest: outputs, of which there are few, one after the other (what is returned is the transposed
-view), and likewise the gradient of the weights where a layer widens.
+Forward and backward pass are one compiled call each on the memory of the tensors, a block of rows at a time, so that
+what a block needs stays in the cache. The compiled passes serve float32 on the CPU, where gradients are not wanted or a
+:mod:`algorithms.common.tape` records; everything else is torch's.
 """
 
 from __future__ import annotations
 
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import nn
 
+from algorithms.common.tape import current_tape
+from mo_deepdrive.simulation.jit import jit
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from algorithms.common.tape import Tape
+
+    Arrays = tuple[NDArray[np.float32], ...]
+
+BLOCK = 256  # rows
+
+
+@jit
+def forward_pass(
+    rows: NDArray[np.float32], weights: Arrays, biases: Arrays, hidden: Arrays, outputs: NDArray[np.float32]
+) -> None:
+    """h_0 = x, z_k = W_k h_{k-1} + b_k and h_k = max(0, z_k), for rows x (M, inputs).
+
+    Writes h_k (M, width) of every hidden layer, and the outputs z_n (outputs, M).
+    """
+    n = len(weights)
+    for first in range(0, len(rows), BLOCK):
+        last = min(first + BLOCK, len(rows))
+        below = rows[first:last]
+        for k in range(n - 1):
+            layer, bias = hidden[k][first:last], biases[k]
+            np.dot(below, weights[k].T, layer)
+            for i in range(last - first):
+                for j in range(len(bias)):
+                    z = layer[i, j] + bias[j]
+                    layer[i, j] = 0.0 if z < 0.0 else z  # keeps a NaN
+            below = layer
+        block = np.dot(weights[n - 1], below.T)
+        for j in range(len(outputs)):
+            bias_j = biases[n - 1][j]
+            for i in range(last - first):
+                outputs[j, first + i] = block[j, i] + bias_j
+
+
+@jit
+def backward_pass(
+    rows: NDArray[np.float32],
+    weights: Arrays,
+    hidden: Arrays,
+    by_outputs: NDArray[np.float32],
+    by_weights: Arrays,
+    by_biases: Arrays,
+) -> None:
+    """Add dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k, where G_{k-1} = (G_k W_k) [h_{k-1} > 0].
+
+    Args:
+        rows: (M, inputs) of the forward pass.
+        weights: of the forward pass.
+        hidden: from the forward pass.
+        by_outputs: (outputs, M) G_n = dL/dz_n.
+        by_weights: gradients, added to.
+        by_biases: gradients, added to.
+    """
+    n = len(weights)
+    for first in range(0, len(rows), BLOCK):
+        last = min(first + BLOCK, len(rows))
+        block = np.ascontiguousarray(by_outputs[:, first:last])
+        for j in range(len(block)):
+            by_biases[n - 1][j] += block[j].sum()
+        _add(by_weights[n - 1], np.dot(block, hidden[n - 2][first:last]))
+        gradient = np.dot(block.T, weights[n - 1])
+        for k in range(n - 2, -1, -1):
+            layer, total = hidden[k][first:last], by_biases[k]
+            for i in range(last - first):
+                for j in range(len(total)):
+                    kept = np.float32(0.0) if layer[i, j] <= 0.0 else gradient[i, j]
+                    gradient[i, j] = kept
+                    total[j] += kept
+            below = rows[first:last] if k == 0 else hidden[k - 1][first:last]
+            _add(by_weights[k], np.dot(gradient.T, below))
+            if k > 0:
+                gradient = np.dot(gradient, weights[k])
+
+
+@jit
+def _add(total: NDArray[np.float32], part: NDArray[np.float32]) -> None:
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            total[i, j] += part[i, j]
 
 
 class _Space:
-    """Memory for the hidden layers of M rows and for their gradients; the system's would be mapped anew every time.
+    """Memory for the hidden layers of M rows, (M, width) each, with room for the rows for which it was made."""
 
-    Args:
-        flat: with room for two numbers per row and hidden unit.
-        rows: M.
-        widths: of the hidden layers.
-
-    Attributes:
-        layers, gradients: (M, width) per hidden layer.
-    """
-
-    def __init__(self, flat: torch.Tensor, rows: int, widths: Sequence[int]):
-        self.flat, self.rows = flat, rows
-        parts = flat[: 2 * rows * sum(widths)].split([rows * width for width in widths for _ in range(2)])
-        matrices = [part.view(rows, -1) for part in parts]
-        self.layers, self.gradients = matrices[::2], matrices[1::2]
-
-
-@dataclass
-class Pass:
-    """One forward pass that autograd does not see: for it, the outputs are where the graph begins.
-
-    Attributes:
-        perceptron: whose pass.
-        inputs: (M, inputs).
-        space: with the hidden layers after ReLU.
-        outputs: (M, outputs), a leaf of autograd's graph.
-    """
-
-    perceptron: Perceptron
-    inputs: torch.Tensor
-    space: _Space
-    outputs: torch.Tensor
-
-    @torch.no_grad()
-    def add_gradient(self, by_outputs: torch.Tensor, gradients: Mapping[Any, torch.Tensor]) -> None:
-        """Add the gradient by the parameters to ``gradients``, from that by the outputs; ends the pass."""
-        self.perceptron.add_gradient(self.inputs, self.space, by_outputs, gradients)
-        self.perceptron.release(self.space)
-
-
-_passes: ContextVar[list[Pass] | None] = ContextVar("passes", default=None)
-
-
-@contextmanager
-def recorded_passes() -> Iterator[list[Pass]]:
-    """Within the context, perceptrons keep their passes in the list instead of in autograd's graph.
-
-    The parameters get a gradient from :meth:`Pass.add_gradient` alone. Passes whose inputs need a gradient themselves
-    stay in the graph.
-    """
-    passes: list[Pass] = []
-    token = _passes.set(passes)
-    try:
-        yield passes
-    finally:
-        _passes.reset(token)
+    def __init__(self, memory: NDArray[np.float32], rows: int, widths: Sequence[int]):
+        self.memory, self.rows = memory, rows
+        ends = list(accumulate((rows * width for width in widths), initial=0))
+        parts = zip(pairwise(ends), widths, strict=True)
+        self.hidden = tuple(memory[first:last].reshape(rows, width) for (first, last), width in parts)
 
 
 class Perceptron(nn.Sequential):
@@ -95,97 +129,54 @@ class Perceptron(nn.Sequential):
         self.weights = [layer.weight for layer in linear]
         self.biases = [layer.bias for layer in linear]
         self._widths = [len(bias) for bias in self.biases[:-1]]
+        # Memory that no pass holds; the system's would be mapped and cleared every time.
         self._spare: list[_Space] = []
+        self._memory: tuple[tuple[int, ...], Arrays, Arrays] = ((), (), ())
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Outputs (..., outputs) for inputs (..., inputs)."""
-        rows = inputs if inputs.dim() == 2 else inputs.reshape(-1, inputs.shape[-1])
-        passes = _passes.get()
-        if not torch.is_grad_enabled():
-            space = self._claim(rows)
-            outputs = self.outputs(rows, space)
-            self.release(space)
-        elif passes is None or inputs.requires_grad:
-            outputs = _Differentiable.apply(self, rows, *self.weights, *self.biases)  # type: ignore[no-untyped-call]
+        tape = current_tape()
+        if not self._is_compiled(inputs, tape):
+            result: torch.Tensor = super().forward(inputs)  # type: ignore[no-untyped-call]
+            return result
+        rows = np.ascontiguousarray(inputs.detach().numpy()).reshape(-1, inputs.shape[-1])
+        weights, biases = self._arrays()
+        space = self._claim(len(rows))
+        transposed = np.empty((len(biases[-1]), len(rows)), np.float32)
+        forward_pass(rows, weights, biases, space.hidden, transposed)
+        outputs = torch.from_numpy(transposed).t()
+        if tape is None:
+            self._spare.append(space)
         else:
-            with torch.no_grad():
-                space = self._claim(rows)
-                outputs = self.outputs(rows, space).requires_grad_()
-            passes.append(Pass(self, rows, space, outputs))
+
+            def backward(by_outputs: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> None:
+                by_weights = tuple([gradients[weight] for weight in self.weights])
+                by_biases = tuple([gradients[bias] for bias in self.biases])
+                by_transposed = np.ascontiguousarray(by_outputs[0].T)
+                backward_pass(rows, weights, space.hidden, by_transposed, by_weights, by_biases)
+                self._spare.append(space)
+
+            tape.record(inputs, [outputs], backward)
         return outputs if inputs.dim() == 2 else outputs.reshape(*inputs.shape[:-1], -1)
 
-    def _claim(self, rows: torch.Tensor) -> _Space:
-        """Memory for the hidden layers of ``rows`` (M, inputs), until :meth:`release`."""
-        count, size = len(rows), 2 * len(rows) * sum(self._widths)
+    def _arrays(self) -> tuple[Arrays, Arrays]:
+        """The memory of weights and biases, looked up again where it has moved."""
+        addresses = tuple([each.data_ptr() for each in (*self.weights, *self.biases)])
+        if addresses != self._memory[0]:
+            weights, biases = (tuple([each.detach().numpy() for each in kind]) for kind in (self.weights, self.biases))
+            self._memory = (addresses, weights, biases)
+        return self._memory[1:]
+
+    def _is_compiled(self, inputs: torch.Tensor, tape: Tape | None) -> bool:
+        wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
+        fits = inputs.dtype == self.weights[0].dtype == torch.float32 and inputs.device.type == "cpu"
+        return wanted and fits and bool(self._widths)
+
+    def _claim(self, rows: int) -> _Space:
+        """Memory for the hidden layers of ``rows`` rows, until it is spare again."""
         spare = self._spare.pop() if self._spare else None
-        if spare is not None and spare.rows == count:
+        if spare is not None and spare.rows == rows:
             return spare
-        if spare is not None and len(spare.flat) >= size and spare.flat.device == rows.device:
-            return _Space(spare.flat, count, self._widths)
-        with torch.inference_mode(False):
-            return _Space(torch.empty(size, dtype=rows.dtype, device=rows.device), count, self._widths)
-
-    def release(self, space: _Space) -> None:
-        """Let another pass use the memory."""
-        self._spare.append(space)
-
-    def outputs(self, rows: torch.Tensor, space: _Space) -> torch.Tensor:
-        """z_n (M, outputs) of the rows h_0 = x, with z_k = h_{k-1} W_k^T + b_k and h_k = max(0, z_k)."""
-        layer = rows
-        for weight, bias, hidden in zip(self.weights, self.biases, space.layers, strict=False):
-            layer = torch.addmm(bias, layer, weight.t(), out=hidden).relu_()
-        return torch.mm(self.weights[-1], layer.t()).add_(self.biases[-1].unsqueeze(1)).t()
-
-    def add_gradient(
-        self,
-        rows: torch.Tensor,
-        space: _Space,
-        by_outputs: torch.Tensor,
-        gradients: Mapping[Any, torch.Tensor],
-    ) -> torch.Tensor:
-        """Add the gradient of a loss L by the parameters, dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k.
-
-        G_n = dL/dz_n is given, and G_{k-1} = (G_k W_k) [h_{k-1} > 0].
-
-        Args:
-            rows: (M, inputs) of the pass.
-            space: its hidden layers.
-            by_outputs: (M, outputs) dL/dz_n.
-            gradients: by parameter, in its shape; they are added to.
-
-        Returns:
-            (M, width) G_1.
-        """
-        gradient = by_outputs.t().contiguous().t()
-        layers = [rows, *space.layers]
-        for k in range(len(layers) - 1, -1, -1):
-            weight, layer = self.weights[k], layers[k]
-            if len(weight) > weight.shape[1]:
-                gradients[weight] += torch.mm(layer.t(), gradient).t()
-            else:
-                gradients[weight].addmm_(gradient.t(), layer)
-            gradients[self.biases[k]] += gradient.sum(0)
-            if k > 0:
-                back = torch.mm(gradient, weight, out=space.gradients[k - 1])
-                gradient = torch.ops.aten.threshold_backward.grad_input(back, layer, 0, grad_input=back)
-        return gradient
-
-
-class _Differentiable(torch.autograd.Function):
-    """A perceptron as one node of autograd's graph."""
-
-    @staticmethod
-    def forward(ctx: Any, perceptron: Perceptron, rows: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
-        ctx.perceptron, ctx.space = perceptron, perceptron._claim(rows)
-        # Autograd notices if what is saved changes before the backward pass.
-        ctx.save_for_backward(rows, *parameters)
-        return perceptron.outputs(rows, ctx.space)
-
-    @staticmethod
-    def backward(ctx: Any, *by_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        perceptron: Perceptron = ctx.perceptron
-        rows = ctx.saved_tensors[0]
-        gradients = {each: torch.zeros_like(each) for each in (*perceptron.weights, *perceptron.biases)}
-        gradient = perceptron.add_gradient(rows, ctx.space, by_outputs[0], gradients)
-        by_rows = gradient @ perceptron.weights[0] if ctx.needs_input_grad[1] else None
-        return None, by_rows, *gradients.values()
+        size = rows * sum(self._widths)
+        memory = np.empty(size, np.float32) if spare is None or len(spare.memory) < size else spare.memory
+        return _Space(memory, rows, self._widths)

@@ -9,6 +9,7 @@ import torch
 
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.common.threads import set_threads
 from algorithms.evaluation.front import check_reference_point
 from algorithms.evaluation.metrics import vehicle_name
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
@@ -36,7 +37,7 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
         ValueError: if environment, utility and hyperparameters do not fit together.
     """
     algorithm = agent_class(experiment.algorithm["name"])
-    torch.set_num_threads(experiment.training.threads)
+    set_threads(experiment.training.threads)
     env = make_environment(experiment.environment, num_envs or experiment.training.num_envs)
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}

@@ -1,12 +1,13 @@
 """The compiler decorator of the package.
 
 Numba caches a function under the stamp of its own source file, so the cache becomes stale when a function that it
-*imports* changes. Here the stamp of every function is a hash of all sources of the package.
+*imports* changes. Here the stamp of every function is a hash of all sources of its package and of this one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -27,12 +28,16 @@ def source_hash(package: Path) -> str:
     return digest.hexdigest()
 
 
-SOURCES = source_hash(Path(__file__).parent.parent)
+_hash_once = functools.cache(source_hash)
+HERE = Path(__file__).parent
 
 
 class _PackageStamp:
+    _py_file: str
+
     def get_source_stamp(self) -> str:
-        return SOURCES
+        folder = Path(self._py_file).parent
+        return _hash_once(HERE.parent) + ("" if folder == HERE else _hash_once(folder))
 
 
 class _UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):

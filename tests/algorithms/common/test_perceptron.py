@@ -1,4 +1,4 @@
-"""Perceptrons whose gradient is written out, against autograd's of the same layers and against a plain loop."""
+"""Compiled perceptrons against torch's layers, autograd and a plain loop."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ import pytest
 import torch
 from torch import nn
 
-from algorithms.common.perceptron import Perceptron, recorded_passes
+from algorithms.common.perceptron import Perceptron
+from algorithms.common.tape import Tape, recording
 
-SIZES = [(5, 8, 4, 3), (5, 4, 8, 1), (4, 3), (3, 16, 16, 16, 6)]
+SIZES = [(5, 8, 4, 3), (5, 4, 8, 1), (3, 16, 16, 16, 6), (22, 64, 32, 22), (22, 128, 64, 4)]
+ROWS = [0, 1, 7, 256, 300, 1024]
 
 
 def both(sizes: tuple[int, ...]) -> tuple[Perceptron, nn.Sequential]:
-    """A perceptron and the same layers as a Sequential, in double precision."""
+    """A perceptron and the same layers as a Sequential."""
     torch.manual_seed(0)
     layers: list[nn.Module] = []
     for fan_in, fan_out in pairwise(sizes):
         layers += [nn.Linear(fan_in, fan_out), nn.ReLU()]
-    reference = nn.Sequential(*layers[:-1]).double()
-    perceptron = Perceptron(*(type(each)(*_arguments(each)) for each in layers[:-1])).double()
+    reference = nn.Sequential(*layers[:-1])
+    perceptron = Perceptron(*(type(each)(*_arguments(each)) for each in layers[:-1]))
     perceptron.load_state_dict(reference.state_dict())
     return perceptron, reference
 
@@ -29,90 +31,115 @@ def _arguments(layer: nn.Module) -> tuple[int, ...]:
     return (layer.in_features, layer.out_features) if isinstance(layer, nn.Linear) else ()
 
 
-@pytest.mark.parametrize("sizes", SIZES)
-@pytest.mark.parametrize("shape", [(7,), (1,), (3, 4), ()])
-def test_outputs_and_gradients_are_autograds(sizes: tuple[int, ...], shape: tuple[int, ...]) -> None:
-    perceptron, reference = both(sizes)
-    x = torch.randn(*shape, sizes[0], dtype=torch.float64)
-    mine, theirs = x.clone().requires_grad_(), x.clone().requires_grad_()
-    outputs, expected = perceptron(mine), reference(theirs)
-    torch.testing.assert_close(outputs, expected)
-    by_outputs = torch.randn_like(expected)
-    found = torch.autograd.grad(outputs, [mine, *perceptron.parameters()], by_outputs)
-    wanted = torch.autograd.grad(expected, [theirs, *reference.parameters()], by_outputs)
-    for one, other in zip(found, wanted, strict=True):
-        torch.testing.assert_close(one, other)
-    with torch.no_grad():
-        torch.testing.assert_close(perceptron(x), expected)
-
-
-@pytest.mark.parametrize("sizes", SIZES)
-def test_a_recorded_pass_has_the_same_gradient(sizes: tuple[int, ...]) -> None:
-    perceptron, reference = both(sizes)
-    x = torch.randn(6, sizes[0], dtype=torch.float64)
-    with recorded_passes() as passes:
-        outputs = perceptron(x)
-    (by_outputs,) = torch.autograd.grad(outputs.square().sum(), passes[0].outputs)
+def gradients_of(perceptron: Perceptron, tape: Tape, *by_outputs: torch.Tensor) -> list[torch.Tensor]:
+    """The gradients by the parameters, from those by the outputs on the tape."""
     gradients = {parameter: torch.zeros_like(parameter) for parameter in perceptron.parameters()}
-    passes[0].add_gradient(by_outputs, gradients)
-    wanted = torch.autograd.grad(reference(x).square().sum(), list(reference.parameters()))
-    for one, other in zip(gradients.values(), wanted, strict=True):
-        torch.testing.assert_close(one, other)
+    pairs = [(out, by.numpy()) for out, by in zip(tape.outputs, by_outputs, strict=True)]
+    tape.add_gradients(pairs, {parameter: gradient.numpy() for parameter, gradient in gradients.items()})
+    return list(gradients.values())
+
+
+def assert_all_close(found: list[torch.Tensor], wanted: tuple[torch.Tensor, ...]) -> None:
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5 * max(1.0, float(other.abs().max())))
+
+
+@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("rows", ROWS)
+def test_outputs_and_gradients_are_autograds(sizes: tuple[int, ...], rows: int) -> None:
+    perceptron, reference = both(sizes)
+    x = torch.randn(rows, sizes[0])
+    expected = reference(x)
+    with torch.no_grad():
+        torch.testing.assert_close(perceptron(x), expected, rtol=1e-5, atol=1e-5)
+    with recording() as tape:
+        outputs = perceptron(x)
+    assert outputs in tape
+    torch.testing.assert_close(outputs, expected, rtol=1e-5, atol=1e-5)
+    by_outputs = torch.randn_like(expected)
+    wanted = torch.autograd.grad(expected, list(reference.parameters()), by_outputs)
+    assert_all_close(gradients_of(perceptron, tape, by_outputs), wanted)
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (3, 4), (2, 1, 3)])
+def test_inputs_have_any_number_of_axes_and_any_layout(shape: tuple[int, ...]) -> None:
+    perceptron, reference = both((5, 8, 4, 3))
+    for x in (torch.randn(*shape, 5), torch.randn(5, *shape).movedim(0, -1), torch.randn(*shape, 10)[..., ::2]):
+        with torch.no_grad():
+            outputs = perceptron(x)
+        assert outputs.shape == (*shape, 3)
+        torch.testing.assert_close(outputs, reference(x).detach(), rtol=1e-5, atol=1e-5)
 
 
 def test_outputs_are_those_of_a_plain_loop() -> None:
-    perceptron = both((3, 4, 2))[0].requires_grad_(False)
+    perceptron, _ = both((3, 4, 2))
     first, second = perceptron[0], perceptron[2]
-    for row in torch.randn(5, 3, dtype=torch.float64):
-        hidden = [
-            max(0.0, float(sum(w * x for w, x in zip(weights, row, strict=True)) + b))
-            for weights, b in zip(first.weight, first.bias, strict=True)
-        ]
-        expected = [
-            float(sum(w * h for w, h in zip(weights, hidden, strict=True)) + b)
-            for weights, b in zip(second.weight, second.bias, strict=True)
-        ]
-        assert perceptron(row[None])[0].tolist() == pytest.approx(expected)
+    with torch.no_grad():
+        for row in torch.randn(5, 3):
+            hidden = [
+                max(0.0, float(sum(w * x for w, x in zip(weights, row, strict=True)) + b))
+                for weights, b in zip(first.weight, first.bias, strict=True)
+            ]
+            expected = [
+                float(sum(w * h for w, h in zip(weights, hidden, strict=True)) + b)
+                for weights, b in zip(second.weight, second.bias, strict=True)
+            ]
+            assert perceptron(row[None])[0].tolist() == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 def test_passes_of_other_sizes_in_between_do_not_disturb_a_pass() -> None:
     perceptron, reference = both((5, 8, 4, 3))
-    x = torch.randn(6, 5, dtype=torch.float64)
+    x, y = torch.randn(300, 5), torch.randn(300, 5)
     with torch.inference_mode():
-        perceptron(torch.randn(9, 5, dtype=torch.float64))
-    with recorded_passes() as passes:
-        outputs = perceptron(x)
-    differentiable = perceptron(2 * x)
+        perceptron(torch.randn(900, 5))
+    with recording() as tape:
+        one, other = perceptron(x), perceptron(y)
     with torch.no_grad():
-        for rows in (2, 6, 30):
-            perceptron(torch.randn(rows, 5, dtype=torch.float64))
-    gradients = {parameter: torch.zeros_like(parameter) for parameter in perceptron.parameters()}
-    passes[0].add_gradient(torch.ones_like(outputs), gradients)
-    expected = torch.autograd.grad(reference(x).sum(), list(reference.parameters()))
-    for one, other in zip(gradients.values(), expected, strict=True):
-        torch.testing.assert_close(one, other)
-    found = torch.autograd.grad(differentiable.sum(), list(perceptron.parameters()))
-    expected = torch.autograd.grad(reference(2 * x).sum(), list(reference.parameters()))
-    for one, other in zip(found, expected, strict=True):
-        torch.testing.assert_close(one, other)
+        for rows in (2, 300, 3000):
+            perceptron(torch.randn(rows, 5))
+    found = gradients_of(perceptron, tape, torch.ones_like(one), 2.0 * torch.ones_like(other))
+    assert_all_close(
+        found, torch.autograd.grad((reference(x) + 2.0 * reference(y)).sum(), list(reference.parameters()))
+    )
 
 
 def test_memory_is_used_again() -> None:
     perceptron, _ = both((5, 8, 3))
-    x = torch.randn(6, 5, dtype=torch.float64)
-    addresses = set()
-    for _ in range(5):
-        with recorded_passes() as passes:
-            outputs = perceptron(x)
-        addresses.add(passes[0].space.flat.data_ptr())
-        passes[0].add_gradient(torch.ones_like(outputs), {p: torch.zeros_like(p) for p in perceptron.parameters()})
-    assert len(addresses) == 1
+    spaces = set()
+    for rows in (300, 300, 100, 300):
+        with recording() as tape:
+            outputs = perceptron(torch.randn(rows, 5))
+        assert not perceptron._spare
+        gradients_of(perceptron, tape, torch.ones_like(outputs))
+        spaces.update(space.memory.ctypes.data for space in perceptron._spare)
+    assert len(spaces) == 1
 
 
-def test_a_weight_that_changes_before_the_backward_pass_is_noticed() -> None:
-    perceptron, _ = both((5, 8, 3))
-    outputs = perceptron(torch.randn(6, 5, dtype=torch.float64))
+def test_parameters_that_have_moved_are_found() -> None:
+    perceptron, reference = both((5, 8, 3))
+    x = torch.randn(4, 5)
     with torch.no_grad():
-        perceptron[0].weight += 1.0
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
-        outputs.sum().backward()
+        perceptron(x)
+        for parameter, theirs in zip(perceptron.parameters(), reference.parameters(), strict=True):
+            theirs.copy_(torch.randn_like(theirs))
+            parameter.data = theirs.clone()
+        torch.testing.assert_close(perceptron(x), reference(x), rtol=1e-5, atol=1e-5)
+
+
+def test_what_is_not_a_number_stays_so() -> None:
+    perceptron, _ = both((5, 8, 3))
+    x = torch.randn(3, 5)
+    x[1, 2] = float("nan")
+    with torch.no_grad():
+        assert perceptron(x).isnan().any(-1).tolist() == [False, True, False]
+
+
+def test_double_precision_and_gradients_by_the_inputs_are_torchs() -> None:
+    perceptron, reference = both((5, 8, 3))
+    x = torch.randn(4, 5, requires_grad=True)
+    with recording() as tape:
+        outputs = perceptron(x)
+        assert perceptron.double()(x.double()).dtype == torch.float64
+    assert not tape.outputs
+    (found,), (wanted,) = (torch.autograd.grad(each.sum(), x) for each in (outputs, reference(x)))
+    torch.testing.assert_close(found, wanted)

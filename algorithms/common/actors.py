@@ -1,0 +1,300 @@
+"""Actors (policy networks): softmax and Gaussian policies over the outputs of a network.
+
+Sampling, log-probability and entropy are compiled, with their gradients written out, where the network's outputs are
+(:mod:`algorithms.common.perceptron`); else they are torch's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from algorithms.common.networks import make_network
+from algorithms.common.tape import current_tape
+from mo_deepdrive.simulation.jit import jit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from algorithms.common.hyperparameters import NetworkSettings
+
+LOG_TWO_PI = math.log(2 * math.pi)
+
+# exp(x) = 2^k exp(r), with k the integer nearest to x / log(2) and |r| <= log(2) / 2.
+LOG2_E = 1.0 / math.log(2.0)
+LOG_2 = math.log(2.0)
+ROUND = 1.5 * 2.0**52  # added to a number below 2^51, it leaves the nearest integer in the last bits
+BIAS = 1023  # of a float64's exponent
+LOWEST = -700.0  # exp of it is still a normal number
+E2, E3, E4, E5, E6, E7 = 1 / 2, 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040
+
+
+@jit
+def exponential(x: float) -> float:
+    """exp(x) for x in [-700, 700], to a relative error of 1e-8, in operations that the compiler can vectorise."""
+    shifted = x * LOG2_E + ROUND
+    r = x - (shifted - ROUND) * LOG_2
+    r2 = r * r
+    series = (1.0 + r) + r2 * ((E2 + r * E3) + r2 * ((E4 + r * E5) + r2 * (E6 + r * E7)))
+    power = np.int64((np.float64(shifted).view(np.int64) + BIAS) << 52).view(np.float64)
+    result: float = series * power
+    return result
+
+
+@jit
+def _log_normaliser(logits: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Log Z = log sum_k exp(z_k) and H = log Z - sum_k p_k z_k of p = exp(z) / Z, each (M,), for logits z (n, M)."""
+    n, rows = logits.shape
+    top, total, weighted = logits[0].astype(np.float64), np.zeros(rows), np.zeros(rows)
+    for k in range(1, n):
+        for i in range(rows):
+            top[i] = max(top[i], logits[k, i])
+    for k in range(n):
+        for i in range(rows):
+            z = max(logits[k, i] - top[i], LOWEST)
+            e = exponential(z)
+            total[i] += e
+            weighted[i] += e * z
+    for i in range(rows):
+        log_total = math.log(total[i])
+        weighted[i] = log_total - weighted[i] / total[i]
+        total[i] = top[i] + log_total
+    return total, weighted
+
+
+@jit
+def categorical_pass(
+    logits: NDArray[np.float32],
+    actions: NDArray[np.int64],
+    log_prob: NDArray[np.float32],
+    entropy: NDArray[np.float32],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Write log p_a and H (M,) of softmax(z) for logits z (n, M) and actions a (M,); log Z and H in full precision."""
+    log_z, h = _log_normaliser(logits)
+    for i in range(len(actions)):
+        log_prob[i] = logits[actions[i], i] - log_z[i]
+        entropy[i] = h[i]
+    return log_z, h
+
+
+@jit
+def categorical_gradient(
+    logits: NDArray[np.float32],
+    actions: NDArray[np.int64],
+    log_z: NDArray[np.float64],
+    h: NDArray[np.float64],
+    by_log_prob: NDArray[np.float32],
+    by_entropy: NDArray[np.float32],
+    by_logits: NDArray[np.float32],
+) -> None:
+    """Write dL/dz (n, M), from d log p_a / dz_k = [k = a] - p_k and dH / dz_k = -p_k (log p_k + H)."""
+    n, rows = logits.shape
+    for k in range(n):
+        for i in range(rows):
+            log_p = max(logits[k, i] - log_z[i], LOWEST)
+            by_logits[k, i] = -exponential(log_p) * (by_log_prob[i] + by_entropy[i] * (log_p + h[i]))
+    for i in range(rows):
+        by_logits[actions[i], i] += by_log_prob[i]
+
+
+@jit
+def categorical_sample(logits: NDArray[np.float32], uniform: NDArray[np.float32], actions: NDArray[np.int64]) -> None:
+    """Write the first action (M,) whose cumulative probability is above a uniform number (M,) in [0, 1)."""
+    n, rows = logits.shape
+    top, total, cumulative = logits[0].astype(np.float64), np.zeros(rows), np.zeros(rows)
+    for k in range(1, n):
+        for i in range(rows):
+            top[i] = max(top[i], logits[k, i])
+    for k in range(n):
+        for i in range(rows):
+            total[i] += exponential(max(logits[k, i] - top[i], LOWEST))
+    for i in range(rows):
+        actions[i] = 0
+        total[i] *= uniform[i]
+    for k in range(n - 1):
+        for i in range(rows):
+            cumulative[i] += exponential(max(logits[k, i] - top[i], LOWEST))
+            actions[i] += 1 if cumulative[i] <= total[i] else 0
+
+
+@jit
+def gaussian_pass(
+    means: NDArray[np.float32],
+    log_std: NDArray[np.float32],
+    actions: NDArray[np.float32],
+    log_density: NDArray[np.float32],
+    entropy: NDArray[np.float32],
+) -> None:
+    """Write log N(a; m, sigma) and H (M,) for means m (k, M), log sigma (k,) and actions a (M, k)."""
+    h = 0.0
+    for j in range(len(log_std)):
+        h += log_std[j] + 0.5 * (1.0 + LOG_TWO_PI)
+    for i in range(len(actions)):
+        total = 0.0
+        for j in range(len(log_std)):
+            z = (actions[i, j] - means[j, i]) * math.exp(-log_std[j])
+            total -= 0.5 * z * z + log_std[j] + 0.5 * LOG_TWO_PI
+        log_density[i] = total
+        entropy[i] = h
+
+
+@jit
+def gaussian_gradient(
+    means: NDArray[np.float32],
+    log_std: NDArray[np.float32],
+    actions: NDArray[np.float32],
+    by_log_density: NDArray[np.float32],
+    by_entropy: NDArray[np.float32],
+    by_means: NDArray[np.float32],
+    by_log_std: NDArray[np.float32],
+) -> None:
+    """Write dL/dm (k, M) and add dL/dlog sigma; d log N / dm = z / sigma and d log N / dlog sigma = z^2 - 1."""
+    for j in range(len(log_std)):
+        precision, total = math.exp(-log_std[j]), 0.0
+        for i in range(len(actions)):
+            z = (actions[i, j] - means[j, i]) * precision
+            by_means[j, i] = by_log_density[i] * z * precision
+            total += by_log_density[i] * (z * z - 1.0) + by_entropy[i]
+        by_log_std[j] += total
+
+
+def _is_compiled(outputs: torch.Tensor) -> bool:
+    """Whether what follows on the outputs of a network is compiled: no gradient is wanted, or only the tape's."""
+    tape = current_tape()
+    unseen = not torch.is_grad_enabled() or (tape is not None and (outputs in tape or not outputs.requires_grad))
+    return unseen and outputs.device.type == "cpu" and outputs.dtype == torch.float32
+
+
+def _transposed(outputs: torch.Tensor) -> NDArray[np.float32]:
+    """(n, M), as the outputs (M, n) of a perceptron lie in memory."""
+    array: NDArray[np.float32] = outputs.detach().t().contiguous().numpy()
+    return array
+
+
+class CategoricalActor(nn.Module):
+    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
+
+    Args:
+        body: network from (..., inputs) to n logits.
+    """
+
+    def __init__(self, body: nn.Module):
+        super().__init__()
+        self.body = body
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """One action per row, by inversion: the first whose cumulative probability is above a uniform number."""
+        logits: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        uniform = torch.rand(len(logits), generator=generator, device=x.device)
+        if _is_compiled(logits):
+            actions = np.empty(x.shape[:-1], np.int64)
+            categorical_sample(_transposed(logits), uniform.numpy(), actions.reshape(-1))
+            return torch.from_numpy(actions)
+        cumulative = logits.softmax(-1).cumsum(-1)
+        below = cumulative[:, :-1] <= uniform.unsqueeze(-1) * cumulative[:, -1:]
+        return below.sum(-1).view(x.shape[:-1])
+
+    def greedy(self, x: torch.Tensor) -> torch.Tensor:
+        """The most probable action per row."""
+        logits: torch.Tensor = self.body(x)
+        return logits.argmax(-1)
+
+    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probability of ``actions`` and entropy of the policy, each (...)."""
+        logits: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        if not _is_compiled(logits):
+            log_p = logits.log_softmax(-1)
+            log_prob = log_p.gather(-1, actions.reshape(-1, 1))
+            return log_prob.view(actions.shape), -(log_p.exp() * log_p).sum(-1).view(actions.shape)
+        z, a = _transposed(logits), actions.reshape(-1).numpy()
+        log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
+        log_z, h = categorical_pass(z, a, log_probs, entropies)
+        results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
+
+        def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
+            del gradients  # no parameters but the network's
+            by_logits = np.empty_like(z)
+            by_log_prob, by_entropy = by_results
+            categorical_gradient(z, a, log_z, h, by_log_prob, by_entropy, by_logits)
+            return by_logits.T
+
+        if tape := current_tape():
+            tape.record(logits, results, backward)
+        return _shaped(results, actions.shape)
+
+
+class GaussianActor(nn.Module):
+    """Diagonal Gaussian policy with a free log standard deviation; actions are float tensors (..., k).
+
+    The environment clips actions to its box; the log-probability is that of the unclipped sample.
+
+    Args:
+        body: network from (..., inputs) to the means of the actions.
+        actions: k.
+    """
+
+    def __init__(self, body: nn.Module, actions: int):
+        super().__init__()
+        self.body = body
+        self.log_std = nn.Parameter(torch.full((actions,), -0.5))
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """One action per row."""
+        mean = self.body(x)
+        return torch.normal(mean, self.log_std.exp().expand_as(mean), generator=generator)
+
+    def greedy(self, x: torch.Tensor) -> torch.Tensor:
+        """The mean action per row."""
+        mean: torch.Tensor = self.body(x)
+        return mean
+
+    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-density of ``actions`` and entropy of the policy, each (...)."""
+        means: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        shape = actions.shape[:-1]
+        if not _is_compiled(means):
+            z = (actions.reshape(means.shape) - means) / self.log_std.exp()
+            log_density = (-0.5 * z.square() - self.log_std - 0.5 * LOG_TWO_PI).sum(-1)
+            entropy = (self.log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum()
+            return log_density.view(shape), entropy.expand(shape)
+        m, a, log_std = _transposed(means), actions.reshape(means.shape).numpy(), self.log_std.detach().numpy()
+        log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
+        gaussian_pass(m, log_std, a, log_probs, entropies)
+        results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
+
+        def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
+            by_means = np.empty_like(m)
+            by_log_prob, by_entropy = by_results
+            gaussian_gradient(m, log_std, a, by_log_prob, by_entropy, by_means, gradients[self.log_std])
+            return by_means.T
+
+        if tape := current_tape():
+            tape.record(means, results, backward)
+        return _shaped(results, shape)
+
+
+def _shaped(results: tuple[torch.Tensor, torch.Tensor], shape: torch.Size) -> tuple[torch.Tensor, torch.Tensor]:
+    """Both in a shape; they are the same tensors, and so on the tape, if that is theirs."""
+    log_prob, entropy = results
+    return results if log_prob.shape == shape else (log_prob.view(shape), entropy.view(shape))
+
+
+Actor = CategoricalActor | GaussianActor
+
+
+def make_actor(
+    config: NetworkSettings, inputs: int, actions: int, generator: torch.Generator, *, continuous: bool
+) -> Actor:
+    """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
+
+    Raises:
+        ValueError: as :func:`algorithms.common.networks.make_network`.
+    """
+    body = make_network(config, inputs, actions, generator, output_gain=0.01)
+    return GaussianActor(body, actions) if continuous else CategoricalActor(body)
