@@ -246,8 +246,8 @@ class GaussianActor(nn.Module):
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row."""
-        mean = self.body(x)
-        return torch.normal(mean, self.log_std.exp().expand_as(mean), generator=generator)
+        mean: torch.Tensor = self.body(x)
+        return mean + self.log_std.exp() * torch.randn(mean.shape, generator=generator, device=x.device, dtype=x.dtype)
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The mean action per row."""

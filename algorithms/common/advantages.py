@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
+from mo_deepdrive.simulation.jit import jit
+
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from mo_deepdrive.utilities import Utility
 
 AdvantageForm = Literal["utility_difference", "as_printed", "utility_gradient"]
@@ -16,19 +20,25 @@ def generalised_advantages(deltas: torch.Tensor, not_done: torch.Tensor, decay: 
     """A_t = delta_t + decay * not_done_t * A_{t+1} (Schulman et al. 2016, eq. 16).
 
     Args:
-        deltas: (T, ...) temporal differences.
+        deltas: (T, ...) temporal differences, without a gradient.
         not_done: (T, ...), broadcastable: 0 where the episode ends at t, by termination or truncation, else 1.
         decay: gamma * lambda, or lambda where the differences are discounted already.
 
     Returns:
         (T, ...) advantages.
     """
-    advantages = torch.empty_like(deltas)
-    next_advantages = torch.zeros_like(deltas[0])
-    decays = decay * not_done
-    for t in range(len(deltas) - 1, -1, -1):
-        next_advantages = torch.addcmul(deltas[t], decays[t], next_advantages, out=advantages[t])
-    return advantages
+    decays = (decay * not_done).expand_as(deltas)
+    advantages = deltas.cpu().flatten(1).numpy().copy()
+    _accumulate(advantages, decays.cpu().flatten(1).numpy())
+    return torch.from_numpy(advantages).view(deltas.shape).to(deltas.device)
+
+
+@jit
+def _accumulate(advantages: NDArray[Any], decays: NDArray[Any]) -> None:
+    """Turn delta_t into A_t, both (T, K)."""
+    for t in range(len(advantages) - 2, -1, -1):
+        for k in range(advantages.shape[1]):
+            advantages[t, k] += decays[t, k] * advantages[t + 1, k]
 
 
 def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
