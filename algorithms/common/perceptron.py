@@ -7,15 +7,16 @@ what a block needs stays in the cache. The compiled passes serve float32 on the 
 
 from __future__ import annotations
 
-from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any
 
+import numba
 import numpy as np
 import torch
 from torch import nn
 
 from algorithms.common.tape import current_tape
-from mo_deepdrive.simulation.jit import jit
+from algorithms.common.threads import threads
+from mo_deepdrive.simulation.jit import jit, parallel_jit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,93 +25,134 @@ if TYPE_CHECKING:
 
     from algorithms.common.tape import Tape
 
-    Arrays = tuple[NDArray[np.float32], ...]
+    Array = NDArray[np.float32]
+    Arrays = tuple[Array, ...]
 
 BLOCK = 256  # rows
 
 
 @jit
-def forward_pass(
-    rows: NDArray[np.float32], weights: Arrays, biases: Arrays, hidden: Arrays, outputs: NDArray[np.float32]
-) -> None:
-    """h_0 = x, z_k = W_k h_{k-1} + b_k and h_k = max(0, z_k), for rows x (M, inputs).
+def blocks(rows: Array) -> int:
+    """Number of blocks of ``rows``."""
+    return (len(rows) + BLOCK - 1) // BLOCK
 
-    Writes h_k (M, width) of every hidden layer, and the outputs z_n (outputs, M).
-    """
+
+@jit
+def _forward_block(b: int, rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array) -> None:
+    """h_0 = x, z_k = W_k h_{k-1} + b_k and h_k = max(0, z_k), for the rows x of block ``b``."""
+    first, last = b * BLOCK, min((b + 1) * BLOCK, len(rows))
     n = len(weights)
-    for first in range(0, len(rows), BLOCK):
-        last = min(first + BLOCK, len(rows))
-        below = rows[first:last]
-        for k in range(n - 1):
-            layer, bias = hidden[k][first:last], biases[k]
-            np.dot(below, weights[k].T, layer)
-            for i in range(last - first):
-                for j in range(len(bias)):
-                    z = layer[i, j] + bias[j]
-                    layer[i, j] = 0.0 if z < 0.0 else z  # keeps a NaN
-            below = layer
-        block = np.dot(weights[n - 1], below.T)
-        for j in range(len(outputs)):
-            bias_j = biases[n - 1][j]
-            for i in range(last - first):
-                outputs[j, first + i] = block[j, i] + bias_j
+    below = rows[first:last]
+    for k in range(n - 1):
+        layer, bias = hidden[k][first:last], biases[k]
+        np.dot(below, weights[k].T, layer)
+        for i in range(last - first):
+            for j in range(len(bias)):
+                z = layer[i, j] + bias[j]
+                layer[i, j] = 0.0 if z < 0.0 else z  # keeps a NaN
+        below = layer
+    block = np.dot(weights[n - 1], below.T)
+    for j in range(len(outputs)):
+        for i in range(last - first):
+            outputs[j, first + i] = block[j, i] + biases[n - 1][j]
+
+
+@jit
+def _backward_block(
+    b: int, rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
+) -> None:
+    """dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k of block ``b``, with G_{k-1} = (G_k W_k) [h_{k-1} > 0]."""
+    first, last = b * BLOCK, min((b + 1) * BLOCK, len(rows))
+    n = len(weights)
+    block = np.ascontiguousarray(by_outputs[:, first:last])
+    for j in range(len(block)):
+        by_biases[n - 1][b, j] = block[j].sum()
+    np.dot(block, hidden[n - 2][first:last], by_weights[n - 1][b])
+    gradient = np.dot(block.T, weights[n - 1])
+    for k in range(n - 2, -1, -1):
+        layer, total = hidden[k][first:last], by_biases[k][b]
+        total[:] = 0.0
+        for i in range(last - first):
+            for j in range(len(total)):
+                kept = np.float32(0.0) if layer[i, j] <= 0.0 else gradient[i, j]
+                gradient[i, j] = kept
+                total[j] += kept
+        below = rows[first:last] if k == 0 else hidden[k - 1][first:last]
+        np.dot(gradient.T, below, by_weights[k][b])
+        if k > 0:
+            gradient = np.dot(gradient, weights[k])
+
+
+@jit
+def forward_pass(rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array) -> None:
+    """Write h_k (M, width) of every hidden layer, and the outputs z_n (outputs, M), for the rows (M, inputs)."""
+    for b in range(blocks(rows)):
+        _forward_block(b, rows, weights, biases, hidden, outputs)
+
+
+@parallel_jit
+def parallel_forward_pass(rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array) -> None:
+    """As :func:`forward_pass`, with the blocks shared among threads."""
+    for b in numba.prange(blocks(rows)):
+        _forward_block(b, rows, weights, biases, hidden, outputs)
 
 
 @jit
 def backward_pass(
-    rows: NDArray[np.float32],
-    weights: Arrays,
-    hidden: Arrays,
-    by_outputs: NDArray[np.float32],
-    by_weights: Arrays,
-    by_biases: Arrays,
+    rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
 ) -> None:
-    """Add dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k, where G_{k-1} = (G_k W_k) [h_{k-1} > 0].
+    """Write the gradient of every block of rows.
 
     Args:
         rows: (M, inputs) of the forward pass.
         weights: of the forward pass.
         hidden: from the forward pass.
         by_outputs: (outputs, M) G_n = dL/dz_n.
-        by_weights: gradients, added to.
-        by_biases: gradients, added to.
+        by_weights: (blocks, outputs, inputs) per layer, written.
+        by_biases: (blocks, outputs) per layer, written.
     """
-    n = len(weights)
-    for first in range(0, len(rows), BLOCK):
-        last = min(first + BLOCK, len(rows))
-        block = np.ascontiguousarray(by_outputs[:, first:last])
-        for j in range(len(block)):
-            by_biases[n - 1][j] += block[j].sum()
-        _add(by_weights[n - 1], np.dot(block, hidden[n - 2][first:last]))
-        gradient = np.dot(block.T, weights[n - 1])
-        for k in range(n - 2, -1, -1):
-            layer, total = hidden[k][first:last], by_biases[k]
-            for i in range(last - first):
-                for j in range(len(total)):
-                    kept = np.float32(0.0) if layer[i, j] <= 0.0 else gradient[i, j]
-                    gradient[i, j] = kept
-                    total[j] += kept
-            below = rows[first:last] if k == 0 else hidden[k - 1][first:last]
-            _add(by_weights[k], np.dot(gradient.T, below))
-            if k > 0:
-                gradient = np.dot(gradient, weights[k])
+    for b in range(blocks(rows)):
+        _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases)
+
+
+@parallel_jit
+def parallel_backward_pass(
+    rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
+) -> None:
+    """As :func:`backward_pass`, with the blocks shared among threads."""
+    for b in numba.prange(blocks(rows)):
+        _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases)
 
 
 @jit
-def _add(total: NDArray[np.float32], part: NDArray[np.float32]) -> None:
-    for i in range(total.shape[0]):
-        for j in range(total.shape[1]):
-            total[i, j] += part[i, j]
+def _add_blocks(totals: Arrays, parts: Arrays) -> None:
+    """Add the blocks to a gradient, in their order, whichever threads they come from."""
+    for k in range(len(totals)):
+        total = totals[k].reshape(-1)
+        for b in range(len(parts[k])):
+            part = parts[k][b].reshape(-1)
+            for j in range(len(total)):
+                total[j] += part[j]
 
 
 class _Space:
-    """Memory for the hidden layers of M rows, (M, width) each, with room for the rows for which it was made."""
+    """Memory for the pass of M rows; the system's would be mapped and cleared every time.
 
-    def __init__(self, memory: NDArray[np.float32], rows: int, widths: Sequence[int]):
-        self.memory, self.rows = memory, rows
-        ends = list(accumulate((rows * width for width in widths), initial=0))
-        parts = zip(pairwise(ends), widths, strict=True)
-        self.hidden = tuple(memory[first:last].reshape(rows, width) for (first, last), width in parts)
+    Args:
+        rows: M.
+        weights: of the layers, for their shapes.
+
+    Attributes:
+        hidden: (M, width) per hidden layer.
+        by_weights: (blocks, outputs, inputs) per layer.
+        by_biases: (blocks, outputs) per layer.
+    """
+
+    def __init__(self, rows: int, weights: Arrays):
+        blocks = -(-rows // BLOCK)
+        self.hidden = tuple([np.empty((rows, len(weight)), np.float32) for weight in weights[:-1]])
+        self.by_weights = tuple([np.empty((blocks, *weight.shape), np.float32) for weight in weights])
+        self.by_biases = tuple([np.empty((blocks, len(weight)), np.float32) for weight in weights])
 
 
 class Perceptron(nn.Sequential):
@@ -128,9 +170,7 @@ class Perceptron(nn.Sequential):
         linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
         self.weights = [layer.weight for layer in linear]
         self.biases = [layer.bias for layer in linear]
-        self._widths = [len(bias) for bias in self.biases[:-1]]
-        # Memory that no pass holds; the system's would be mapped and cleared every time.
-        self._spare: list[_Space] = []
+        self._spare: dict[int, list[_Space]] = {}  # by the number of rows
         self._memory: tuple[tuple[int, ...], Arrays, Arrays] = ((), (), ())
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
@@ -141,20 +181,24 @@ class Perceptron(nn.Sequential):
             return result
         rows = np.ascontiguousarray(inputs.detach().numpy()).reshape(-1, inputs.shape[-1])
         weights, biases = self._arrays()
-        space = self._claim(len(rows))
+        spare = self._spare.setdefault(len(rows), [])
+        space = spare.pop() if spare else _Space(len(rows), weights)
         transposed = np.empty((len(biases[-1]), len(rows)), np.float32)
-        forward_pass(rows, weights, biases, space.hidden, transposed)
+        parallel = threads() > 1 and len(rows) > BLOCK
+        run_forward = parallel_forward_pass if parallel else forward_pass
+        run_forward(rows, weights, biases, space.hidden, transposed)
         outputs = torch.from_numpy(transposed).t()
         if tape is None:
-            self._spare.append(space)
+            spare.append(space)
         else:
 
             def backward(by_outputs: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> None:
-                by_weights = tuple([gradients[weight] for weight in self.weights])
-                by_biases = tuple([gradients[bias] for bias in self.biases])
                 by_transposed = np.ascontiguousarray(by_outputs[0].T)
-                backward_pass(rows, weights, space.hidden, by_transposed, by_weights, by_biases)
-                self._spare.append(space)
+                run_backward = parallel_backward_pass if parallel else backward_pass
+                run_backward(rows, weights, space.hidden, by_transposed, space.by_weights, space.by_biases)
+                _add_blocks(tuple([gradients[weight] for weight in self.weights]), space.by_weights)
+                _add_blocks(tuple([gradients[bias] for bias in self.biases]), space.by_biases)
+                spare.append(space)
 
             tape.record(inputs, [outputs], backward)
         return outputs if inputs.dim() == 2 else outputs.reshape(*inputs.shape[:-1], -1)
@@ -170,13 +214,4 @@ class Perceptron(nn.Sequential):
     def _is_compiled(self, inputs: torch.Tensor, tape: Tape | None) -> bool:
         wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
         fits = inputs.dtype == self.weights[0].dtype == torch.float32 and inputs.device.type == "cpu"
-        return wanted and fits and bool(self._widths)
-
-    def _claim(self, rows: int) -> _Space:
-        """Memory for the hidden layers of ``rows`` rows, until it is spare again."""
-        spare = self._spare.pop() if self._spare else None
-        if spare is not None and spare.rows == rows:
-            return spare
-        size = rows * sum(self._widths)
-        memory = np.empty(size, np.float32) if spare is None or len(spare.memory) < size else spare.memory
-        return _Space(memory, rows, self._widths)
+        return wanted and fits and len(self.weights) > 1

@@ -71,7 +71,7 @@ class TrainingSettings(Settings):
         num_envs: number of parallel environments.
         seed: seed of everything random in training.
         device: the device of the networks, in PyTorch's notation.
-        threads: threads of PyTorch; more than one rarely pays off for networks of this size.
+        threads: threads of the networks; each needs a core of its own, or training becomes slower.
     """
 
     total_timesteps: Count

@@ -89,7 +89,16 @@ def jit(function: F) -> F:
     Returns:
         The compiled function, with the type of ``function``.
     """
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
+    return _compiled(function, forceinline=True)
+
+
+def parallel_jit(function: F) -> F:
+    """As :func:`jit`, with the rounds of ``numba.prange`` shared among Numba's threads."""
+    return _compiled(function, parallel=True)
+
+
+def _compiled(function: F, **options: Any) -> F:
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # Numba has no types
         try:
             compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]  # Numba has no types

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import numba
 import pytest
 import torch
 from torch import nn
 
 from algorithms.common.perceptron import Perceptron
 from algorithms.common.tape import Tape, recording
+from algorithms.common.threads import set_threads
 
 SIZES = [(5, 8, 4, 3), (5, 4, 8, 1), (3, 16, 16, 16, 6), (22, 64, 32, 22), (22, 128, 64, 4)]
 ROWS = [0, 1, 7, 256, 300, 1024]
@@ -105,14 +107,29 @@ def test_passes_of_other_sizes_in_between_do_not_disturb_a_pass() -> None:
 
 def test_memory_is_used_again() -> None:
     perceptron, _ = both((5, 8, 3))
-    spaces = set()
-    for rows in (300, 300, 100, 300):
+    addresses = set()
+    for _ in range(3):
         with recording() as tape:
-            outputs = perceptron(torch.randn(rows, 5))
-        assert not perceptron._spare
+            outputs = perceptron(torch.randn(300, 5))
+        assert perceptron._spare[300] == []
         gradients_of(perceptron, tape, torch.ones_like(outputs))
-        spaces.update(space.memory.ctypes.data for space in perceptron._spare)
-    assert len(spaces) == 1
+        addresses.update(space.hidden[0].ctypes.data for space in perceptron._spare[300])
+    assert len(addresses) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="there is one core")
+def test_the_number_of_threads_does_not_change_a_bit() -> None:
+    perceptron, _ = both((22, 64, 32, 22))
+    x = torch.randn(1000, 22)
+    results = []
+    for count in (1, 2):
+        set_threads(count)
+        with recording() as tape:
+            outputs = perceptron(x)
+        results.append([outputs.detach(), *gradients_of(perceptron, tape, torch.ones_like(outputs))])
+    set_threads(1)
+    assert all(torch.equal(one, other) for one, other in zip(*results, strict=True))
 
 
 def test_parameters_that_have_moved_are_found() -> None:
