@@ -136,23 +136,28 @@ def _add_blocks(totals: Arrays, parts: Arrays) -> None:
 
 
 class _Space:
-    """Memory for the pass of M rows; the system's would be mapped and cleared every time.
+    """Memory for a pass; the system's would be mapped and cleared every time.
 
     Args:
-        rows: M.
+        rows: for at most so many.
         weights: of the layers, for their shapes.
-
-    Attributes:
-        hidden: (M, width) per hidden layer.
-        by_weights: (blocks, outputs, inputs) per layer.
-        by_biases: (blocks, outputs) per layer.
     """
 
     def __init__(self, rows: int, weights: Arrays):
+        self.rows = rows
         blocks = -(-rows // BLOCK)
-        self.hidden = tuple([np.empty((rows, len(weight)), np.float32) for weight in weights[:-1]])
-        self.by_weights = tuple([np.empty((blocks, *weight.shape), np.float32) for weight in weights])
-        self.by_biases = tuple([np.empty((blocks, len(weight)), np.float32) for weight in weights])
+        self._hidden = [np.empty((rows, len(weight)), np.float32) for weight in weights[:-1]]
+        self._by_weights = [np.empty((blocks, *weight.shape), np.float32) for weight in weights]
+        self._by_biases = [np.empty((blocks, len(weight)), np.float32) for weight in weights]
+
+    def hidden(self, rows: int) -> Arrays:
+        """(rows, width) per hidden layer."""
+        return tuple([each[:rows] for each in self._hidden])
+
+    def gradients(self, rows: int) -> tuple[Arrays, Arrays]:
+        """Those of every block of ``rows``: (blocks, outputs, inputs) and (blocks, outputs) per layer."""
+        blocks = -(-rows // BLOCK)
+        return tuple([each[:blocks] for each in self._by_weights]), tuple([each[:blocks] for each in self._by_biases])
 
 
 class Perceptron(nn.Sequential):
@@ -170,7 +175,7 @@ class Perceptron(nn.Sequential):
         linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
         self.weights = [layer.weight for layer in linear]
         self.biases = [layer.bias for layer in linear]
-        self._spare: dict[int, list[_Space]] = {}  # by the number of rows
+        self._spare: list[_Space] = []  # that no pass needs
         self._memory: tuple[tuple[int, ...], Arrays, Arrays] = ((), (), ())
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
@@ -181,24 +186,25 @@ class Perceptron(nn.Sequential):
             return result
         rows = np.ascontiguousarray(inputs.detach().numpy()).reshape(-1, inputs.shape[-1])
         weights, biases = self._arrays()
-        spare = self._spare.setdefault(len(rows), [])
-        space = spare.pop() if spare else _Space(len(rows), weights)
+        space = self._claim(len(rows), weights)
+        hidden = space.hidden(len(rows))
         transposed = np.empty((len(biases[-1]), len(rows)), np.float32)
         parallel = threads() > 1 and len(rows) > BLOCK
         run_forward = parallel_forward_pass if parallel else forward_pass
-        run_forward(rows, weights, biases, space.hidden, transposed)
+        run_forward(rows, weights, biases, hidden, transposed)
         outputs = torch.from_numpy(transposed).t()
         if tape is None:
-            spare.append(space)
+            self._spare.append(space)
         else:
 
             def backward(by_outputs: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> None:
                 by_transposed = np.ascontiguousarray(by_outputs[0].T)
                 run_backward = parallel_backward_pass if parallel else backward_pass
-                run_backward(rows, weights, space.hidden, by_transposed, space.by_weights, space.by_biases)
-                _add_blocks(tuple([gradients[weight] for weight in self.weights]), space.by_weights)
-                _add_blocks(tuple([gradients[bias] for bias in self.biases]), space.by_biases)
-                spare.append(space)
+                by_weights, by_biases = space.gradients(len(rows))
+                run_backward(rows, weights, hidden, by_transposed, by_weights, by_biases)
+                _add_blocks(tuple([gradients[weight] for weight in self.weights]), by_weights)
+                _add_blocks(tuple([gradients[bias] for bias in self.biases]), by_biases)
+                self._spare.append(space)
 
             tape.record(inputs, [outputs], backward)
         return outputs if inputs.dim() == 2 else outputs.reshape(*inputs.shape[:-1], -1)
@@ -215,3 +221,8 @@ class Perceptron(nn.Sequential):
         wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
         fits = inputs.dtype == self.weights[0].dtype == torch.float32 and inputs.device.type == "cpu"
         return wanted and fits and len(self.weights) > 1
+
+    def _claim(self, rows: int, weights: Arrays) -> _Space:
+        """Memory for ``rows`` rows, until it is spare again."""
+        space = self._spare.pop() if self._spare else None
+        return _Space(rows, weights) if space is None or space.rows < rows else space
