@@ -28,9 +28,9 @@ def generalised_advantages(deltas: torch.Tensor, not_done: torch.Tensor, decay: 
         (T, ...) advantages.
     """
     decays = (decay * not_done).expand_as(deltas)
-    advantages = deltas.cpu().flatten(1).numpy().copy()
-    _accumulate(advantages, decays.cpu().flatten(1).numpy())
-    return torch.from_numpy(advantages).view(deltas.shape).to(deltas.device)
+    advantages = deltas.cpu().numpy().copy()
+    _accumulate(advantages.reshape(len(deltas), -1), decays.cpu().numpy().reshape(len(deltas), -1))
+    return torch.from_numpy(advantages).to(deltas.device)
 
 
 @jit
