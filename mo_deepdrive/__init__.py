@@ -1,7 +1,7 @@
 """MO-DeepDrive: multi-objective driving environments for Gymnasium, MO-Gymnasium, PettingZoo and MOMAland.
 
-Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0`` and
-``mo-deepdrive-intersection-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments,
+Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0``,
+``mo-deepdrive-intersection-v0`` and ``mo-deepdrive-left-turn-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments,
 :func:`reference_point` and :func:`reference_front` are what returns are compared with. :func:`register_objective` and
 :func:`register_scenario` add one's own.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mo_deepdrive.near_miss import NEAR_MISS
 from mo_deepdrive.objectives import Objective, register_objective
 from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario, register_id, register_scenario
 
@@ -42,6 +43,7 @@ _LAZY = {
     "reference_point": "mo_deepdrive.reference_points",
 }
 
+register_objective(NEAR_MISS)
 for _scenario in SCENARIOS.values():
     register_id(_scenario)
 

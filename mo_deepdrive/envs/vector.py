@@ -169,7 +169,7 @@ class DrivingVectorEnv(VectorEnv):
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
-        pins = make_pins(options, self.batch.scenario)
+        pins = make_pins(options, self.config)
         seeds = self._seeds(seed)
         if self._streams is None:
             self._streams = Streams(seeds, self.batch.scenario.draws)

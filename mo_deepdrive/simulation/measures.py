@@ -12,7 +12,7 @@ import numpy as np
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives, make_params, reward_signs
-from mo_deepdrive.simulation.state import VEHICLE, Records, with_obstacles
+from mo_deepdrive.simulation.state import VEHICLE, Records, with_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,7 +73,7 @@ def make_measures(config: EnvConfig) -> tuple[Measure, ...]:
         ValueError: naming the objective, if its function cannot be compiled.
     """
     scenario = SCENARIOS[config.scenario]
-    nothing = np.zeros((0, scenario.vehicles), dtype=with_obstacles(VEHICLE, scenario.obstacles))
+    nothing = np.zeros((0, scenario.vehicles), dtype=with_room(VEHICLE, scenario.obstacles, scenario.cars))
     measures = []
     for column, (name, sign) in enumerate(zip(chosen_objectives(config), reward_signs(config), strict=True)):
         function = OBJECTIVES[INDEX[name]].measure
