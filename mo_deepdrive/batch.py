@@ -18,7 +18,7 @@ from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation import traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
-from mo_deepdrive.simulation.measures import make_measures, measure_batch
+from mo_deepdrive.simulation.measures import make_measures
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import ENDS, RUNNING, SPAWN, VEHICLE, with_room
@@ -177,12 +177,10 @@ class WorldBatch:
             rows = rows[~fair]
             if not len(rows):
                 return
-        problem = (
-            "an oncoming car touches the vehicle at its start ('start', 'headways'), or could not stop behind the one "
-            "ahead of it ('headways', 'desired_speeds')"
-            if self.scenario.cars
-            else "a bicycle touches the vehicle at its start or is within 1 m of the destination"
-        )
+        problems = ["a bicycle touches the vehicle at its start or is within 1 m of the destination"]
+        if self.scenario.cars:
+            problems = problems[: self.scenario.obstacles] + ["an oncoming car touches the vehicle at its start"]
+        problem = ", or ".join(problems)
         raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")
 
     def step(self, actions: NDArray[Any]) -> None:
@@ -257,9 +255,7 @@ class WorldBatch:
             part.truncated,
         )
         for measure in self._measures:
-            measure_batch(
-                measure.function, part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards
-            )
+            measure.write(part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards)
 
     def over(self) -> NDArray[np.bool_]:
         """The worlds without a vehicle on the road, shape (worlds,)."""

@@ -94,8 +94,8 @@ def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, b
 
 @jit
 def spawn_is_fair(spawn: Record, params: Record) -> bool:
-    """False if something touches the vehicle at its start, a bicycle is within 1 m of the destination, or cars are too close."""
-    if not traffic.drivers_are_fair(spawn) or traffic.touches_start(spawn):
+    """False if a bicycle or a car touches the vehicle at its start, or a bicycle is within 1 m of the destination."""
+    if traffic.touches_start(spawn):
         return False
     if not params.has_obstacle:
         return True

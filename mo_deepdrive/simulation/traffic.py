@@ -108,34 +108,66 @@ def acceleration(speed: float, desired_speed: float, time_gap: float, gap: float
 
 
 @jit
-def first_position(spawn: Record, k: int, ahead: float) -> float:
-    """Where the centre of car ``k`` starts along y (m), behind the crossing or the rear of the car before it, at ``ahead``.
+def first_speed(driver: Record, k: int, speed_ahead: float) -> float:
+    """The speed of car ``k`` at the start (m/s).
+
+    It is the desired one if the driver can brake from it to the speed of the car ahead comfortably within the headway.
+    """
+    most = speed_ahead + COMFORTABLE_BRAKING * driver.headway
+    speed: float = min(driver.desired_speed, most) if k > 0 else driver.desired_speed
+    return speed
+
+
+@jit
+def first_position(driver: Record, k: int, speed: float, rear_ahead: float) -> float:
+    """Where the centre of car ``k`` is at the start along y (m), behind the rear of the car ahead or the crossing.
 
     The first one reaches the crossing after its headway. The gap in front of every other is the standstill gap and
     what it covers in its headway.
     """
-    gap = spawn.drivers[k].headway * spawn.drivers[k].desired_speed + (STANDSTILL_GAP if k > 0 else 0.0)
-    position: float = ahead + gap + HALF_LENGTH
+    gap = driver.headway * speed + (STANDSTILL_GAP if k > 0 else 0.0)
+    position: float = rear_ahead + gap + HALF_LENGTH
     return position
 
 
 @jit
+def touches_start(spawn: Record) -> bool:
+    """Whether an oncoming car touches the vehicle at its start."""
+    x = spawn.starts[0, 0]
+    cos = math.cos(spawn.starts[0, 2])
+    sin = math.sin(spawn.starts[0, 2])
+    touches = False
+    speed = 0.0
+    rear = ENTRY
+    for k in range(len(spawn.drivers)):
+        speed = first_speed(spawn.drivers[k], k, speed)
+        y = first_position(spawn.drivers[k], k, speed, rear)
+        overlap = boxes_overlap(x, spawn.starts[0, 1], cos, sin, ONCOMING_LANE, y, COS, SIN)
+        touches = touches or (k < spawn.n_cars and overlap)
+        rear = y + HALF_LENGTH
+    return touches
+
+
+@jit
 def place(worlds: Records, i: int, spawn: Record) -> None:
-    """Put the oncoming cars of world ``i`` one after another in their lane, each at its desired speed."""
-    ahead = ENTRY
+    """Put the oncoming cars of world ``i`` one after another in their lane."""
+    speed = 0.0
+    rear = ENTRY
     for k in range(len(worlds[i, 0].cars)):
         car = worlds[i, 0].cars[k]
         driver = spawn.drivers[k]
+        speed = first_speed(driver, k, speed)
+        y = first_position(driver, k, speed, rear)
+        rear = y + HALF_LENGTH
         present = k < spawn.n_cars
         car.x = ONCOMING_LANE
-        car.y = first_position(spawn, k, ahead) if present else 0.0
-        car.speed = driver.desired_speed if present else 0.0
+        car.y = y if present else 0.0
+        car.speed = speed if present else 0.0
         car.acceleration = 0.0
         car.driver.desired_speed = driver.desired_speed
         car.driver.headway = driver.headway
         car.driver.yielding = driver.yielding
         car.present = present
-        ahead = car.y + HALF_LENGTH
 
 
 @jit
@@ -244,30 +276,3 @@ def approaching(vehicle: Record) -> bool:
         distance = distance_to_crossing(vehicle.cars[k])
         found = found or (vehicle.cars[k].present and 0.0 < distance < MAP_SIZE - ENTRY)
     return found
-
-
-@jit
-def drivers_are_fair(spawn: Record) -> bool:
-    """False if a car could not stop behind the one ahead if both braked as hard as they can."""
-    for k in range(1, len(spawn.drivers)):
-        speed = spawn.drivers[k].desired_speed
-        speed_ahead = spawn.drivers[k - 1].desired_speed
-        gap = spawn.drivers[k].headway * speed + STANDSTILL_GAP
-        if k < spawn.n_cars and 2 * MAX_BRAKING * gap <= speed * speed - speed_ahead * speed_ahead:
-            return False
-    return True
-
-
-@jit
-def touches_start(spawn: Record) -> bool:
-    """Whether an oncoming car touches the vehicle at its start."""
-    heading = spawn.starts[0, 2]
-    cos = math.cos(heading)
-    sin = math.sin(heading)
-    ahead = ENTRY
-    for k in range(len(spawn.drivers)):
-        y = first_position(spawn, k, ahead)
-        if k < spawn.n_cars and boxes_overlap(spawn.starts[0, 0], spawn.starts[0, 1], cos, sin, ONCOMING_LANE, y, COS, SIN):
-            return True
-        ahead = y + HALF_LENGTH
-    return False
