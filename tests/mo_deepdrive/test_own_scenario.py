@@ -336,7 +336,7 @@ def test_a_setting_without_effect_in_the_scenario_is_refused(
 
 def test_registering_the_same_scenario_again_changes_nothing(two_bicycles: ModuleType) -> None:
     importlib.reload(two_bicycles)
-    assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "two_bicycles"]
+    assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "left_turn", "two_bicycles"]
 
 
 def test_every_scenario_has_an_id() -> None:
@@ -366,6 +366,10 @@ def test_every_scenario_has_an_id() -> None:
         ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
         ({"obstacles": -1}, "obstacles = -1 must be a number of bicycles"),
         ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
+        ({"cars": True}, "cars = True must be a number of oncoming cars: 0, 1, ... or 100"),
+        ({"cars": 101, "lanes": True}, "cars = 101 must be a number of oncoming cars: 0, 1, ... or 100"),
+        ({"cars": 2}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
+        ({"cars": 2, "routes": LANE, "lanes": True}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
         ({"reference": {"jerk": math.inf}}, "reference = {'jerk': inf} must have a finite number per objective"),
         ({"reference": {"jrk": 1.0}}, "objective 'jrk' is unknown; did you mean 'jerk'?"),
     ],
