@@ -172,14 +172,14 @@ def place(worlds: Records, i: int, spawn: Record) -> None:
 
 @jit
 def load(car: Record, lane: int, c: Record, pose: Record) -> None:
-    """Copy a car to a lane; it is on the road no longer once its rear has left the map."""
-    car.present = car.present and car.y > -HALF_LENGTH
-    c.speed[lane] = car.speed
+    """Copy a car to a lane; it is gone once its rear has left the map."""
+    present = car.present and car.y > -HALF_LENGTH
+    c.speed[lane] = car.speed if present else 0.0
     c.acceleration[lane] = car.acceleration
     c.desired_speed[lane] = car.driver.desired_speed
     c.time_gap[lane] = min(car.driver.headway, TIME_GAP)
     c.yielding[lane] = car.driver.yielding
-    c.present[lane] = 1.0 if car.present else 0.0
+    c.present[lane] = 1.0 if present else 0.0
     pose.x[lane] = car.x
     pose.y[lane] = car.y
     pose.cos[lane] = COS
@@ -252,6 +252,7 @@ def drive(worlds: Records, first: int, last: int, params: Record, traffic: Recor
                 car.y = path[vehicles + k, n].y[lane]
                 car.speed = traffic[k].speed[lane]
                 car.acceleration = traffic[k].acceleration[lane]
+                car.present = traffic[k].present[lane] > 0.0
 
 
 @jit
