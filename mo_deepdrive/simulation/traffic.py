@@ -7,8 +7,8 @@ v0, bumper-to-bumper gap s and approaching rate dv = v - (speed of the car ahead
     dv/dt = A (1 - (v / v0)^4 - (s*(v, dv) / s)^2)                      equation (3), with the exponent 4
     s*    = S0 + max(0, v T + v dv / (2 sqrt(A B)))                     equation (4), without its term in sqrt(v / v0)
 
-A car that turns left into the lane is one more car ahead, standing where its box begins; its driver brakes for it with
-no more than ``yielding`` (m/s^2), which tells those who make way from those who hardly brake. Cars keep the longitudinal
+A left-turner in the lane is one more car ahead, standing where its box begins. A driver brakes for it with no more than
+``yielding`` (m/s^2), which tells those who let it pass from those who hardly brake. Cars keep to the longitudinal
 limits of a vehicle: full throttle and friction, 1 g of braking, no reversing.
 """
 

@@ -126,7 +126,12 @@ def test_a_car_that_is_gone_or_was_never_there_is_none(make_vector: Any) -> None
 
 def test_both_vehicles_of_intersection_have_it(make_vector: Any) -> None:
     env = make_vector(
-        "intersection", 1, objectives=["near_miss"], action_type="continuous", autoreset_mode="Disabled", cost_sign="paper"
+        "intersection",
+        1,
+        objectives=["near_miss"],
+        action_type="continuous",
+        autoreset_mode="Disabled",
+        cost_sign="paper",
     )
     env.reset(options={"starts": ((LANE_X, 20.0, 0.0), (LANE_X, 40.0, math.pi))})
     env.batch.state["furthest"], env.batch.state["next_waypoint"][0, 0] = -1000.0, 2
@@ -163,7 +168,12 @@ def test_scenarios_without_others_do_not_have_it(make_single: Any) -> None:
 @pytest.mark.parametrize("frequency", [10, 4])
 def test_every_scenario_can_count_the_seconds(make_vector: Any, scenario: str, frequency: int) -> None:
     env = make_vector(
-        scenario, 3, objectives=["distance", "time"], simulation_frequency=60, decision_frequency=frequency, time_limit=2.0
+        scenario,
+        3,
+        objectives=["distance", "time"],
+        simulation_frequency=60,
+        decision_frequency=frequency,
+        time_limit=2.0,
     )
     env.reset(seed=0)
     assert env.reward_space.low[..., 1].max() == np.float32(-1.0 / frequency)

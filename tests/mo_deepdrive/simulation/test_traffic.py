@@ -188,7 +188,9 @@ def simulate(env: Any, before: Any) -> np.ndarray:
             if present[k]:
                 v0, headway, most = before.cars[k]["driver"].tolist()
                 led = k > 0 and present[k - 1]
-                change = idm(v, v0, headway, y - rows[k - 1][0] - LENGTH, v - rows[k - 1][1]) if led else 1 - (v / v0) ** 4
+                change = (
+                    idm(v, v0, headway, y - rows[k - 1][0] - LENGTH, v - rows[k - 1][1]) if led else 1 - (v / v0) ** 4
+                )
                 if abs(before.x - LANE_X) < half_x + LANE_WIDTH / 2 and before.y < y:
                     change = min(change, max(idm(v, v0, headway, y - LENGTH / 2 - (before.y + half_y), v), -most))
                 speed = min(max(v + dt * change, v - dt * GRAVITY, 0.0), (v + dt * 3.625) * friction)
@@ -253,7 +255,9 @@ def test_no_car_runs_into_the_one_ahead_in_ten_thousand_episodes(worlds: Any, fl
         least = math.inf
         for decision in range(300):
             if decision % 10 == 0:
-                actions = rng.choice([-0.1, 0.0, 0.1, 1.0], (1250, 1, 3)) if part % 2 == 0 else np.tile(IDLE, (1250, 1, 1))
+                actions = (
+                    rng.choice([-0.1, 0.0, 0.1, 1.0], (1250, 1, 3)) if part % 2 == 0 else np.tile(IDLE, (1250, 1, 1))
+                )
             env.batch.step(actions)
             cars = env.batch.state["cars"][:, 0]
             both = cars["present"][:, 1:] & cars["present"][:, :-1]
@@ -341,7 +345,9 @@ def test_every_car_is_solid(worlds: Any) -> None:
             assert env.batch.end_names(0) == (end,)
 
 
-@pytest.mark.parametrize(("distance", "yields", "sign"), [(22.0, True, -1), (24.5, True, 1), (22.0, False, 1), (0.5, True, 1)])
+@pytest.mark.parametrize(
+    ("distance", "yields", "sign"), [(22.0, True, -1), (24.5, True, 1), (22.0, False, 1), (0.5, True, 1)]
+)
 def test_progress_is_negative_while_a_car_on_the_map_approaches(
     worlds: Any, distance: float, yields: bool, sign: int
 ) -> None:
@@ -365,7 +371,7 @@ def test_the_two_nearest_cars_that_have_not_passed_are_observed(worlds: Any) -> 
         cars = cars_of(env)
         ways = cars["y"] - LENGTH / 2 - ENTRY
         left = [k for k in range(3) if cars[k]["y"] + LENGTH / 2 >= EXIT and ways[k] <= 100.0 and cars[k]["present"]]
-        for number, k in enumerate((left + [None, None])[:2], 1):
+        for number, k in enumerate([*left, None, None][:2], 1):
             expected = (100.0, 0.0) if k is None else (ways[k], cars[k]["speed"])
             found = observed[f"oncoming_{number}_distance"], observed[f"oncoming_{number}_speed"]
             assert found == pytest.approx(expected, rel=1e-6)
@@ -432,15 +438,27 @@ BAD_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {
     "more cars than fit": ({"cars": 6}, "reset option 'cars' = 6 must be a number of oncoming cars from 0 to 5"),
     "less than none": ({"cars": -1}, "reset option 'cars' = -1 must be a number of oncoming cars from 0 to 5"),
     "half a car": ({"cars": 1.5}, "reset option 'cars' = 1.5 must be a number of oncoming cars from 0 to 5"),
-    "a true number of cars": ({"cars": True}, "reset option 'cars' = True must be a number of oncoming cars from 0 to 5"),
-    "a negative headway": ({"headways": (2.0, -1.0)}, "reset option 'headways' = (2.0, -1.0) must have numbers in [0, 60] s"),
+    "a true number of cars": (
+        {"cars": True},
+        "reset option 'cars' = True must be a number of oncoming cars from 0 to 5",
+    ),
+    "a negative headway": (
+        {"headways": (2.0, -1.0)},
+        "reset option 'headways' = (2.0, -1.0) must have numbers in [0, 60] s",
+    ),
     "a headway that is not a number": ({"headways": (math.nan,)}, "must have numbers in [0, 60] s"),
     "one headway": ({"headways": 2.0}, "reset option 'headways' = 2.0 must have one number per car, at most 5"),
     "six headways": ({"headways": (2.0,) * 6}, "must have one number per car, at most 5"),
     "more headways than cars": ({"headways": (2.0,) * 3, "cars": 2}, "must have one number per car, at most 2"),
     "words": ({"headways": "abc"}, "reset option 'headways' = 'abc' must have one number per car, at most 5"),
-    "a car that stands": ({"desired_speeds": (0.0,)}, "reset option 'desired_speeds' = (0.0,) must have numbers in [1, 25] m/s"),
-    "brakes that push": ({"yielding": (-0.5,)}, "reset option 'yielding' = (-0.5,) must have numbers in [0, 9.807] m/s^2"),
+    "a car that stands": (
+        {"desired_speeds": (0.0,)},
+        "reset option 'desired_speeds' = (0.0,) must have numbers in [1, 25] m/s",
+    ),
+    "brakes that push": (
+        {"yielding": (-0.5,)},
+        "reset option 'yielding' = (-0.5,) must have numbers in [0, 9.807] m/s^2",
+    ),
     "an unknown option": ({"headway": (2.0,)}, "unknown reset option 'headway' in LeftTurn; did you mean 'headways'"),
     "a start inside a car": (
         {"start": (LANE_X, ENTRY + 20.0, 0.0), "headways": (2.0,), "desired_speeds": (10.0,)},
