@@ -15,12 +15,13 @@ from mo_deepdrive import actions as action_sets
 from mo_deepdrive import observation
 from mo_deepdrive.limits import check_state
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation import traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
-from mo_deepdrive.simulation.measures import make_measures, measure_batch
+from mo_deepdrive.simulation.measures import make_measures
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.placing import pin_nothing
-from mo_deepdrive.simulation.state import ENDS, RUNNING, SPAWN, VEHICLE, with_obstacles
+from mo_deepdrive.simulation.state import ENDS, RUNNING, SPAWN, VEHICLE, with_room
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
@@ -48,6 +49,8 @@ TELEMETRY = (
     "ax",
     "ay",
 )
+# Of every oncoming car.
+CAR_TELEMETRY = ("x", "y", "speed", "acceleration", "present")
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class _Part:
     worlds: NDArray[Any]
     controls: NDArray[np.float64]
     motion: NDArray[Any]
+    cars: NDArray[Any]
     path: NDArray[Any]
     sight: NDArray[Any]
     observations: NDArray[np.float32]
@@ -78,7 +82,7 @@ class WorldBatch:
         threads: how many threads share a step.
 
     Attributes:
-        state: (worlds, vehicles) of VEHICLE, with room for the scenario's obstacles.
+        state: (worlds, vehicles) of VEHICLE, with room for the scenario's obstacles and oncoming cars.
         observations: (worlds, vehicles, size), overwritten by every call.
         rewards: (worlds, vehicles, d), overwritten by every step.
         terminated: (worlds, vehicles), overwritten by every call.
@@ -92,9 +96,9 @@ class WorldBatch:
         self.scenario = SCENARIOS[config.scenario]
         self.objectives = chosen_objectives(config)
         self.params = make_params(config)
-        vehicles = self.scenario.vehicles
+        vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars
         size = len(observation.layout(self.scenario))
-        self.state = np.zeros((worlds, vehicles), dtype=with_obstacles(VEHICLE, self.scenario.obstacles))
+        self.state = np.zeros((worlds, vehicles), dtype=with_room(VEHICLE, obstacles, cars))
         self.state["end"] = ENDS.index("time_limit")
         self.observations = np.zeros((worlds, vehicles, size), dtype=np.float32)
         self.rewards = np.zeros((worlds, vehicles, len(self.objectives)), dtype=np.float32)
@@ -103,7 +107,7 @@ class WorldBatch:
         self._controls = np.zeros((worlds, vehicles, 3))
         self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._measures = make_measures(config)
-        self._spawn = np.zeros(1, dtype=with_obstacles(SPAWN, self.scenario.obstacles))
+        self._spawn = np.zeros(1, dtype=with_room(SPAWN, obstacles, cars))
         self._sight = np.zeros(1, dtype=observation.SIGHT)
         self._no_pins = np.zeros_like(self._spawn)
         pin_nothing(self._no_pins)
@@ -127,12 +131,14 @@ class WorldBatch:
 
     def _part(self, rows: NDArray[np.int64]) -> _Part:
         part = slice(int(rows[0]), int(rows[-1]) + 1)
-        motion, path = make_scratch(self.scenario.vehicles, self.config.physics_steps)
+        cars = self.scenario.cars
+        motion, path = make_scratch(self.scenario.vehicles + cars, self.config.physics_steps)
         return _Part(
             rows=part,
             worlds=self.state[part],
             controls=self._controls[part],
             motion=motion,
+            cars=traffic.make_scratch(cars),
             path=path,
             sight=np.zeros(1, dtype=observation.SIGHT),
             observations=self.observations[part],
@@ -171,10 +177,12 @@ class WorldBatch:
             rows = rows[~fair]
             if not len(rows):
                 return
-        raise ValueError(
-            f"no valid scenario in {MAX_REDRAWS} draws with these reset options: a bicycle touches the vehicle at "
-            "its start or is within 1 m of the destination"
-        )
+        problems = {
+            "a bicycle touches the vehicle at its start or is within 1 m of the destination": self.scenario.obstacles,
+            "an oncoming car touches the vehicle at its start": self.scenario.cars,
+        }
+        problem = ", or ".join(text for text, number in problems.items() if number)
+        raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")
 
     def step(self, actions: NDArray[Any]) -> None:
         """Move every running vehicle by one decision.
@@ -239,6 +247,7 @@ class WorldBatch:
             part.controls,
             self.params,
             part.motion,
+            part.cars,
             part.path,
             part.sight,
             part.observations,
@@ -247,9 +256,7 @@ class WorldBatch:
             part.truncated,
         )
         for measure in self._measures:
-            measure_batch(
-                measure.function, part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards
-            )
+            measure.write(part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards)
 
     def over(self) -> NDArray[np.bool_]:
         """The worlds without a vehicle on the road, shape (worlds,)."""
@@ -275,10 +282,15 @@ class WorldBatch:
         return tuple(ENDS[end] for end in self.state["end"][row])
 
     def telemetry(self, row: int) -> tuple[dict[str, float], ...]:
-        """TELEMETRY and ``yaw_rate`` (rad/s) of every vehicle of world ``row``, in SI units."""
+        """TELEMETRY and ``yaw_rate`` (rad/s) of every vehicle of world ``row``, in SI units.
+
+        CAR_TELEMETRY of the oncoming cars follows as ``car_1_x`` and so on, with ``present`` as 0 or 1.
+        """
         readings = []
         for vehicle in self.state[row]:
             reading = {name: float(vehicle[name]) for name in TELEMETRY}
             reading["yaw_rate"] = float(vehicle.yaw_step) * self.config.simulation_frequency
+            for number, car in enumerate(vehicle.cars, 1):
+                reading |= {f"car_{number}_{name}": float(car[name]) for name in CAR_TELEMETRY}
             readings.append(reading)
         return tuple(readings)

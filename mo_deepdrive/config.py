@@ -14,6 +14,7 @@ from mo_deepdrive.scenarios import SCENARIOS
 
 ActionType = Literal["discrete", "discrete-16", "continuous"]
 CostSign = Literal["maximise", "paper"]
+Traffic = Literal["none", "light", "default", "dense"]
 
 
 class Settings(BaseModel):
@@ -112,9 +113,12 @@ class EnvConfig(Settings):
         harmful_g_force: g-force above which the episode ends (g); None for never.
         harmful_jerk: jerk above which the episode ends (m/s^3); None for never.
         lane_margin: distance to the lane line below which lane violation counts (m).
-        end_on_lane_violation: end the episode more than 0.25 m outside the lane (Intersection).
-        yield_to_oncoming: progress of the left turn is negative while the other vehicle approaches (Intersection).
+        end_on_lane_violation: end the episode more than 0.25 m outside the lane (Intersection, LeftTurn).
+        yield_to_oncoming: progress of the left turn is negative while the other vehicle (Intersection) or an oncoming
+            car on the map (LeftTurn) approaches.
         end_together: both vehicles end when the first one ends, as in the published code (Intersection).
+        traffic: flow of the oncoming cars: "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or
+            2.5 s (LeftTurn).
     """
 
     scenario: str
@@ -134,6 +138,7 @@ class EnvConfig(Settings):
     end_on_lane_violation: bool = False
     yield_to_oncoming: bool = True
     end_together: bool = False
+    traffic: Traffic = "default"
 
     @pydantic.field_validator("scenario")
     @classmethod

@@ -12,6 +12,7 @@ import numpy as np
 
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import FAR
+from mo_deepdrive.scenarios import MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.state import (
     ENDS,
     GRAVITY,
@@ -20,6 +21,13 @@ from mo_deepdrive.simulation.state import (
     RUNNING,
     STEER_RANGE,
     TOP_SPEED,
+)
+from mo_deepdrive.simulation.traffic import (
+    DESIRED_SPEEDS,
+    HEADWAYS,
+    MAX_BRAKING,
+    STANDSTILL_GAP,
+    YIELDINGS,
 )
 
 if TYPE_CHECKING:
@@ -72,6 +80,7 @@ def limits(config: EnvConfig) -> dict[str, float]:
         # The distance of one decision, the swing of the front, and the change to the next waypoint.
         "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
         "lane_violation": 2 * FAR + 2 * config.lane_margin,
+        "time": 1.0 / config.decision_frequency,
     }
 
 
@@ -91,7 +100,10 @@ def objective_bound(name: str, config: EnvConfig) -> float:
 
 
 def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str, tuple[Any, Any]]:
-    """The lowest and the highest value of every field of VEHICLE, for vehicles with ``n_waypoints`` (vehicles,)."""
+    """The lowest and the highest value of every field of VEHICLE, for vehicles with ``n_waypoints`` (vehicles,).
+
+    The name of a field of a car is a path such as ``cars.driver.headway``.
+    """
     most = limits(config)
     most |= {
         "m": FAR,
@@ -111,6 +123,22 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "approaching": (0, 1),
         "decisions": (0, config.max_decisions),
         "end": (0, len(ENDS) - 1),
+        **{f"cars.{name}": bounds for name, bounds in _car_ranges(config, most).items()},
+    }
+
+
+def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[float, float]]:
+    """The lowest and the highest value of every field of CAR."""
+    longest_gap = HEADWAYS[1] * DESIRED_SPEEDS[1] + STANDSTILL_GAP + LENGTH
+    return {
+        "x": (-most["m"], most["m"]),
+        "y": (-most["m"], MAP_SIZE + SCENARIOS[config.scenario].cars * longest_gap),
+        "speed": (0.0, most["m/s"]),
+        "acceleration": (-MAX_BRAKING * (1 + ROUNDING), MAX_ACCELERATION * (1 + ROUNDING)),
+        "driver.desired_speed": DESIRED_SPEEDS,
+        "driver.headway": HEADWAYS,
+        "driver.yielding": YIELDINGS,
+        "present": (0, 1),
     }
 
 
@@ -128,12 +156,14 @@ def check_state(state: NDArray[Any], config: EnvConfig, n_waypoints: NDArray[np.
     # Worlds that were never reset have no waypoints, and nothing in them moves.
     unplaced = (state["n_waypoints"] == 0) & (state["end"] != RUNNING)
     for name, (low, high) in _state_ranges(config, n_waypoints).items():
-        values = state[name]
+        values = state
+        for part in name.split("."):
+            values = values[part]
         if values.dtype == np.bool_:
             values = values.view(np.uint8)
         wrong = ~((values >= low) & (values <= high))
-        if name == "n_waypoints":
-            wrong &= ~unplaced
+        if name in ("n_waypoints", "cars.driver.desired_speed"):
+            wrong &= ~unplaced.reshape(unplaced.shape + (1,) * (wrong.ndim - unplaced.ndim))
         if wrong.any():
             world, vehicle, *_ = where = tuple(int(i) for i in np.argwhere(wrong)[0])
             least, greatest = (np.broadcast_to(bound, values.shape[:2])[world, vehicle] for bound in (low, high))

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mo_deepdrive.simulation import geometry
+from mo_deepdrive.simulation import geometry, traffic
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import in_lanes
-from mo_deepdrive.simulation.state import MAX_WAYPOINTS, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_WAYPOINTS, RUNNING, Record, Records
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 # A vehicle that has left the road is observed straight ahead, at rest, at this distance (m).
 ABSENT_DISTANCE = 100.0
+
+# So many oncoming cars are observed, the next ones that have not passed the crossing, from this distance to it on (m).
+NEAREST_CARS = 2
+SIGHT_DISTANCE = 100.0
 
 _TURN = math.pi
 FAR = 2000.0
@@ -95,16 +99,26 @@ OTHER: tuple[Entry, ...] = (
     Entry("other_ay", "m/s^2", None, None, 5.0),
     *_corner_entries(),
 )
+# Of the nearest oncoming car: from its front to the crossing, negative inside it.
+ONCOMING: tuple[Entry, ...] = (
+    Entry("oncoming_distance", "m", -(2 * LANE_WIDTH + LENGTH), SIGHT_DISTANCE, 20.0),
+    Entry("oncoming_speed", "m/s", 0.0, None, 5.0),
+)
 
 
 def layout(scenario: Scenario) -> tuple[Entry, ...]:
     """The entries that are observed in ``scenario``, in order."""
-    further = [
-        replace(entry, name=entry.name.replace("obstacle", f"obstacle_{number}"))
-        for number in range(2, scenario.obstacles + 1)
+    obstacles = [
+        replace(entry, name=entry.name.replace("obstacle", f"obstacle_{number}" if number > 1 else "obstacle"))
+        for number in range(1, scenario.obstacles + 1)
         for entry in OBSTACLE
     ]
-    return (*OWN, *(OBSTACLE if scenario.obstacles else ()), *further, *(OTHER if scenario.vehicles > 1 else ()))
+    oncoming = [
+        replace(entry, name=entry.name.replace("oncoming", f"oncoming_{number}"))
+        for number in range(1, NEAREST_CARS + 1 if scenario.cars else 1)
+        for entry in ONCOMING
+    ]
+    return (*OWN, *obstacles, *(OTHER if scenario.vehicles > 1 else ()), *oncoming)
 
 
 def scales(scenario: Scenario) -> NDArray[np.float64]:
@@ -123,6 +137,26 @@ def look(s: Record, lanes: int) -> None:
         x, y = s.front_x[lane], s.front_y[lane]
         s.angle[lane] = geometry.angle_to(x, y, s.cos[lane], s.sin[lane], s.x[lane], s.y[lane])
         s.distance[lane] = geometry.distance(x, y, s.x[lane], s.y[lane])
+
+
+@jit
+def write_oncoming(worlds: Records, i: int, v: int, position: int, out: NDArray[np.float32]) -> None:
+    """Write distance and speed of the nearest oncoming cars of world ``i`` from the column ``position`` on.
+
+    Where there is none in sight, the distance is that of sight, and the speed zero.
+    """
+    for column in range(position, position + 2 * NEAREST_CARS, 2):
+        out[i, v, column] = SIGHT_DISTANCE
+        out[i, v, column + 1] = 0.0
+    column = position
+    for k in range(len(worlds[i, v].cars)):
+        car = worlds[i, v].cars[k]
+        distance = traffic.distance_to_crossing(car)
+        seen = car.present and not traffic.has_passed(car) and distance <= SIGHT_DISTANCE
+        if seen and column < position + 2 * NEAREST_CARS:
+            out[i, v, column] = distance
+            out[i, v, column + 1] = car.speed
+            column += 2
 
 
 @jit
@@ -220,6 +254,10 @@ def write(
                 present = worlds[first + lane, 1 - v].end == RUNNING
                 out[first + lane, v, position + 2 * corner] = s.angle[lane] if present else 0.0
                 out[first + lane, v, position + 2 * corner + 1] = s.distance[lane] if present else ABSENT_DISTANCE
+        position += 8
+    if len(worlds[first, v].cars) > 0:
+        for lane in range(lanes):
+            write_oncoming(worlds, first + lane, v, position, out)
 
 
 def bounds(scenario: Scenario, limits: dict[str, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -25,7 +25,7 @@ from mo_deepdrive.drawing import (
 from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
 from mo_deepdrive.quiet_pygame import pygame
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
-from mo_deepdrive.simulation.measures import make_measures, measure_batch
+from mo_deepdrive.simulation.measures import make_measures
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
@@ -281,7 +281,7 @@ class Viewer:
         acted = (decisions > 0) & (decisions == decisions.max())
         measured = np.zeros((1, *magnitudes.shape), dtype=np.float32)
         for measure in self._measures:
-            measure_batch(measure.function, world[None], self._params, acted[None], measure.column, 1.0, measured)
+            measure.write(world[None], self._params, acted[None], measure.column, 1.0, measured)
             magnitudes[:, measure.column] = measured[0, :, measure.column]
         return magnitudes
 

@@ -3,7 +3,8 @@
 A scenario is one row of SCENARIOS. All random numbers of an episode are ``scenario.draws`` uniforms in [0, 1) that the
 caller passes in: vehicle v starts ``draws[v] * start_span[v]`` m further along y; the first vehicle's last waypoint
 moves by ``draws[k : k + 2] * destination_span`` with k = ``destination_draw``; ``draws[2 + 3 j : 5 + 3 j]`` place the
-bicycle j. A scenario that does not use a draw has a span of zero. ``simulation/placing.py`` does all this.
+bicycle j; ``draws[k + 3 j : k + 3 + 3 j]`` with k = ``driver_draw`` are the desired speed, headway and yielding of the
+oncoming car j. A scenario that does not use a draw has a span of zero. ``simulation/placing.py`` does all this.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_VEHICLES, MAX_
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+MAX_CARS = 100  # oncoming cars; more than pass the crossing in a minute
 FARTHEST = 250.0  # m; largest coordinate of a start or waypoint, so that observations stay in their space
 
 # The original draws on a 1000 px square with a 50 px margin.
@@ -66,6 +68,8 @@ class Scenario:
         destination_span: range of the first vehicle's destination along x and y (m).
         obstacles: how many bicycles are on the way of the vehicle; only where it is alone.
         lanes: whether the roads of the crossing are there, and with them lane distances.
+        cars: how many oncoming cars come down the lane opposite to a left-turner; only where the vehicle is alone, and
+            there are lanes.
         reference: coordinates of the reference point for hypervolumes by objective, maximised, for every discount
             factor; ``data/reference_points.yaml`` has those of the package's own scenarios.
     """
@@ -77,6 +81,7 @@ class Scenario:
     destination_span: tuple[float, float] = (0.0, 0.0)
     obstacles: int = 0
     lanes: bool = False
+    cars: int = 0
     reference: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -90,6 +95,11 @@ class Scenario:
         return len(self.routes)
 
     @property
+    def others(self) -> bool:
+        """Whether there are other vehicles or oncoming cars."""
+        return self.vehicles > 1 or self.cars > 0
+
+    @property
     def _own_destination_draws(self) -> bool:
         """Whether both starts and the destination are random, so that they cannot share their draws."""
         return any(self.destination_span) and any(route.start_span for route in self.routes)
@@ -100,13 +110,27 @@ class Scenario:
         return 2 + 3 * max(1, self.obstacles) if self._own_destination_draws else 0
 
     @property
+    def driver_draw(self) -> int:
+        """The first of the draws of the oncoming cars, three of each."""
+        return 2 + 3 * max(1, self.obstacles) + (2 if self._own_destination_draws else 0)
+
+    @property
     def draws(self) -> int:
         """How many random numbers an episode takes."""
-        return 2 + 3 * max(1, self.obstacles) + (2 if self._own_destination_draws else 0)
+        return self.driver_draw + 3 * self.cars
 
 
 _OPEN_ROUTE = Route(start=(metres(0.1), metres(0.5), -math.pi / 2), waypoints=((metres(0.2), metres(0.0)),))
 _OPEN_SPAN = (0.5 * MAP_UNIT, MAP_UNIT)
+_LEFT_TURN = Route(  # unprotected
+    start=(27.0770290995851, 6.0, 0.0),
+    start_span=12.0,
+    waypoints=(
+        (MAP_CENTRE + HALF_LANE, MAP_CENTRE - LANE_WIDTH),
+        (MAP_CENTRE - LANE_WIDTH, MAP_CENTRE + HALF_LANE),
+        (1.840549443086846, MAP_CENTRE + HALF_LANE),
+    ),
+)
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
@@ -130,15 +154,7 @@ SCENARIOS: dict[str, Scenario] = {
             name="intersection",
             title="Intersection",
             routes=(
-                Route(  # the unprotected left turn
-                    start=(27.0770290995851, 6.0, 0.0),
-                    start_span=12.0,
-                    waypoints=(
-                        (MAP_CENTRE + HALF_LANE, MAP_CENTRE - LANE_WIDTH),
-                        (MAP_CENTRE - LANE_WIDTH, MAP_CENTRE + HALF_LANE),
-                        (1.840549443086846, MAP_CENTRE + HALF_LANE),
-                    ),
-                ),
+                _LEFT_TURN,
                 Route(  # straight on
                     start=(MAP_CENTRE - HALF_LANE, 33.0, math.pi),
                     start_span=14.0,
@@ -147,6 +163,14 @@ SCENARIOS: dict[str, Scenario] = {
             ),
             objectives=("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
             lanes=True,
+        ),
+        Scenario(
+            name="left_turn",
+            title="LeftTurn",
+            routes=(_LEFT_TURN,),
+            objectives=("distance", "destination", "g_force", "collision", "jerk", "lane_violation", "time"),
+            lanes=True,
+            cars=5,
         ),
     )
 }
@@ -212,6 +236,10 @@ def _problem(scenario: Scenario) -> str:
         return f"obstacles = {scenario.obstacles!r} must be a number of bicycles: 0, 1, 2, ..."
     if scenario.obstacles and scenario.vehicles > 1:
         return f"obstacles = {scenario.obstacles} must be 0 where there are two vehicles"
+    if isinstance(scenario.cars, bool) or not isinstance(scenario.cars, int) or not 0 <= scenario.cars <= MAX_CARS:
+        return f"cars = {scenario.cars!r} must be a number of oncoming cars: 0, 1, ... or {MAX_CARS}"
+    if scenario.cars and (scenario.vehicles > 1 or not scenario.lanes):
+        return f"cars = {scenario.cars} must be 0 where there are two vehicles or no lanes"
     if any(_shape(value) != () for value in scenario.reference.values()):
         return f"reference = {dict(scenario.reference)!r} must have a finite number per objective"
     return ""

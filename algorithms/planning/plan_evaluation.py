@@ -12,6 +12,7 @@ from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFo
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.reference_fronts import front_config
+from mo_deepdrive.simulation import traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import step_worlds
 from mo_deepdrive.simulation.state import RUNNING
@@ -29,6 +30,7 @@ def simulate_plans(
     table: NDArray[Any],
     params: Any,
     motion: NDArray[Any],
+    cars: NDArray[Any],
     path: NDArray[Any],
     controls: NDArray[Any],
     discrete: NDArray[Any],
@@ -46,7 +48,8 @@ def simulate_plans(
         table: (actions, 4) of a discrete action set; empty for a continuous one.
         params: (1,) of PARAMS.
         motion: scratch, from make_scratch.
-        path: likewise.
+        cars: scratch, from traffic.make_scratch.
+        path: as motion.
         controls: (n, 1, 3) scratch.
         discrete: (1, 1) integers, scratch.
         continuous: (1, 1, 3) scratch.
@@ -67,7 +70,7 @@ def simulate_plans(
                 for axis in range(3):
                     continuous[0, 0, axis] = plans[i, t, axis] / FULL_SCALE
                 decode_continuous(continuous, controls[i : i + 1])
-            step_worlds(worlds, i, i + 1, controls, params[0], motion, path)
+            step_worlds(worlds, i, i + 1, controls, params[0], motion, cars, path)
             for k in range(params[0].n_objectives):
                 value = params[0].objective_sign[k] * vehicle.objectives[params[0].objective_index[k]]
                 for g in range(len(weights)):
@@ -96,7 +99,8 @@ class PlanEvaluator:
         self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), self.batch.scenario.draws)))
         self.format = PlanFormat(action_type, config.max_decisions)
         self.simulated_decisions = 0
-        self._scratch = make_scratch(1, config.physics_steps)
+        motion, path = make_scratch(1, config.physics_steps)
+        self._scratch = (motion, traffic.make_scratch(0), path)
         self._weights = np.array([gamma ** np.arange(config.max_decisions) for gamma in GAMMAS])
 
     def evaluate(self, plans: Plans, source: int, rules: NDArray[Any] | None = None) -> EvaluatedPlans:

@@ -7,14 +7,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.names import nearest
-from mo_deepdrive.scenarios import FARTHEST, Scenario
+from mo_deepdrive.scenarios import FARTHEST, SCENARIOS, Scenario
+from mo_deepdrive.simulation.params import cars_in_traffic
 from mo_deepdrive.simulation.placing import pin_nothing
-from mo_deepdrive.simulation.state import SPAWN, with_obstacles
+from mo_deepdrive.simulation.state import SPAWN, with_room
+from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, YIELDINGS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from mo_deepdrive.config import EnvConfig
+
 MOST_TURNED = 250.0  # rad; largest heading
+
+# The options with a number per oncoming car: the field of DRIVER, its range and unit.
+DRIVERS: dict[str, tuple[str, tuple[float, float], str]] = {
+    "desired_speeds": ("desired_speed", DESIRED_SPEEDS, "m/s"),
+    "headways": ("headway", HEADWAYS, "s"),
+    "yielding": ("yielding", YIELDINGS, "m/s^2"),
+}
 
 
 def option_names(scenario: Scenario) -> tuple[str, ...]:
@@ -22,14 +33,12 @@ def option_names(scenario: Scenario) -> tuple[str, ...]:
     if scenario.vehicles > 1:
         return ("starts",)
     obstacles = ("obstacle",) if scenario.obstacles == 1 else ("obstacles",) if scenario.obstacles else ()
-    return ("start", "destination", *obstacles)
+    cars = ("cars", *DRIVERS) if scenario.cars else ()
+    return ("start", "destination", *obstacles, *cars)
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.ndarray:
-    try:
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.array([])
+    numbers = _array(value)
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ValueError(f"reset option {name!r} = {value!r} must be {form}: finite numbers in m and rad")
     if (np.abs(numbers[..., :2]) > FARTHEST).any():
@@ -40,19 +49,46 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
     return numbers
 
 
-def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.ndarray | None:
+def _array(value: Any) -> np.ndarray:
+    """The numbers of ``value``; none if it has anything else."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array([])
+
+
+def _pin_cars(pins: Any, options: Mapping[str, Any], config: EnvConfig) -> None:
+    """Set the number of oncoming cars and what is known of their drivers, the first car first."""
+    scenario = SCENARIOS[config.scenario]
+    cars = options.get("cars", cars_in_traffic(config))
+    if isinstance(cars, bool) or not isinstance(cars, (int, np.integer)) or not 0 <= cars <= scenario.cars:
+        raise ValueError(f"reset option 'cars' = {cars!r} must be a number of oncoming cars from 0 to {scenario.cars}")
+    pins.n_cars = cars
+    for name, (field, (low, high), unit) in DRIVERS.items():
+        if name in options:
+            value = options[name]
+            numbers = _array(value)
+            if numbers.ndim != 1 or not 1 <= len(numbers) <= cars:
+                raise ValueError(f"reset option {name!r} = {value!r} must have one number per car, at most {cars}")
+            if not ((numbers >= low) & (numbers <= high)).all():
+                raise ValueError(f"reset option {name!r} = {value!r} must have numbers in [{low:g}, {high:g}] {unit}")
+            pins.drivers[field][: len(numbers)] = numbers
+
+
+def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarray | None:
     """The reset options as an array (1,) of SPAWN, with NaN for what is drawn; None for no options.
 
     Raises:
-        ValueError: for unknown options, wrong shapes, or numbers that are not finite.
+        ValueError: for unknown options, wrong shapes, or numbers that are not finite or out of range.
     """
     if not options:
         return None
+    scenario = SCENARIOS[config.scenario]
     known = option_names(scenario)
     for name in options:
         if name not in known:
             raise ValueError(f"unknown reset option {name!r} in {scenario.title}; {nearest(name, known)}")
-    array = np.zeros(1, dtype=with_obstacles(SPAWN, scenario.obstacles))
+    array = np.zeros(1, dtype=with_room(SPAWN, scenario.obstacles, scenario.cars))
     pin_nothing(array)
     pins = array[0]
     if "start" in options:
@@ -67,4 +103,6 @@ def make_pins(options: Mapping[str, Any] | None, scenario: Scenario) -> np.ndarr
     if "obstacles" in options:
         shape, form = (scenario.obstacles, 2, 2), f"{scenario.obstacles} times ((x, y), (x, y))"
         pins.obstacle[:] = _numbers("obstacles", options["obstacles"], shape, form).reshape(-1, 2)
+    if scenario.cars:
+        _pin_cars(pins, options, config)
     return array

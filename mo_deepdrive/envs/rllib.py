@@ -86,7 +86,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
             ValueError: for unknown options and for options without a valid scenario; nothing changes.
         """
         # The parallel environment would ignore unknown ones.
-        make_pins(options, self.parallel.batch.scenario)
+        make_pins(options, self.parallel.config)
         observations, infos = self.parallel.reset(seed=seed, options=options)
         self.agents = list(self.parallel.agents)
         return observations, infos

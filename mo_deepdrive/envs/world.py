@@ -56,7 +56,7 @@ class World:
         Raises:
             ValueError: for options without a valid scenario; the world and the generator are unchanged.
         """
-        pins = make_pins(options, self.batch.scenario)
+        pins = make_pins(options, self.config)
         draws = self.batch.scenario.draws
         stream = generator.bit_generator.state
         try:

@@ -2,7 +2,7 @@
 
 Shapes are tested at every physics step. If a vehicle moves or turns by more than a quarter of its width within a step,
 poses in between are tested, too, so that nothing passes through anything at any speed. A path, from ``dynamics.drive``,
-is (vehicles, physics_steps + 1) of POSE, with one world per lane.
+is (vehicles, physics_steps + 1) of POSE, with one world per lane; below the vehicles it has the oncoming cars.
 """
 
 from __future__ import annotations
@@ -77,20 +77,30 @@ def hits_any_obstacle(vehicle: Record, params: Record, path: Records, lane: int)
 
 
 @jit
-def vehicles_collide(params: Record, path: Records, lane: int) -> bool:
-    """Whether the boxes of the two vehicles of a world overlap anywhere on their paths."""
+def vehicles_collide(params: Record, path: Records, a: int, b: int, lane: int) -> bool:
+    """Whether the boxes of two vehicles or cars of a world, the rows ``a`` and ``b`` of ``path``, overlap anywhere."""
     n = params.physics_steps
-    first = path[0, n]
-    second = path[1, n]
+    first = path[a, n]
+    second = path[b, n]
     moved = first.moved[lane] + second.moved[lane]
     if distance(first.x[lane], first.y[lane], second.x[lane], second.y[lane]) > 2 * RADIUS + moved:
         return False
     for i in range(1, n + 1):
-        pieces = 1 + int(max(sweep(path, 0, i, lane), sweep(path, 1, i, lane)) / LONGEST_MOVE)
+        pieces = 1 + int(max(sweep(path, a, i, lane), sweep(path, b, i, lane)) / LONGEST_MOVE)
         for piece in range(1, pieces + 1):
-            ax, ay, a_cos, a_sin = pose(path, 0, i, lane, piece / pieces)
-            bx, by, b_cos, b_sin = pose(path, 1, i, lane, piece / pieces)
+            ax, ay, a_cos, a_sin = pose(path, a, i, lane, piece / pieces)
+            bx, by, b_cos, b_sin = pose(path, b, i, lane, piece / pieces)
             near = distance(ax, ay, bx, by) <= 2 * RADIUS
             if near and boxes_overlap(ax, ay, a_cos, a_sin, bx, by, b_cos, b_sin):
                 return True
     return False
+
+
+@jit
+def hits_any_car(vehicle: Record, vehicles: int, params: Record, path: Records, lane: int) -> bool:
+    """Whether the vehicle touches an oncoming car; the paths of the cars follow those of the ``vehicles`` vehicles."""
+    hit = False
+    for k in range(len(vehicle.cars)):
+        present = vehicle.cars[k].present
+        hit = hit or (present and vehicles_collide(params, path, 0, vehicles + k, lane))
+    return hit

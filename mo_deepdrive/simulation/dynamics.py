@@ -54,9 +54,12 @@ MOTION = in_lanes(
 POSE = in_lanes("x", "y", "cos", "sin", "moved")
 
 
-def make_scratch(vehicles: int, physics_steps: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The scratch buffers of :func:`drive`: motion (1,) of MOTION and path (vehicles, physics_steps + 1) of POSE."""
-    return np.zeros(1, dtype=MOTION), np.zeros((vehicles, physics_steps + 1), dtype=POSE)
+def make_scratch(bodies: int, physics_steps: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The scratch buffers of :func:`drive`: motion (1,) of MOTION and path (bodies, physics_steps + 1) of POSE.
+
+    Bodies are the vehicles and, after them, the oncoming cars.
+    """
+    return np.zeros(1, dtype=MOTION), np.zeros((bodies, physics_steps + 1), dtype=POSE)
 
 
 @jit
@@ -162,7 +165,7 @@ def drive(
         controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake (1).
         params: record of dtype PARAMS.
         motion: (1,) of MOTION, scratch.
-        path: (vehicles, physics_steps + 1) of POSE, written, but for the other vehicles.
+        path: (vehicles + cars, physics_steps + 1) of POSE; the row of the vehicle is written.
     """
     n = params.physics_steps
     dt = params.dt

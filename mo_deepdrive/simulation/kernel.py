@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from mo_deepdrive import observation
 from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.simulation import progress
-from mo_deepdrive.simulation.collision import hits_any_obstacle, vehicles_collide
+from mo_deepdrive.simulation import progress, traffic
+from mo_deepdrive.simulation.collision import hits_any_car, hits_any_obstacle, vehicles_collide
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import LANES
@@ -89,7 +89,7 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         worlds: (worlds, vehicles) of VEHICLE, changed in place; vehicles that have ended stay as they are.
         i: which world. (Arrays are passed whole: a view costs an atomic reference count.)
         params: record of dtype PARAMS.
-        path: (vehicles, physics_steps + 1) of POSE, from ``drive``.
+        path: (vehicles + cars, physics_steps + 1) of POSE, from ``drive`` and ``traffic.drive``.
         lane: of the world in ``path``.
     """
     vehicles = worlds.shape[1]
@@ -104,7 +104,9 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
     if params.has_obstacle and all_running:
         collided = hits_any_obstacle(worlds[i, 0], params, path, lane)
     if vehicles > 1 and all_running:
-        collided = vehicles_collide(params, path, lane)
+        collided = vehicles_collide(params, path, 0, 1, lane)
+    if len(worlds[i, 0].cars) > 0 and all_running:
+        collided = collided or hits_any_car(worlds[i, 0], vehicles, params, path, lane)
 
     # Everything that depends on the positions of both vehicles is computed before either can end.
     for v in range(vehicles):
@@ -118,7 +120,8 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
                 progress.find_lane(vehicle, params)
         else:
             vehicle.approaching = False
-    if params.yield_to_oncoming and vehicles > 1 and worlds[i, 0].crossing and worlds[i, 1].approaching:
+    meets = vehicles > 1 and worlds[i, 1].approaching
+    if params.yield_to_oncoming and worlds[i, 0].crossing and (meets or traffic.approaching(worlds[i, 0])):
         worlds[i, 0].objectives[DISTANCE] = -abs(worlds[i, 0].objectives[DISTANCE])
 
     ended = False
@@ -151,6 +154,7 @@ def step_worlds(
     controls: NDArray[np.float64],
     params: Record,
     motion: Records,
+    cars: Records,
     path: Records,
 ) -> None:
     """Move the running vehicles of the worlds ``first`` to ``last`` - 1 by one decision and measure their objectives.
@@ -162,10 +166,13 @@ def step_worlds(
         controls: (worlds, vehicles, 3) target steer (rad), throttle (m/s^2) and brake.
         params: record of dtype PARAMS.
         motion: (1,) of MOTION, scratch.
-        path: (vehicles, physics_steps + 1) of POSE, scratch.
+        cars: (cars,) of TRAFFIC, scratch.
+        path: (vehicles + cars, physics_steps + 1) of POSE, scratch.
     """
     for v in range(worlds.shape[1]):
         drive(worlds, first, last, v, controls, params, motion, path)
+    if len(worlds[first, 0].cars) > 0:
+        traffic.drive(worlds, first, last, params, cars, path)
     for i in range(first, last):
         judge(worlds, i, params, path, i - first)
 
@@ -205,6 +212,7 @@ def step_batch(
     controls: NDArray[np.float64],
     params: Records,
     motion: Records,
+    cars: Records,
     path: Records,
     sight: Records,
     observations: NDArray[np.float32],
@@ -219,7 +227,8 @@ def step_batch(
         controls: (worlds, vehicles, 3) target controls, from actions.decode_*.
         params: (1,) of PARAMS. (Records enter as arrays: unpacking a bare one costs several microseconds.)
         motion: (1,) of MOTION, scratch.
-        path: (vehicles, physics_steps + 1) of POSE, scratch.
+        cars: (cars,) of TRAFFIC, scratch.
+        path: (vehicles + cars, physics_steps + 1) of POSE, scratch.
         sight: (1,) of SIGHT, scratch.
         observations: (worlds, vehicles, size) float32, written.
         rewards: (worlds, vehicles, objectives) float32, written but for the columns of objectives that the kernel
@@ -229,7 +238,7 @@ def step_batch(
     """
     for first in range(0, worlds.shape[0], LANES):
         last = min(first + LANES, worlds.shape[0])
-        step_worlds(worlds, first, last, controls, params[0], motion, path)
+        step_worlds(worlds, first, last, controls, params[0], motion, cars, path)
         observe_worlds(worlds, first, last, params[0], sight, observations, terminated, truncated)
         for i in range(first, last):
             for v in range(worlds.shape[1]):

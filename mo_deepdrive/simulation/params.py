@@ -16,6 +16,7 @@ from mo_deepdrive.simulation.state import (
     SPEED_FRICTION,
     YAW_FRICTION,
 )
+from mo_deepdrive.simulation.traffic import MEAN_HEADWAY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,8 +35,8 @@ def chosen_objectives(config: EnvConfig) -> tuple[str, ...]:
     scenario = SCENARIOS[config.scenario]
     if config.objectives is None:
         return scenario.objectives
-    measured = (objective.name for objective in OBJECTIVES if objective.measure is not None)
-    known = {*scenario.objectives, *measured}
+    measured = (each for each in OBJECTIVES if each.measure is not None)
+    known = {*scenario.objectives, *(each.name for each in measured if scenario.others or not each.needs_others)}
     for name in config.objectives:
         if name not in known:
             raise ValueError(f"objectives has {name!r}, which {scenario.title} does not have; {nearest(name, known)}")
@@ -55,9 +56,15 @@ def _has_effect(scenario: Scenario) -> dict[str, bool]:
         "fixed_obstacle": scenario.obstacles > 0,
         "lane_margin": scenario.lanes,
         "end_on_lane_violation": scenario.lanes,
-        "yield_to_oncoming": scenario.lanes and scenario.vehicles > 1,
+        "yield_to_oncoming": scenario.lanes and scenario.others,
         "end_together": scenario.vehicles > 1,
+        "traffic": scenario.cars > 0,
     }
+
+
+def cars_in_traffic(config: EnvConfig) -> int:
+    """How many oncoming cars an episode has, unless a reset option says otherwise."""
+    return 0 if config.traffic == "none" else SCENARIOS[config.scenario].cars
 
 
 def make_params(config: EnvConfig) -> np.ndarray:
@@ -83,7 +90,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.max_decisions = config.max_decisions
     row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
-    for name in ("constrain_controls", "ignore_brake", *settings):
+    for name in ("constrain_controls", "ignore_brake", *(name for name in settings if name != "traffic")):
         row[name] = getattr(config, name)
     row.has_obstacle = scenario.obstacles > 0
     row.has_lanes = scenario.lanes
@@ -101,4 +108,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.destination_span[:] = scenario.destination_span
     row.destination_draw = scenario.destination_draw
     row.map_centre = MAP_CENTRE
+    row.n_cars = cars_in_traffic(config)
+    row.mean_headway = MEAN_HEADWAY.get(config.traffic, MEAN_HEADWAY["default"])
+    row.driver_draw = scenario.driver_draw
     return params

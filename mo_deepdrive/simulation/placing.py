@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mo_deepdrive.scenarios import HALF_LANE, MAP_UNIT
-from mo_deepdrive.simulation import geometry, progress
+from mo_deepdrive.simulation import geometry, progress, traffic
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, MAX_WAYPOINTS, RUNNING, Record, Records
 
@@ -69,6 +69,15 @@ def draw_spawn(draws: NDArray[np.float64], j: int, params: Record, pins: Record,
             spawn.obstacle[row, 1] = given(
                 pins.obstacle[row, 1], start_y + ratio * route_y + side * math.sin(math.pi * angle_draw)
             )
+    spawn.n_cars = given(pins.n_cars, params.n_cars)
+    for k in range(len(spawn.drivers)):
+        first = params.driver_draw + 3 * k
+        speed = traffic.drawn_speed(draws[j, first])
+        headway = traffic.drawn_headway(draws[j, first + 1], params.mean_headway)
+        yielding = traffic.drawn_yielding(draws[j, first + 2])
+        spawn.drivers[k].desired_speed = given(pins.drivers[k].desired_speed, speed)
+        spawn.drivers[k].headway = given(pins.drivers[k].headway, headway)
+        spawn.drivers[k].yielding = given(pins.drivers[k].yielding, yielding)
 
 
 @jit
@@ -85,7 +94,9 @@ def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, b
 
 @jit
 def spawn_is_fair(spawn: Record, params: Record) -> bool:
-    """False if a bicycle touches the vehicle at its start or is within 1 m of the destination."""
+    """False if a bicycle or a car touches the vehicle at its start, or a bicycle is within 1 m of the destination."""
+    if len(spawn.drivers) > 0 and traffic.touches_start(spawn):
+        return False
     if not params.has_obstacle:
         return True
     last = params.n_waypoints[0] - 1
@@ -161,6 +172,7 @@ def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
         vehicle.approaching = False
         if params.has_lanes:
             progress.find_lane(vehicle, params)
+    traffic.place(worlds, i, spawn)
 
 
 def pin_nothing(spawn: Records) -> None:

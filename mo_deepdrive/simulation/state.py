@@ -68,6 +68,24 @@ OTHER_VEHICLE = ENDS.index("other_vehicle")
 
 _FLOAT = np.float64
 
+# What is drawn of the driver of an oncoming car, and hidden (m/s, s, m/s^2); see traffic.py.
+DRIVER = np.dtype((np.record, [("desired_speed", _FLOAT), ("headway", _FLOAT), ("yielding", _FLOAT)]))
+
+# One oncoming car, which drives down its lane (m, m/s, m/s^2). It is present until it has left the map.
+CAR = np.dtype(
+    (
+        np.record,
+        [
+            ("x", _FLOAT),
+            ("y", _FLOAT),
+            ("speed", _FLOAT),
+            ("acceleration", _FLOAT),
+            ("driver", DRIVER),
+            ("present", np.bool_),
+        ],
+    )
+)
+
 VEHICLE = np.dtype(
     (
         np.record,
@@ -117,11 +135,14 @@ VEHICLE = np.dtype(
             ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
             ("along", _FLOAT, (MAX_WAYPOINTS,)),
             ("obstacle", _FLOAT, (2, 2)),
+            # the oncoming cars, the first one first; only beside a vehicle that is alone
+            ("cars", CAR, (0,)),
         ],
     )
 )
 
-# One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad).
+# One scenario, ready to be placed in a world: poses (x, y, heading), waypoints and the obstacle's two ends (m, rad),
+# the number of oncoming cars and their drivers.
 SPAWN = np.dtype(
     (
         np.record,
@@ -129,17 +150,22 @@ SPAWN = np.dtype(
             ("starts", _FLOAT, (MAX_VEHICLES, 3)),
             ("waypoints", _FLOAT, (MAX_VEHICLES, MAX_WAYPOINTS, 2)),
             ("obstacle", _FLOAT, (2, 2)),
+            ("n_cars", _FLOAT),
+            ("drivers", DRIVER, (0,)),
         ],
     )
 )
 
 
-def with_obstacles(dtype: np.dtype[Any], obstacles: int) -> np.dtype[Any]:
-    """VEHICLE or SPAWN with the ends of several obstacles, two rows each; with one or none it stays as it is."""
-    if obstacles < 2:
-        return dtype
-    (*names, last) = dtype.names or ()
-    return np.dtype((np.record, [*((name, dtype[name]) for name in names), (last, _FLOAT, (2 * obstacles, 2))]))
+def with_room(dtype: np.dtype[Any], obstacles: int, cars: int) -> np.dtype[Any]:
+    """VEHICLE or SPAWN with the two ends of every obstacle, or of one if there is none, and ``cars`` oncoming cars."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "obstacle": (2 * max(1, obstacles), 2),
+        "cars": (cars,),
+        "drivers": (cars,),
+    }
+    fields = ((name, dtype[name].base, shapes.get(name, dtype[name].shape)) for name in dtype.names or ())
+    return np.dtype((np.record, list(fields)))
 
 
 # The part of an environment's configuration that the kernel needs.
@@ -179,6 +205,9 @@ PARAMS = np.dtype(
             ("fixed_destination", np.bool_),
             ("fixed_obstacle", np.bool_),
             ("map_centre", _FLOAT),
+            ("n_cars", np.int64),
+            ("mean_headway", _FLOAT),
+            ("driver_draw", np.int64),
         ],
     )
 )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.simulation.state import MAX_WAYPOINTS, VEHICLE
+from mo_deepdrive.simulation.state import CAR, DRIVER, MAX_WAYPOINTS, VEHICLE
 
 FIELDS = VEHICLE.names or ()
 FLOATS = [name for name in FIELDS if VEHICLE[name].base == np.float64]
@@ -63,7 +63,45 @@ def test_flags_other_than_0_and_1_are_refused(driven: Any, name: str) -> None:
 
 
 def test_every_field_of_the_state_has_a_range() -> None:
-    assert {*FLOATS, *INTEGERS, "crossing", "approaching"} == set(FIELDS)
+    assert {*FLOATS, *INTEGERS, "crossing", "approaching", "cars"} == set(FIELDS)
+    assert set(CAR.names or ()) == {"x", "y", "speed", "acceleration", "driver", "present"}
+    assert set(DRIVER.names or ()) == {"desired_speed", "headway", "yielding"}
+
+
+@pytest.mark.parametrize(
+    ("path", "wrong"),
+    [
+        ("cars.x", (np.nan, 1e12)),
+        ("cars.y", (np.nan, 1e12, -1e12)),
+        ("cars.speed", (np.nan, np.inf, -0.1, 1e12)),
+        ("cars.acceleration", (np.nan, -9.9, 4.0)),
+        ("cars.driver.desired_speed", (np.nan, 0.0, 26.0)),
+        ("cars.driver.headway", (np.nan, -0.1, 61.0)),
+        ("cars.driver.yielding", (np.nan, -0.1, 9.9)),
+        ("cars.present", (7,)),
+    ],
+)
+def test_a_car_out_of_range_is_refused_by_the_path_of_the_field(
+    make_vector: Any, path: str, wrong: tuple[float, ...]
+) -> None:
+    env = make_vector("left_turn", 2)
+    env.reset(seed=0)
+    before = env.get_state()
+    for value in wrong:
+        saved = env.get_state()
+        cars = saved["state"].view(env.batch.state.dtype)
+        for part in path.split("."):
+            cars = cars[part]
+        (cars if cars.dtype != np.bool_ else cars.view(np.uint8))[1, 0, 3] = value
+        with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
+            env.set_state(saved)
+        assert str(caught.value).startswith(f"state has {path} = {value} for vehicle 0 of world 1; it must be between ")
+        assert all(np.array_equal(array, before[key]) for key, array in env.get_state().items())
+
+
+def test_worlds_with_traffic_that_were_never_placed_are_accepted(make_vector: Any) -> None:
+    env = make_vector("left_turn", 2)
+    env.set_state(env.get_state())
 
 
 def test_a_running_vehicle_without_waypoints_is_refused_and_one_that_was_never_placed_is_not(make_vector: Any) -> None:
@@ -88,7 +126,7 @@ EXTREMES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", EXTREMES)
-@pytest.mark.parametrize("scenario", ["static_obstacle", "intersection"])
+@pytest.mark.parametrize("scenario", ["static_obstacle", "intersection", "left_turn"])
 def test_every_state_that_wild_driving_reaches_is_accepted(make_vector: Any, scenario: str, name: str) -> None:
     options = {"action_type": "continuous", "harmful_g_force": None, "time_limit": 30.0, **EXTREMES[name]}
     env = make_vector(scenario, 16, **options)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-SCENARIOS = ("one_waypoint", "static_obstacle", "intersection")
+SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
 
 
 @pytest.fixture

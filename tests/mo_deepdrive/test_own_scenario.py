@@ -268,8 +268,9 @@ LANE = SCENARIOS["intersection"].routes
         ({"obstacles": 1, "routes": (replace(row().routes[0], start_span=5.0),), "destination_span": (9.0, 9.0)}, 19),
         ({"routes": LANE[:1], "lanes": True, "objectives": ("distance", "lane_violation")}, 15),
         ({"routes": (*row().routes, Route((40.0, 25.0, 1.5), ((10.0, 40.0), (5.0, 45.0))))}, 29),
+        ({"routes": LANE[:1], "lanes": True, "cars": 2, "obstacles": 1, "objectives": ("distance", "near_miss")}, 23),
     ],
-    ids=["five bicycles", "random start and destination", "left turn alone", "two cars without lanes"],
+    ids=["five bicycles", "random start and destination", "left turn alone", "two cars without lanes", "oncoming cars"],
 )
 @pytest.mark.slow
 def test_other_rows_run_through_every_interface(
@@ -320,6 +321,7 @@ def test_two_vehicles_take_turns(registries: None) -> None:
         ({"destination_span": (1.0, 0.0)}, {"fixed_destination": True}, {"fixed_obstacle": True}),
         ({"routes": LANE[:1], "lanes": True}, {"lane_margin": 0.5}, {"yield_to_oncoming": False}),
         ({"routes": LANE}, {"end_together": True}, {"end_on_lane_violation": True}),
+        ({"routes": LANE[:1], "lanes": True, "cars": 1}, {"traffic": "dense"}, {"end_together": True}),
     ],
 )
 def test_a_setting_without_effect_in_the_scenario_is_refused(
@@ -336,7 +338,7 @@ def test_a_setting_without_effect_in_the_scenario_is_refused(
 
 def test_registering_the_same_scenario_again_changes_nothing(two_bicycles: ModuleType) -> None:
     importlib.reload(two_bicycles)
-    assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "two_bicycles"]
+    assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "left_turn", "two_bicycles"]
 
 
 def test_every_scenario_has_an_id() -> None:
@@ -366,6 +368,10 @@ def test_every_scenario_has_an_id() -> None:
         ({"obstacles": True}, "obstacles = True must be a number of bicycles"),
         ({"obstacles": -1}, "obstacles = -1 must be a number of bicycles"),
         ({"obstacles": 1, "routes": LANE, "lanes": True}, "obstacles = 1 must be 0 where there are two vehicles"),
+        ({"cars": True}, "cars = True must be a number of oncoming cars: 0, 1, ... or 100"),
+        ({"cars": 101, "lanes": True}, "cars = 101 must be a number of oncoming cars: 0, 1, ... or 100"),
+        ({"cars": 2}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
+        ({"cars": 2, "routes": LANE, "lanes": True}, "cars = 2 must be 0 where there are two vehicles or no lanes"),
         ({"reference": {"jerk": math.inf}}, "reference = {'jerk': inf} must have a finite number per objective"),
         ({"reference": {"jrk": 1.0}}, "objective 'jrk' is unknown; did you mean 'jerk'?"),
     ],

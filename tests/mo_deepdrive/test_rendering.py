@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-SCENARIOS = ("one_waypoint", "static_obstacle", "intersection")
-SINGLE_IDS = ("mo-deepdrive-one-waypoint-v0", "mo-deepdrive-static-obstacle-v0")
+SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
+SINGLE_IDS = ("mo-deepdrive-one-waypoint-v0", "mo-deepdrive-static-obstacle-v0", "mo-deepdrive-left-turn-v0")
 INTERSECTION_ID = "mo-deepdrive-intersection-v0"
 MAP_PIXELS = 720
 SPEED_UP = 3

@@ -800,7 +800,7 @@ def expected_observation(env: Any, world: int, v: int) -> list[float]:
     expected += [away, away + (0.0 if after is None else distance_to(*pose, after))]
     expected += [car[name] for name in ("vx", "vy", "ax", "ay", "steer", "throttle", "brake", "speed")]
     expected += [car["left_lane_distance"], car["right_lane_distance"]]
-    crossing = env.config.scenario == "intersection" and v == 0 and expected_lanes(0, *pose)[2]
+    crossing = env.config.scenario in ("intersection", "left_turn") and v == 0 and expected_lanes(0, *pose)[2]
     expected.append(float(crossing))
     if env.config.scenario == "static_obstacle":
         expected += [distance_to(*pose, end) for end in state.obstacle]
@@ -811,6 +811,14 @@ def expected_observation(env: Any, world: int, v: int) -> list[float]:
         expected += [other[name] for name in ("vx", "vy", "ax", "ay")]
         for corner in corners(other["x"], other["y"], other["heading"]):
             expected += [angle_to(*pose, corner), distance_to(*pose, corner)]
+    if env.config.scenario == "left_turn":
+        numbers = [number for number in range(1, 6) if car[f"car_{number}_present"]]
+        ways = {number: car[f"car_{number}_y"] - HALF_LENGTH - (C + LANE) for number in numbers}
+        # From the northern edge of the crossing; a car has passed when its rear is beyond the southern one.
+        seen = [number for number in numbers if -(2 * LANE + 2 * HALF_LENGTH) <= ways[number] <= 100.0][:2]
+        for number in seen:
+            expected += [ways[number], car[f"car_{number}_speed"]]
+        expected += [100.0, 0.0] * (2 - len(seen))
     return expected
 
 

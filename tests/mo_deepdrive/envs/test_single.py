@@ -24,16 +24,18 @@ from hypothesis import strategies as st
 from mo_gymnasium.wrappers import LinearReward, MOClipReward, MONormalizeReward, MORecordEpisodeStatistics
 
 OPEN = ("one_waypoint", "static_obstacle")
-IDS = {scenario: f"mo-deepdrive-{scenario.replace('_', '-')}-v0" for scenario in (*OPEN, "intersection")}
+SCENARIOS = (*OPEN, "intersection", "left_turn")
+IDS = {scenario: f"mo-deepdrive-{scenario.replace('_', '-')}-v0" for scenario in SCENARIOS}
 ACTION_TYPES = ("discrete", "discrete-16", "continuous")
 OBJECTIVES = {
     "one_waypoint": ("distance", "destination", "g_force", "jerk"),
     "static_obstacle": ("distance", "destination", "g_force", "collision", "jerk"),
     "intersection": ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
+    "left_turn": ("distance", "destination", "g_force", "collision", "jerk", "lane_violation", "time"),
 }
-COSTS = ("g_force", "collision", "jerk", "lane_violation")
-SIZES = {"one_waypoint": 15, "static_obstacle": 19, "intersection": 29}
-FIRST_INFO = {"one_waypoint": {}, "static_obstacle": {}, "intersection": {"vehicle": 0}}
+COSTS = ("g_force", "collision", "jerk", "lane_violation", "time")
+SIZES = {"one_waypoint": 15, "static_obstacle": 19, "intersection": 29, "left_turn": 19}
+FIRST_INFO: dict[str, dict[str, Any]] = {scenario: {} for scenario in SCENARIOS} | {"intersection": {"vehicle": 0}}
 EVERY = [(scenario, action_type) for scenario in IDS for action_type in ACTION_TYPES]
 
 Env = Any

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.objectives import OBJECTIVES
+from mo_deepdrive.objectives import KERNEL_NAMES, OBJECTIVES
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -16,7 +16,7 @@ IDLE = 0
 FORWARD = 3  # decay steer, increase speed
 CRAWL = np.array([0.0, 0.4, -1.0], dtype=np.float32)
 COAST = np.array([0.0, 0.0, -1.0], dtype=np.float32)
-COSTS = [objective.name for objective in OBJECTIVES if objective.sign < 0]
+COSTS = [objective.name for objective in OBJECTIVES if objective.sign < 0 and objective.name in KERNEL_NAMES]
 SIZES = {"one_waypoint": 15, "static_obstacle": 19, "intersection": 29}
 
 
