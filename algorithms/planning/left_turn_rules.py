@@ -47,13 +47,14 @@ THROTTLE = 1.0  # m/s^2, of the discrete actions
 
 # The path: along the middle of the first lane, an arc, and along the last lane, a little left of its middle so that the
 # front, which swings out, stays in the lane.
-RADIUS = 7.0  # m
-EXIT_OFFSET = 0.22  # m
+RADIUS = 7.4  # m
+EXIT_OFFSET = 0.11  # m
+LEAVING_MARGIN = 0.3  # s between a car that leaves the crossing and the vehicle that enters its lane
 TO_ONCOMING_LANE = 1.5  # m, from the first waypoint to where the box touches the oncoming lane
-PREVIEW = 0.35  # s by which the wheel is ahead of the path, about the lag of the yaw rate
-HEADING_GAIN = 0.25  # curvature (1/m) per rad of error
-OFFSET_GAIN = 0.06  # curvature (1/m) per m of error
-SLACK = 0.08  # share of the target speed that may be lost before the rule speeds up again
+PREVIEW = 0.42  # s by which the wheel is ahead of the path, about the lag of the yaw rate
+HEADING_GAIN = 0.22  # curvature (1/m) per rad of error
+OFFSET_GAIN = 0.063  # curvature (1/m) per m of error
+SLACK = 0.04  # share of the target speed that may be lost before the rule speeds up again
 SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
 
 
@@ -70,10 +71,10 @@ class GapRule:
     """
 
     gap: float
-    approach_speed: float = 3.0
-    turn_speed: float = 4.0
-    exit_speed: float = 5.0
-    stop_distance: float = 0.5
+    approach_speed: float = 2.8
+    turn_speed: float = 6.0
+    exit_speed: float = 8.0
+    stop_distance: float = 0.73
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -160,7 +161,7 @@ def free_time(seen: Floats, lead_time: Floats) -> Floats:
         with np.errstate(divide="ignore", invalid="ignore"):
             arrives = np.where(distance <= 0.0, 0.0, distance / speed)
             leaves = (distance + 2.0 * LANE_WIDTH + LENGTH) / speed
-        least = np.where(leaves < lead_time, least, np.minimum(least, arrives))
+        least = np.where(leaves + LEAVING_MARGIN < lead_time, least, np.minimum(least, arrives))
     return least
 
 
@@ -214,7 +215,7 @@ def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
     before, beyond = y < 0.0, (x < 0.0) & (y >= 0.0)
     angle = np.where(before, 0.0, np.where(beyond, math.pi / 2, np.arctan2(y, x)))
     # How far the path is to the left of the point ahead.
-    offset = np.where(before, x, np.where(beyond, y, np.hypot(x, y))) - RADIUS
+    offset = np.where(before, x, np.where(beyond, y - EXIT_OFFSET, np.hypot(x, y))) - RADIUS
     curvature = np.where(before | beyond, 0.0, 1.0 / RADIUS)
     return curvature + HEADING_GAIN * (angle - heading) + OFFSET_GAIN * offset
 
