@@ -54,6 +54,7 @@ TO_ONCOMING_LANE = 1.5  # m, from the first waypoint to where the box touches th
 PREVIEW = 0.42  # s by which the wheel is ahead of the path, about the lag of the yaw rate
 HEADING_GAIN = 0.22  # curvature (1/m) per rad of error
 OFFSET_GAIN = 0.063  # curvature (1/m) per m of error
+MAX_CURVATURE = 0.147  # 1/m, of a "small steer left"
 SLACK = 0.04  # share of the target speed that may be lost before the rule speeds up again
 SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
 
@@ -217,7 +218,8 @@ def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
     # How far the path is to the left of the point ahead.
     offset = np.where(before, x, np.where(beyond, y - EXIT_OFFSET, np.hypot(x, y))) - RADIUS
     curvature = np.where(before | beyond, 0.0, 1.0 / RADIUS)
-    return curvature + HEADING_GAIN * (angle - heading) + OFFSET_GAIN * offset
+    wanted = curvature + HEADING_GAIN * (angle - heading) + OFFSET_GAIN * offset
+    return np.clip(wanted, -MAX_CURVATURE, MAX_CURVATURE)
 
 
 def _forward(heading: Floats) -> Floats:
