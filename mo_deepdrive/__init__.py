@@ -1,9 +1,9 @@
 """MO-DeepDrive: multi-objective driving environments for Gymnasium, MO-Gymnasium, PettingZoo and MOMAland.
 
 Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0``,
-``mo-deepdrive-intersection-v0`` and ``mo-deepdrive-left-turn-v0``. :func:`parallel_env` and :func:`env` make the multi-agent environments,
-:func:`reference_point` and :func:`reference_front` are what returns are compared with. :func:`register_objective` and
-:func:`register_scenario` add one's own.
+``mo-deepdrive-intersection-v0`` and ``mo-deepdrive-left-turn-v0``. :func:`parallel_env` and :func:`env` make the
+multi-agent environments, :func:`reference_point` and :func:`reference_front` are what returns are compared with.
+:func:`register_objective` and :func:`register_scenario` add one's own.
 """
 
 from __future__ import annotations

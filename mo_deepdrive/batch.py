@@ -177,10 +177,11 @@ class WorldBatch:
             rows = rows[~fair]
             if not len(rows):
                 return
-        problems = ["a bicycle touches the vehicle at its start or is within 1 m of the destination"]
-        if self.scenario.cars:
-            problems = problems[: self.scenario.obstacles] + ["an oncoming car touches the vehicle at its start"]
-        problem = ", or ".join(problems)
+        problems = {
+            "a bicycle touches the vehicle at its start or is within 1 m of the destination": self.scenario.obstacles,
+            "an oncoming car touches the vehicle at its start": self.scenario.cars,
+        }
+        problem = ", or ".join(text for text, number in problems.items() if number)
         raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws with these reset options: {problem}")
 
     def step(self, actions: NDArray[Any]) -> None:

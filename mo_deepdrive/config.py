@@ -114,11 +114,11 @@ class EnvConfig(Settings):
         harmful_jerk: jerk above which the episode ends (m/s^3); None for never.
         lane_margin: distance to the lane line below which lane violation counts (m).
         end_on_lane_violation: end the episode more than 0.25 m outside the lane (Intersection, LeftTurn).
-        yield_to_oncoming: progress of the left turn is negative while the other vehicle approaches (Intersection), or an
-            oncoming car on the map (LeftTurn).
+        yield_to_oncoming: progress of the left turn is negative while the other vehicle (Intersection) or an oncoming
+            car on the map (LeftTurn) approaches.
         end_together: both vehicles end when the first one ends, as in the published code (Intersection).
-        traffic: flow of the oncoming cars: "none", "light", "default" or "dense", with one every 9, 4.5 and 2.5 s in the
-            mean (LeftTurn).
+        traffic: flow of the oncoming cars: "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or
+            2.5 s (LeftTurn).
     """
 
     scenario: str

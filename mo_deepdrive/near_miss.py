@@ -15,7 +15,7 @@ from mo_deepdrive.simulation.traffic import COS, SIN
 CONFLICT_TIME = 1.5  # s
 
 
-def near_miss(vehicles: Any, v: int, params: Any) -> float:
+def near_miss(vehicles: Any, v: int, params: Any) -> float:  # noqa: ARG001  (the signature of a measure)
     """1 if the least time to collision with another vehicle or an oncoming car is below CONFLICT_TIME, else 0.
 
     It is taken after the decision; every box keeps its velocity and its heading

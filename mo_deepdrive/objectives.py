@@ -59,7 +59,7 @@ class Objective:
     reference: float | None = None
 
 
-def _seconds(vehicles: Any, v: int, params: Any) -> float:
+def _seconds(vehicles: Any, v: int, params: Any) -> float:  # noqa: ARG001  (the signature of a measure)
     return float(params.dt * params.physics_steps)
 
 

@@ -56,7 +56,8 @@ def reference_point(
     """The agreed reference point for hypervolumes.
 
     Args:
-        scenario: "one_waypoint", "static_obstacle", "intersection" or a registered one; it holds for each vehicle.
+        scenario: "one_waypoint", "static_obstacle", "intersection", "left_turn" or a registered one; it holds for each
+            vehicle.
         action_type: "discrete", "discrete-16" or "continuous".
         gamma: discount factor of the returns: 0.99 or 1.0; any for a registered scenario.
         objectives: names, to select and order; None for all of the scenario's.

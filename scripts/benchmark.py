@@ -84,6 +84,7 @@ IDS = {
     "OneWaypoint": "mo-deepdrive-one-waypoint-v0",
     "StaticObstacle": "mo-deepdrive-static-obstacle-v0",
     "Intersection": "mo-deepdrive-intersection-v0",
+    "LeftTurn": "mo-deepdrive-left-turn-v0",
 }
 LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
@@ -401,7 +402,7 @@ def script_rows(what: str, command: list[str], seconds: str, megabytes: str = ""
 def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads: bool) -> list[Measurement]:
     """All measurements."""
     rows: list[Measurement] = []
-    targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M"}
+    targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M", "LeftTurn": "1.2 M"}
     for title, env_id in IDS.items():
         rows.append(Measurement(f"{title}, kernel alone, N = 1024", kernel_rate(env_id, 1024, repetitions), "steps/s"))
         rate = vector_rate(env_id, 1024, 1, repetitions)
@@ -414,6 +415,9 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
     ours = single_rate(IDS["OneWaypoint"], repetitions, 5000)
     assert ours is not None
     rows.append(Measurement("OneWaypoint, mo_gymnasium.make", ours, "steps/s", "60 k"))
+    left_turn = single_rate(IDS["LeftTurn"], repetitions, 5000)
+    assert left_turn is not None
+    rows.append(Measurement("LeftTurn, mo_gymnasium.make", left_turn, "steps/s", "40 k"))
     for peer in OTHERS:
         rate_of_peer = single_rate(peer, max(1, repetitions // 3), 300)
         if rate_of_peer is not None:

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION = (
-    f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection")
+ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN = (
+    f"mo-deepdrive-{name}-v0" for name in ("one-waypoint", "static-obstacle", "intersection", "left-turn")
 )
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
@@ -178,6 +178,7 @@ CASES: dict[str, Case] = {
     "make_vec-one-waypoint": Case(partial(make_vec, ONE_WAYPOINT)),
     "make_vec-static-obstacle": Case(partial(make_vec, STATIC_OBSTACLE)),
     "make_vec-intersection": Case(partial(make_vec, INTERSECTION)),
+    "make_vec-left-turn": Case(partial(make_vec, LEFT_TURN)),
     "make": Case(make),
     "import": Case(partial(start_up, "-c", "import mo_deepdrive"), "s"),
     "train-help": Case(partial(start_up, TRAIN, "--help"), "s"),

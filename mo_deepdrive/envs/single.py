@@ -16,14 +16,20 @@ if TYPE_CHECKING:
 
 
 class DrivingEnv(WorldEnv):
-    """A car that drives to a destination, alone or around a bicycle.
+    """A car that drives to a destination: alone, around a bicycle, or to the left across oncoming traffic.
 
     ## Description
 
-    A car drives to a destination in the plane (OneWaypoint), or around a bicycle on its way (StaticObstacle). Based on
+    A car drives to a destination in the plane (OneWaypoint), around a bicycle on its way (StaticObstacle), or turns
+    left at a crossing while up to five cars come one after another down the opposite lane (LeftTurn). Based on
     DeepDrive Zero and its multi-objective extension (Ajridi et al., "Deconstructing Reinforcement Learning
     Benchmarks: Revealing the Objectives", ECAI 2023). The car is a kinematic bicycle with friction, simulated at
     60 Hz; the agent decides at 10 Hz.
+
+    In LeftTurn the oncoming cars follow one another by the Intelligent Driver Model, straight on in their lane. If the
+    agent is in their way, some of their drivers let it pass, and some hardly brake. Who is who cannot be seen: desired
+    speed, headway and how hard a driver brakes for a left-turner are drawn for every car and episode. So a gap can be
+    accepted (fast, risky, uncomfortable) or the next one awaited (slow, safe), and outcomes are uncertain.
 
     ## Action Space
 
@@ -36,7 +42,7 @@ class DrivingEnv(WorldEnv):
 
     ## Observation Space
 
-    ``Box`` of float32 in SI units, 15 numbers (StaticObstacle 19).
+    ``Box`` of float32 in SI units, 15 numbers (StaticObstacle and LeftTurn 19).
 
     | index | observation | unit |
     |---|---|---|
@@ -46,10 +52,15 @@ class DrivingEnv(WorldEnv):
     | 6, 7 | acceleration x, y | m/s^2 |
     | 8, 9, 10 | held steer, throttle, brake | rad, m/s^2, 1 |
     | 11 | speed | m/s |
-    | 12, 13 | distance to the left and right lane line (always 1.524: there are no lanes) | m |
-    | 14 | inside the crossing (always 0) | 0 or 1 |
+    | 12, 13 | distance to the left and right lane line (1.524 where there are no lanes) | m |
+    | 14 | inside the crossing (0 where there is none) | 0 or 1 |
     | 15, 16 | distances to the bicycle's two ends (StaticObstacle) | m |
     | 17, 18 | angles to the bicycle's two ends (StaticObstacle) | rad |
+    | 15, 16 | nearest oncoming car: from its front to the crossing, along its lane; speed (LeftTurn) | m, m/s |
+    | 17, 18 | the same of the second nearest one (LeftTurn) | m, m/s |
+
+    The nearest oncoming cars are the first ones whose rear has not left the crossing. The distance is negative inside
+    the crossing; a car is seen from 100 m on, and where there is none, the distance is 100 and the speed 0.
 
     ## Reward Space
 
@@ -57,11 +68,14 @@ class DrivingEnv(WorldEnv):
 
     | objective | reward per decision | scenario |
     |---|---|---|
-    | distance | route distance gained (m) | both |
-    | destination | 1 on the decision that arrives | both |
-    | g_force | minus the g-force at the end of the decision (g) | both |
-    | collision | -1 on the decision that collides | StaticObstacle |
-    | jerk | minus the jerk at the end of the decision (m/s^3) | both |
+    | distance | route distance gained (m); in LeftTurn negative in the crossing while a car approaches | all |
+    | destination | 1 on the decision that arrives | all |
+    | g_force | minus the g-force at the end of the decision (g) | all |
+    | collision | -1 on the decision that collides | StaticObstacle, LeftTurn |
+    | jerk | minus the jerk at the end of the decision (m/s^3) | all |
+    | lane_violation | minus the distance outside the lane at the end of the decision (m) | LeftTurn |
+    | time | minus the duration of the decision (s) | LeftTurn; by ``objectives`` all |
+    | near_miss | -1 on a decision after which the time to collision is below 1.5 s | by ``objectives`` LeftTurn |
 
     ## Starting State
 
@@ -69,11 +83,17 @@ class DrivingEnv(WorldEnv):
     of the map, the bicycle from places along the way. ``reset(options={"start": (x, y, heading), "destination":
     (x, y), "obstacle": ((x, y), (x, y))})`` sets each of them for that episode.
 
+    In LeftTurn the car is at rest in its lane, at a random distance from the crossing, and the oncoming cars drive.
+    Options are ``start``, ``destination``, ``cars`` (how many come, 0 to 5), and with a number per car, the first one
+    first, ``headways`` (s, to the car ahead or, of the first one, to the crossing), ``desired_speeds`` (m/s) and
+    ``yielding`` (m/s^2, how hard it brakes for a left-turner at most). Of fewer numbers than cars the rest are drawn.
+
     ## Episode End
 
     ``info["end"]`` says why, ``info["success"]`` whether the car arrived. Terminated: ``arrived`` (front within 1 m
     of the destination), ``collision``, ``harmful_g_force`` (above 1 g), ``harmful_jerk`` (off by default),
-    ``circling`` (turned by more than 400 degrees), ``backwards`` (more than 2 m behind its best route distance).
+    ``circling`` (turned by more than 400 degrees), ``backwards`` (more than 2 m behind its best route distance), in
+    LeftTurn ``skipped_waypoint`` and ``off_lane`` (off by default).
     Truncated: ``time_limit`` (60 s).
 
     ## Arguments
@@ -81,8 +101,9 @@ class DrivingEnv(WorldEnv):
     ``scenario`` is set by the id. Every other field of :class:`mo_deepdrive.config.EnvConfig` is a keyword argument:
     ``action_type``, ``fixed_destination``, ``fixed_obstacle`` (StaticObstacle), ``time_limit``, ``objectives``,
     ``cost_sign``, ``simulation_frequency``, ``decision_frequency``, ``constrain_controls``, ``ignore_brake``,
-    ``harmful_g_force``, ``harmful_jerk``. ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise
-    TypeError, invalid values ValueError.
+    ``harmful_g_force``, ``harmful_jerk``; for LeftTurn ``traffic`` ("none", "light", "default" or "dense"),
+    ``yield_to_oncoming``, ``lane_margin`` and ``end_on_lane_violation``. ``render_mode`` is None, "rgb_array" or
+    "human". Unknown arguments raise TypeError, invalid values ValueError.
 
     ## Version History
 

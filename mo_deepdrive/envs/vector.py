@@ -69,7 +69,7 @@ class DrivingVectorEnv(VectorEnv):
 
     Args:
         num_envs: N.
-        scenario: "one_waypoint", "static_obstacle", "intersection" or a registered one.
+        scenario: "one_waypoint", "static_obstacle", "intersection", "left_turn" or a registered one.
         autoreset_mode: NEXT_STEP (a finished world is reset by the next step, which ignores its action and has zero
             reward), SAME_STEP or DISABLED (``reset(options={"reset_mask": ...})``).
         threads: how many threads share a step, which pays off from about 2,000 worlds. It does not change the results.

@@ -98,7 +98,7 @@ def vehicles_collide(params: Record, path: Records, a: int, b: int, lane: int) -
 
 @jit
 def hits_any_car(vehicle: Record, vehicles: int, params: Record, path: Records, lane: int) -> bool:
-    """Whether the vehicle touches an oncoming car anywhere on their paths; theirs follow the ``vehicles`` first rows."""
+    """Whether the vehicle touches an oncoming car; the paths of the cars follow those of the ``vehicles`` vehicles."""
     hit = False
     for k in range(len(vehicle.cars)):
         present = vehicle.cars[k].present

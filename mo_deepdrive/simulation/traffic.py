@@ -7,8 +7,8 @@ v0, bumper-to-bumper gap s and approaching rate dv = v - (speed of the car ahead
     dv/dt = A (1 - (v / v0)^4 - (s*(v, dv) / s)^2)                      equation (3), with the exponent 4
     s*    = S0 + max(0, v T + v dv / (2 sqrt(A B)))                     equation (4), without its term in sqrt(v / v0)
 
-A car that turns left into the lane is one more car ahead, standing where its box begins; its driver brakes for it with
-no more than ``yielding`` (m/s^2), which tells those who make way from those who hardly brake. Cars keep the longitudinal
+A left-turner in the lane is one more car ahead, standing where its box begins. A driver brakes for it with no more than
+``yielding`` (m/s^2), which tells those who let it pass from those who hardly brake. Cars keep to the longitudinal
 limits of a vehicle: full throttle and friction, 1 g of braking, no reversing.
 """
 
@@ -172,14 +172,14 @@ def place(worlds: Records, i: int, spawn: Record) -> None:
 
 @jit
 def load(car: Record, lane: int, c: Record, pose: Record) -> None:
-    """Copy a car to a lane; it is on the road no longer once its rear has left the map."""
-    car.present = car.present and car.y > -HALF_LENGTH
-    c.speed[lane] = car.speed
+    """Copy a car to a lane; it is gone once its rear has left the map."""
+    present = car.present and car.y > -HALF_LENGTH
+    c.speed[lane] = car.speed if present else 0.0
     c.acceleration[lane] = car.acceleration
     c.desired_speed[lane] = car.driver.desired_speed
     c.time_gap[lane] = min(car.driver.headway, TIME_GAP)
     c.yielding[lane] = car.driver.yielding
-    c.present[lane] = 1.0 if car.present else 0.0
+    c.present[lane] = 1.0 if present else 0.0
     pose.x[lane] = car.x
     pose.y[lane] = car.y
     pose.cos[lane] = COS
@@ -252,6 +252,7 @@ def drive(worlds: Records, first: int, last: int, params: Record, traffic: Recor
                 car.y = path[vehicles + k, n].y[lane]
                 car.speed = traffic[k].speed[lane]
                 car.acceleration = traffic[k].acceleration[lane]
+                car.present = traffic[k].present[lane] > 0.0
 
 
 @jit

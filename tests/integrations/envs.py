@@ -14,6 +14,7 @@ from mo_deepdrive.wrappers import UtilityReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
+LEFT_TURN = "mo-deepdrive-left-turn-v0"
 SHORT = {"time_limit": 2.0}
 VEHICLES = ("vehicle_0", "vehicle_1")
 # Weights of MOMAland's LinearizeReward.

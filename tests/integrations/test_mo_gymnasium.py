@@ -18,13 +18,13 @@ from mo_gymnasium.wrappers import (
 from mo_gymnasium.wrappers.vector import MOAsyncVectorEnv, MOSyncVectorEnv
 from mo_gymnasium.wrappers.vector import MORecordEpisodeStatistics as VectorStatistics
 
-from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, single, vector
+from tests.integrations.envs import INTERSECTION, LEFT_TURN, ONE_WAYPOINT, single, vector
 from tests.integrations.matrix import Library, row
 
 LIBRARY = Library("MO-Gymnasium", "mo-gymnasium", "mo_gymnasium", "`mo_gymnasium.make(id)`")
 
 pytestmark = pytest.mark.filterwarnings("ignore")
-IDS = {ONE_WAYPOINT: 4, INTERSECTION: 6}  # and their objectives
+IDS = {ONE_WAYPOINT: 4, INTERSECTION: 6, LEFT_TURN: 7}  # and their objectives
 
 
 def episode(env: Any) -> list[tuple[Any, Any]]:

@@ -17,9 +17,11 @@ from mo_deepdrive.wrappers import ParallelUtilityReward, UtilityReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
-SCENARIOS = {
+LEFT_TURN = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation", "time")
+SCENARIOS: dict[str, Any] = {
     ONE_WAYPOINT: "one_waypoint_nonlinear",
     "mo-deepdrive-static-obstacle-v0": "static_obstacle_nonlinear",
+    "mo-deepdrive-left-turn-v0": make_utility("linear", LEFT_TURN, weights=[0.1, 10.0, 0.1, 10.0, 0.0, 0.1, 0.1]),
     INTERSECTION: "intersection_nonlinear",
 }
 

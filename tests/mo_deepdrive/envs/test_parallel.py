@@ -99,7 +99,7 @@ def test_momalands_tests_of_aec_environments_pass(arguments: dict[str, Any], kee
         seed_test(lambda: mo_deepdrive.env(keep_finished=keep_finished, **arguments), num_cycles=50)
 
 
-@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "left_turn"])
 def test_the_other_scenarios_have_one_agent(scenario: str) -> None:
     env = mo_deepdrive.parallel_env(scenario=scenario)
     assert env.possible_agents == ["vehicle_0"]

@@ -70,6 +70,11 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
         "intersection",
         {"action_type": "continuous", "end_on_lane_violation": True, "yield_to_oncoming": False},
     ),
+    "left_turn-discrete": ("left-turn", {"traffic": "dense"}),
+    "left_turn-continuous": (
+        "left-turn",
+        {"action_type": "continuous", "objectives": ["distance", "collision", "near_miss", "time"]},
+    ),
 }
 
 
