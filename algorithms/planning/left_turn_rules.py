@@ -54,7 +54,7 @@ TO_ONCOMING_LANE = 1.5  # m, from the first waypoint to where the box touches th
 PREVIEW = 0.42  # s by which the wheel is ahead of the path, about the lag of the yaw rate
 HEADING_GAIN = 0.22  # curvature (1/m) per rad of error
 OFFSET_GAIN = 0.063  # curvature (1/m) per m of error
-MAX_CURVATURE = 0.147  # 1/m, of a "small steer left"
+MAX_CURVATURE = 0.16  # 1/m, a little above that of the arc
 SLACK = 0.04  # share of the target speed that may be lost before the rule speeds up again
 SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
 
@@ -118,7 +118,9 @@ class GapDriver:
         centre = front - HALF_LENGTH * _forward(heading)
         turning = front[:, 1] > WAYPOINTS[0, 1] - 1.5
         left = centre[:, 0] < WAYPOINTS[0, 0] - 0.8 * RADIUS
-        rolling = np.where(left, self.rule.exit_speed, np.where(turning, self.rule.turn_speed, self.rule.approach_speed))
+        rolling = np.where(
+            left, self.rule.exit_speed, np.where(turning, self.rule.turn_speed, self.rule.approach_speed)
+        )
         waiting = np.minimum(self.rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
         target = np.where(self._goes, rolling, waiting)
         brakes = ~self._goes & (line <= braking_distance)

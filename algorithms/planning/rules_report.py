@@ -164,7 +164,12 @@ def _draw(axis, scores: Sequence[RuleScores], name: str, label: str, colour: str
     times = [each.estimates["time"].value for each in scores]
     found = [each.estimates[name] for each in scores]
     values = np.array([each.value for each in found])
-    ends = np.array([(each.value if each.low is None else each.low, each.value if each.high is None else each.high) for each in found])
+    ends = np.array(
+        [
+            (each.value if each.low is None else each.low, each.value if each.high is None else each.high)
+            for each in found
+        ]
+    )
     errors = np.abs(ends.T - values)
     axis.errorbar(times, values, yerr=errors, color=colour, marker="o", markersize=4, capsize=2, label=label)
     for time, value, each in zip(times, values, scores, strict=True):
