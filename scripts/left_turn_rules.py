@@ -8,7 +8,7 @@ The folder gets left_turn_rules.csv and left_turn_rules.png. The rules see what 
 
 from __future__ import annotations
 
-import argparse
+
 import sys
 from pathlib import Path
 from typing import get_args
