@@ -24,7 +24,7 @@ from algorithms.evaluation.function_policy import FunctionPolicy
 from algorithms.evaluation.metrics import name_and_unit
 from algorithms.evaluation.statistics import Estimate, estimate
 from algorithms.planning.left_turn_rules import GapDriver, GapRule
-from algorithms.reporting.style import DIM, DPI, STYLE, TITLE_SIZE
+from algorithms.reporting.style import DIM, DPI, INK, STYLE, TITLE_SIZE
 from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE, action_table
 from mo_deepdrive.observation import OWN
 from mo_deepdrive.scenarios import SCENARIOS
@@ -250,7 +250,8 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
                 i, k = each.objectives.index(first), each.objectives.index(second)
                 matrix[k, i] = found.value
                 if np.isfinite(found.value):
-                    axis.text(i, k, f"{found.value:+.2f}", ha="center", va="center", fontsize=8)
+                    colour = "white" if abs(found.value) > 0.6 else INK
+                    axis.text(i, k, f"{found.value:+.2f}", ha="center", va="center", fontsize=8, color=colour)
             axis.imshow(matrix, cmap="RdBu", vmin=-1.0, vmax=1.0)
             names = [name_and_unit(objective)[0] for objective in each.objectives]
             axis.set_xticks(range(d - 1), names[:-1], rotation=45, ha="right")
