@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from mo_deepdrive.near_miss import NEAR_MISS
 from mo_deepdrive.objectives import Objective, register_objective
 from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario, register_id, register_scenario
 
@@ -43,7 +42,6 @@ _LAZY = {
     "reference_point": "mo_deepdrive.reference_points",
 }
 
-register_objective(NEAR_MISS)
 for _scenario in SCENARIOS.values():
     register_id(_scenario)
 

@@ -42,6 +42,7 @@ class Objective:
             ``params`` of ``PARAMS``, both to be read only. A plain function, which Numba compiles on its first use, or
             one with ``numba.njit``. It is not called for vehicles that had ended before; their magnitude is zero.
             Every scenario can have such an objective. None if the kernel measures it, where the scenario lists it.
+            In a row of the package it may be the path ``package.module:name``, which is imported when it is needed.
         needs_others: whether only scenarios with other vehicles or cars can have it.
         reference: coordinate of the reference point for hypervolumes, maximised, for every discount factor; None where
             ``data/reference_points.yaml`` has it, or for none.
@@ -54,7 +55,7 @@ class Objective:
     description: str
     bound: float | str | Callable[[Any], float]
     signed: bool = False
-    measure: Callable[[Any, int, Any], float] | None = None
+    measure: Callable[[Any, int, Any], float] | str | None = None
     needs_others: bool = False
     reference: float | None = None
 
@@ -71,6 +72,17 @@ OBJECTIVES: list[Objective] = [
     Objective("jerk", "m/s^3", -1, 500.0, "jerk at the end of the decision", bound="m/s^3"),
     Objective("lane_violation", "m", -1, 10.0, "metres outside the lane at the end of the decision", "lane_violation"),
     Objective("time", "s", -1, 30.0, "duration of the decision", bound="time", measure=_seconds, reference=-60.0),
+    Objective(
+        "near_miss",
+        "1",
+        -1,
+        5.0,
+        "1 on a decision after which the time to collision is below 1.5 s",
+        bound=1.0,
+        measure="mo_deepdrive.simulation.near_miss:near_miss",
+        needs_others=True,
+        reference=-15.0,
+    ),
 ]
 INDEX: dict[str, int] = {objective.name: index for index, objective in enumerate(OBJECTIVES)}
 # The magnitudes in the state of a vehicle, in order.

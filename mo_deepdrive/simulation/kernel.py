@@ -105,7 +105,7 @@ def judge(worlds: Records, i: int, params: Record, path: Records, lane: int) -> 
         collided = hits_any_obstacle(worlds[i, 0], params, path, lane)
     if vehicles > 1 and all_running:
         collided = vehicles_collide(params, path, 0, 1, lane)
-    if all_running:
+    if len(worlds[i, 0].cars) > 0 and all_running:
         collided = collided or hits_any_car(worlds[i, 0], vehicles, params, path, lane)
 
     # Everything that depends on the positions of both vehicles is computed before either can end.
@@ -171,7 +171,8 @@ def step_worlds(
     """
     for v in range(worlds.shape[1]):
         drive(worlds, first, last, v, controls, params, motion, path)
-    traffic.drive(worlds, first, last, params, cars, path)
+    if len(worlds[first, 0].cars) > 0:
+        traffic.drive(worlds, first, last, params, cars, path)
     for i in range(first, last):
         judge(worlds, i, params, path, i - first)
 

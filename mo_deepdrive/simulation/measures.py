@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numba
 import numpy as np
 
+from mo_deepdrive.importing import import_named
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.params import chosen_objectives, make_params, reward_signs
@@ -83,6 +84,8 @@ def make_measures(config: EnvConfig) -> tuple[Measure, ...]:
         function = OBJECTIVES[INDEX[name]].measure
         if function is None:
             continue
+        if isinstance(function, str):
+            function = import_named(f"objective {name!r}: measure", function)
         measure = Measure(_writer(function), column, float(sign))
         flags, rewards = np.zeros(nothing.shape, dtype=np.bool_), np.zeros((*nothing.shape, 1), dtype=np.float32)
         try:

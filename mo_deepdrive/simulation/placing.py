@@ -95,7 +95,7 @@ def distance_to_segment(px: float, py: float, ax: float, ay: float, bx: float, b
 @jit
 def spawn_is_fair(spawn: Record, params: Record) -> bool:
     """False if a bicycle or a car touches the vehicle at its start, or a bicycle is within 1 m of the destination."""
-    if traffic.touches_start(spawn):
+    if len(spawn.drivers) > 0 and traffic.touches_start(spawn):
         return False
     if not params.has_obstacle:
         return True

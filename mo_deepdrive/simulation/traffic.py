@@ -41,7 +41,7 @@ SHORTEST_GAP = 0.1  # m; gaps are taken to be no less, so that a touching car br
 DESIRED_SPEED = (7.0, 12.0)  # m/s, uniform: 25 to 43 km/h
 SHORTEST_HEADWAY = 0.8  # s
 YIELDING = (0.5, 6.0)  # m/s^2, uniform: from hardly braking to an emergency
-# Mean headways (s) of the flows, about 400, 800 and 1,400 cars per hour.
+# Mean headways (s) of the flows, about 370, 690 and 1,100 cars per hour.
 MEAN_HEADWAY = {"light": 9.0, "default": 4.5, "dense": 2.5}
 
 # What reset options may set.

@@ -268,8 +268,9 @@ LANE = SCENARIOS["intersection"].routes
         ({"obstacles": 1, "routes": (replace(row().routes[0], start_span=5.0),), "destination_span": (9.0, 9.0)}, 19),
         ({"routes": LANE[:1], "lanes": True, "objectives": ("distance", "lane_violation")}, 15),
         ({"routes": (*row().routes, Route((40.0, 25.0, 1.5), ((10.0, 40.0), (5.0, 45.0))))}, 29),
+        ({"routes": LANE[:1], "lanes": True, "cars": 2, "obstacles": 1, "objectives": ("distance", "near_miss")}, 23),
     ],
-    ids=["five bicycles", "random start and destination", "left turn alone", "two cars without lanes"],
+    ids=["five bicycles", "random start and destination", "left turn alone", "two cars without lanes", "oncoming cars"],
 )
 @pytest.mark.slow
 def test_other_rows_run_through_every_interface(
@@ -320,6 +321,7 @@ def test_two_vehicles_take_turns(registries: None) -> None:
         ({"destination_span": (1.0, 0.0)}, {"fixed_destination": True}, {"fixed_obstacle": True}),
         ({"routes": LANE[:1], "lanes": True}, {"lane_margin": 0.5}, {"yield_to_oncoming": False}),
         ({"routes": LANE}, {"end_together": True}, {"end_on_lane_violation": True}),
+        ({"routes": LANE[:1], "lanes": True, "cars": 1}, {"traffic": "dense"}, {"end_together": True}),
     ],
 )
 def test_a_setting_without_effect_in_the_scenario_is_refused(

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.near_miss import CONFLICT_TIME, NEAR_MISS
 from mo_deepdrive.scenarios import MAP_CENTRE
 from mo_deepdrive.simulation.geometry import boxes_overlap, time_to_collision
+from mo_deepdrive.simulation.near_miss import CONFLICT_TIME
 from mo_deepdrive.simulation.state import LENGTH, WIDTH
 
 NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)  # cosine and sine of headings
@@ -158,7 +158,6 @@ def test_a_vehicle_that_has_left_the_road_is_none(make_vector: Any) -> None:
 
 
 def test_scenarios_without_others_do_not_have_it(make_single: Any) -> None:
-    assert NEAR_MISS.needs_others
     for scenario, title in (("one_waypoint", "OneWaypoint"), ("static_obstacle", "StaticObstacle")):
         with pytest.raises(ValueError, match=f"objectives has 'near_miss', which {title} does not have"):
             make_single(scenario, objectives=["near_miss"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from mo_deepdrive.objectives import Objective
 from mo_deepdrive.simulation.geometry import time_to_collision
 from mo_deepdrive.simulation.state import COLLISION, RUNNING
 from mo_deepdrive.simulation.traffic import COS, SIN
@@ -47,16 +46,3 @@ def near_miss(vehicles: Any, v: int, params: Any) -> float:  # noqa: ARG001  (th
             if time < CONFLICT_TIME:
                 return 1.0
     return 0.0
-
-
-NEAR_MISS = Objective(
-    name="near_miss",
-    unit="1",
-    sign=-1,
-    scale=5.0,
-    description="1 on a decision after which the time to collision is below 1.5 s",
-    bound=1.0,
-    measure=near_miss,
-    needs_others=True,
-    reference=-15.0,
-)
