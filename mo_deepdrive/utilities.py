@@ -159,8 +159,8 @@ LINEAR: dict[str, dict[str, float]] = {
 }
 
 # Of left_turn_risk_averse, in units of left_turn_linear: what an arrival gives. R. A. Howard ("Decision analysis:
-# practice and promise", Management Science 34, 1988) reads it as the stake x of an even chance to win x or to lose x / 2
-# that is hardly worth taking. The increase of utility per unit falls by e^3 from an early collision to an arrival.
+# practice and promise", Management Science 34, 1988) reads it as the stake x for which an even chance to win x or lose
+# x / 2 is hardly worth taking. From an early collision to an arrival a unit's worth falls about twentyfold (e^3).
 RISK_TOLERANCE = 10.0
 
 # An arrival gives 10, a metre 0.1, so that the way there pays, but less than getting there. 5 g or 200 m/s^3 beyond the
@@ -175,8 +175,7 @@ COMFORT_BUDGETS: dict[str, ComfortBudget] = {
     ),
 }
 
-# Non-linear utilities: the objectives that each needs, and its formula in magnitudes. Those of the first three scenarios
-# are the paper's, but for the comfort budgets.
+# Non-linear utilities: the objectives that each needs, and its formula in magnitudes. The first three are the paper's.
 NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
     "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
     "static_obstacle_nonlinear": (
@@ -187,8 +186,8 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
         ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
         _intersection_nonlinear,
     ),
-    # Constant absolute risk aversion (J. W. Pratt, "Risk aversion in the small and in the large", Econometrica 32, 1964)
-    # in the value L of left_turn_linear: T (1 - exp(-L / T)).
+    # Constant absolute risk aversion in the value L of left_turn_linear, T (1 - exp(-L / T)): J. W. Pratt, "Risk
+    # aversion in the small and in the large", Econometrica 32, 1964.
     "left_turn_risk_averse": (tuple(LINEAR["left_turn_linear"]), _left_turn_risk_averse),
     **{
         name: (("distance", "destination", "g_force", "jerk", *budget.prices), budget.utility)

@@ -2,8 +2,9 @@
 
     python scripts/conflicts.py --output docs/results
 
-In LeftTurn there is a second population, fixed rules. The folder gets conflicts.csv and conflicts.png. A negative correlation says that drivers who are better in one objective
-are worse in the other (`algorithms.planning.conflicts` describes the drivers).
+The folder gets conflicts.csv and conflicts.png. A negative correlation says that drivers who are better in one
+objective are worse in the other (`algorithms.planning.conflicts` describes the drivers). In LeftTurn fixed rules are a
+second population.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
     if "left_turn" in options.scenarios:
         conflicts.append(find_rule_conflicts(rules=options.rules, episodes=options.episodes, seed=seed))
     note = (
-        f"Spearman's rank correlation of the mean returns of {options.drivers} random drivers, of whom those count that "
-        f"arrive in {ARRIVALS:.0%} of {describe_episodes(options.episodes, seed)}; all objectives maximised"
+        f"Spearman's rank correlation of the mean returns of {options.drivers} random drivers, of whom those count "
+        f"that arrive in {ARRIVALS:.0%} of {describe_episodes(options.episodes, seed)}; all objectives maximised"
     )
     if options.output is not None:
         write_conflicts(options.output / "conflicts.csv", conflicts)

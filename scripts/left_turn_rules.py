@@ -8,10 +8,9 @@ The folder gets left_turn_rules.csv and left_turn_rules.png. The rules see what 
 
 from __future__ import annotations
 
-
 import sys
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from rich.console import Console
 
@@ -20,6 +19,9 @@ from algorithms.experiments.cli import make_parser
 from algorithms.planning.rules_report import plot_scores, rows, score_rules, write_scores
 from algorithms.reporting.wide_tables import print_rows
 from mo_deepdrive.config import ActionType, Traffic
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:

@@ -92,7 +92,9 @@ class RandomDrivers:
         self.decision = decision
         self.table = action_table("discrete")
 
-    def __call__(self, observations: NDArray[Any], _accrued: NDArray[Any], discounts: NDArray[Any]) -> NDArray[np.int64]:
+    def __call__(
+        self, observations: NDArray[Any], _accrued: NDArray[Any], discounts: NDArray[Any]
+    ) -> NDArray[np.int64]:
         """Actions (N,) or (N, V) for observations (N, size) or (N, V, size)."""
         seen = observations.astype(np.float64)
         drivers = self.drivers.reshape((-1,) + (1,) * (seen.ndim - 2))
@@ -117,7 +119,7 @@ class RandomDrivers:
             + self.table[:, CURL] / np.maximum(speed, 1.0)[..., None] ** 2
         )
         fits = self.table[:, SPEED_CHANGE] == change[..., None]
-        return np.where(fits, np.abs(offered - steer[..., None]), np.inf).argmin(axis=-1)
+        return np.asarray(np.where(fits, np.abs(offered - steer[..., None]), np.inf).argmin(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ def _conflicts(population: str, evaluations: Sequence[Evaluation]) -> Conflicts:
 
 
 def correlations(returns: Floats, objectives: Sequence[str]) -> dict[tuple[str, str], Estimate]:
-    """Spearman's rank correlation of every two columns of ``returns`` (n, d), with bootstrap intervals over the rows."""
+    """Spearman's rank correlation of every two columns of ``returns`` (n, d), with intervals over the rows."""
     found = {}
     for (i, first), (k, second) in combinations(enumerate(objectives), 2):
         pair = returns[:, [i, k]]
@@ -208,8 +210,9 @@ def _spearman(pairs: Floats) -> Callable[..., Any]:
         ranks = scipy.stats.rankdata(pairs[rows.astype(np.intp)], axis=-2)
         ranks -= ranks.mean(axis=-2, keepdims=True)
         x, y = ranks[..., 0], ranks[..., 1]
-        with np.errstate(invalid="ignore"):  # a resample may be constant
-            return (x * y).sum(axis=-1) / np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+        size = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+        # Of a resample that is constant: 0.
+        return (x * y).sum(axis=-1) / np.where(size > 0.0, size, np.inf)
 
     return coefficient
 

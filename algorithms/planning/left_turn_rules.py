@@ -136,7 +136,7 @@ class GapDriver:
             + self.table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
         )
         error = np.where(self.table[:, SPEED_CHANGE] == change[:, None], np.abs(offered - steer[:, None]), np.inf)
-        return error.argmin(axis=1)
+        return np.asarray(error.argmin(axis=1))
 
     def _continuous(
         self, steer: Floats, speed: Floats, throttle: Floats, target: Floats, brakes: NDArray[np.bool_], line: Floats
@@ -201,7 +201,7 @@ def _seen_from(seen: Floats, which: str) -> Floats:
         same = seen[:, COLUMN["after_distance"]] == distance
         distance = seen[:, COLUMN["after_distance"]] - np.where(same, 0.0, distance)
     angle = -seen[:, COLUMN[f"{which}_angle"]]
-    return distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
@@ -221,7 +221,7 @@ def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
     offset = np.where(before, x, np.where(beyond, y - EXIT_OFFSET, np.hypot(x, y))) - RADIUS
     curvature = np.where(before | beyond, 0.0, 1.0 / RADIUS)
     wanted = curvature + HEADING_GAIN * (angle - heading) + OFFSET_GAIN * offset
-    return np.clip(wanted, -MAX_CURVATURE, MAX_CURVATURE)
+    return np.asarray(np.clip(wanted, -MAX_CURVATURE, MAX_CURVATURE))
 
 
 def _forward(heading: Floats) -> Floats:

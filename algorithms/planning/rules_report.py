@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
+    from matplotlib.axes import Axes
+
     from algorithms.evaluation.episodes import Evaluation
     from algorithms.evaluation.splits import Split
 
@@ -160,7 +162,7 @@ def plot_scores(path: Path, scores: Sequence[RuleScores], note: str) -> None:
         figure.savefig(path, dpi=DPI)
 
 
-def _draw(axis, scores: Sequence[RuleScores], name: str, label: str, colour: str) -> None:  # type: ignore[no-untyped-def]
+def _draw(axis: Axes, scores: Sequence[RuleScores], name: str, label: str, colour: str) -> None:
     times = [each.estimates["time"].value for each in scores]
     found = [each.estimates[name] for each in scores]
     values = np.array([each.value for each in found])
