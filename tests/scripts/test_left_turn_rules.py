@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 
+@pytest.mark.slow
 def test_the_rules_are_written_from_risky_to_safe(load_script: Callable[[str], ModuleType], tmp_path: Path) -> None:
     script = load_script("left_turn_rules")
     arguments = ["--gaps", "0", "6", "--episodes", "60", "--split", "validation", "--output", str(tmp_path)]

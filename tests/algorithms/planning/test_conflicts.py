@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 SEED = 2_000_000
 
 
+@pytest.mark.slow
 def test_a_correlation_is_spearmans_with_an_interval_around_it() -> None:
     rng = np.random.default_rng(0)
     first = rng.normal(size=60)
@@ -54,12 +55,14 @@ def test_a_driver_acts_in_a_batch_as_it_does_alone(vehicles: int) -> None:
         np.testing.assert_array_equal(alone[0], together[i])
 
 
+@pytest.mark.slow
 def test_the_fixed_rules_of_left_turn_trade_time_for_safety() -> None:
-    found = find_rule_conflicts(rules=20, episodes=20, seed=SEED)
+    found = find_rule_conflicts(rules=12, episodes=20, seed=SEED)
     assert found.population == "LeftTurn, fixed rules"
     assert found.correlations["collision", "time"].value < -0.3
 
 
+@pytest.mark.slow
 def test_the_same_population_gives_the_same_table_and_picture(tmp_path: Path) -> None:
     files = [tmp_path / "first.csv", tmp_path / "second.csv"]
     conflicts: list[Conflicts] = []

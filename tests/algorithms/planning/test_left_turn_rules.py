@@ -35,6 +35,7 @@ def test_every_rule_arrives_where_there_is_no_traffic(gap: float, actions: str) 
     assert returns["g_force"] > -16.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("actions", ["discrete", "continuous"])
 def test_a_rule_that_waits_is_slower_and_safer(actions: str) -> None:
     evaluations = [drive(gap, actions) for gap in (0.0, 2.0, 6.0)]
