@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -92,7 +93,39 @@ def _intersection_nonlinear(m: dict[str, Any]) -> Any:
     return _where(at_rest, base, base - lane)
 
 
-# The paper's linear utilities: weights of the magnitudes.
+@dataclass(frozen=True)
+class ComfortBudget:
+    """The numbers of a comfort budget, for magnitudes of an episode.
+
+    Attributes:
+        g_force: budget of the sum of the g-forces (g).
+        jerk: budget of the sum of the jerks (m/s^3).
+        prices: per unit of other costs.
+    """
+
+    g_force: float
+    jerk: float
+    prices: Mapping[str, float] = field(default_factory=dict)
+
+    def utility(self, m: dict[str, Any]) -> Any:
+        """0.1 d + 10 r - 2 max(0, G - g_force) - 0.05 max(0, J - jerk) - prices of other costs."""
+        value = 0.1 * m["distance"] + 10.0 * m["destination"]
+        value = value - 2.0 * _excess(m["g_force"], self.g_force) - 0.05 * _excess(m["jerk"], self.jerk)
+        for objective, price in self.prices.items():
+            value = value - price * m[objective]
+        return value
+
+
+def _excess(magnitude: Any, budget: float) -> Any:
+    return _where(magnitude > budget, magnitude - budget, 0.0 * magnitude)
+
+
+def _left_turn_risk_averse(m: dict[str, Any]) -> Any:
+    total = sum(weight * m[objective] for objective, weight in LINEAR["left_turn_linear"].items())
+    return RISK_TOLERANCE * (1.0 - math.e ** (-total / RISK_TOLERANCE))
+
+
+# Linear utilities: weights of the magnitudes. Those of the first three scenarios are the paper's.
 LINEAR: dict[str, dict[str, float]] = {
     "one_waypoint_linear": {"distance": 0.5, "destination": 1.0, "g_force": -0.03, "jerk": -3.3e-5},
     "static_obstacle_linear": {
@@ -110,9 +143,39 @@ LINEAR: dict[str, dict[str, float]] = {
         "jerk": -0.0006,
         "lane_violation": -0.06,
     },
+    # Those of the intersection, but for two. A collision costs as much as an arrival gives, so that it is worse than
+    # never arriving. A second costs 0.1: waiting for one more gap (4.5 s in the mean) is worth two collisions in a
+    # hundred episodes (2% of 10 for the collision and of 10 for the arrival forgone), and even the 60 s of the time
+    # limit (6) cost less than an arrival gives.
+    "left_turn_linear": {
+        "distance": 0.5,
+        "destination": 10.0,
+        "collision": -10.0,
+        "g_force": -0.03,
+        "jerk": -0.0006,
+        "lane_violation": -0.06,
+        "time": -0.1,
+    },
 }
 
-# The paper's non-linear utilities: the objectives that each needs, and its formula in magnitudes.
+# Of left_turn_risk_averse, in units of left_turn_linear: what an arrival gives. R. A. Howard ("Decision analysis:
+# practice and promise", Management Science 34, 1988) reads it as the stake x for which an even chance to win x or lose
+# x / 2 is hardly worth taking. From an early collision to an arrival a unit's worth falls about twentyfold (e^3).
+RISK_TOLERANCE = 10.0
+
+# An arrival gives 10, a metre 0.1, so that the way there pays, but less than getting there. 5 g or 200 m/s^3 beyond the
+# budget cost an arrival. Budgets are nine tenths of what is spent without one, so that they bind: by policies for the
+# paper's linear utility in OneWaypoint (5.5 g and 45 m/s^3) and StaticObstacle (7.9 and 124), and in LeftTurn by the
+# fixed rule that waits for a gap of 5 s (14.2 and 205). Other prices are those of left_turn_linear.
+COMFORT_BUDGETS: dict[str, ComfortBudget] = {
+    "one_waypoint_comfort_budget": ComfortBudget(g_force=5.0, jerk=40.0),
+    "static_obstacle_comfort_budget": ComfortBudget(g_force=7.0, jerk=110.0, prices={"collision": 10.0}),
+    "left_turn_comfort_budget": ComfortBudget(
+        g_force=13.0, jerk=185.0, prices={"collision": 10.0, "lane_violation": 0.06, "time": 0.1}
+    ),
+}
+
+# Non-linear utilities: the objectives that each needs, and its formula in magnitudes. The first three are the paper's.
 NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
     "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
     "static_obstacle_nonlinear": (
@@ -123,6 +186,13 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
         ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
         _intersection_nonlinear,
     ),
+    # Constant absolute risk aversion in the value L of left_turn_linear, T (1 - exp(-L / T)): J. W. Pratt, "Risk
+    # aversion in the small and in the large", Econometrica 32, 1964.
+    "left_turn_risk_averse": (tuple(LINEAR["left_turn_linear"]), _left_turn_risk_averse),
+    **{
+        name: (("distance", "destination", "g_force", "jerk", *budget.prices), budget.utility)
+        for name, budget in COMFORT_BUDGETS.items()
+    },
 }
 
 

@@ -149,7 +149,7 @@ def evaluate(
         env: an id, also as ``module:id``; or a raw vector environment from
             :func:`algorithms.common.env_adapter.make_env`, not the one used for training.
         split: the scenarios: "validation" (default), or "test" for final scores.
-        episodes: E; the test split has 1,000.
+        episodes: E; the test split has 2,000.
         seed: of the first episode, instead of a split.
         utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, a utility, or a function of returns
             (..., d); or a list with one per vehicle. By default the agent's; a function has none.

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-COSTS = {"g_force", "collision", "jerk", "lane_violation"}
+COSTS = {"g_force", "collision", "jerk", "lane_violation", "time"}
 ONE_WAYPOINT = ("distance", "destination", "g_force", "jerk")
 STATIC_OBSTACLE = ("distance", "destination", "g_force", "collision", "jerk")
 INTERSECTION = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
+LEFT_TURN = (*INTERSECTION, "time")
 
 
 # The paper, on magnitudes: d distance, r destination, g g-force, c collision, j jerk, l lane violation.
@@ -71,6 +72,40 @@ PAPER: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "intersection_nonlinear": (INTERSECTION, intersection_nonlinear),
 }
 
+
+def left_turn_linear(d: float, r: float, g: float, c: float, j: float, lane: float, t: float) -> float:
+    return 0.50 * d + 10 * r - 10 * c - 0.03 * g - 0.0006 * j - 0.06 * lane - 0.1 * t
+
+
+def left_turn_risk_averse(d: float, r: float, g: float, c: float, j: float, lane: float, t: float) -> float:
+    return 10.0 * (1.0 - math.exp(-left_turn_linear(d, r, g, c, j, lane, t) / 10.0))
+
+
+def one_waypoint_comfort_budget(d: float, r: float, g: float, j: float) -> float:
+    return 0.1 * d + 10 * r - 2 * max(0.0, g - 5.0) - 0.05 * max(0.0, j - 40.0)
+
+
+def static_obstacle_comfort_budget(d: float, r: float, g: float, c: float, j: float) -> float:
+    return 0.1 * d + 10 * r - 10 * c - 2 * max(0.0, g - 7.0) - 0.05 * max(0.0, j - 110.0)
+
+
+def left_turn_comfort_budget(d: float, r: float, g: float, c: float, j: float, lane: float, t: float) -> float:
+    price = 10 * c + 0.06 * lane + 0.1 * t
+    return 0.1 * d + 10 * r - price - 2 * max(0.0, g - 13.0) - 0.05 * max(0.0, j - 185.0)
+
+
+# Those of this package.
+OWN: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
+    "left_turn_linear": (LEFT_TURN, left_turn_linear),
+    "left_turn_risk_averse": (LEFT_TURN, left_turn_risk_averse),
+    "one_waypoint_comfort_budget": (ONE_WAYPOINT, one_waypoint_comfort_budget),
+    "static_obstacle_comfort_budget": (STATIC_OBSTACLE, static_obstacle_comfort_budget),
+    "left_turn_comfort_budget": (LEFT_TURN, left_turn_comfort_budget),
+}
+NAMED = {**PAPER, **OWN}
+# Where a utility is not smooth, or steeper than finite differences can follow.
+KINKS = {"distance": (0.0, 2.0), "g_force": (5.0, 7.0, 13.0), "jerk": (40.0, 110.0, 185.0)}
+
 # Computed by hand: utility, magnitudes in the order of its objectives above, value.
 BY_HAND = [
     ("one_waypoint_linear", (10.0, 1.0, 5.0, 500.0), 5.8335),
@@ -86,6 +121,14 @@ BY_HAND = [
     ("intersection_nonlinear", (0.0, 0.0, 5.0, 1.0, 500.0, 10.0), -10.0),
     ("intersection_nonlinear", (-2.0, 0.0, 100.0, 1.0, 100_000.0, 10.0), -205.1921),
     ("intersection_nonlinear", (4.0, 1.0, 100.0, 0.0, 100_000.0, 10.0), -15.6),
+    ("left_turn_linear", (30.0, 1.0, 10.0, 0.0, 200.0, 2.0, 15.0), 22.96),
+    ("left_turn_linear", (10.0, 0.0, 10.0, 1.0, 200.0, 2.0, 10.0), -6.54),
+    ("left_turn_risk_averse", (20.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), 0.0),
+    ("left_turn_risk_averse", (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 10.0 * (1.0 - 1.0 / math.e)),
+    ("one_waypoint_comfort_budget", (20.0, 1.0, 5.0, 40.0), 12.0),
+    ("one_waypoint_comfort_budget", (20.0, 1.0, 6.5, 60.0), 8.0),
+    ("static_obstacle_comfort_budget", (20.0, 0.0, 7.0, 1.0, 130.0), -9.0),
+    ("left_turn_comfort_budget", (30.0, 1.0, 14.0, 0.0, 195.0, 5.0, 20.0), 8.2),
 ]
 
 RANGES = {
@@ -95,6 +138,7 @@ RANGES = {
     "collision": st.sampled_from([0.0, 1.0, 0.125]),
     "jerk": st.floats(0.0, 5000.0, width=32),
     "lane_violation": st.floats(0.0, 50.0, width=32),
+    "time": st.floats(0.0, 60.0, width=32),
 }
 
 
@@ -107,31 +151,31 @@ def oriented(magnitudes: dict[str, float], objectives: tuple[str, ...], cost_sig
 @st.composite
 def situations(draw: st.DrawFn, name: str) -> tuple[dict[str, float], tuple[str, ...], str]:
     """Magnitudes, an order of the objectives and a sign of the costs."""
-    objectives = PAPER[name][0]
+    objectives = NAMED[name][0]
     magnitudes = {objective: draw(RANGES[objective]) for objective in objectives}
     return magnitudes, tuple(draw(st.permutations(objectives))), draw(st.sampled_from(["maximise", "paper"]))
 
 
 def literal(name: str, magnitudes: dict[str, float]) -> float:
-    objectives, formula = PAPER[name]
+    objectives, formula = NAMED[name]
     return formula(*(magnitudes[objective] for objective in objectives))
 
 
 @pytest.mark.parametrize(("name", "magnitudes", "value"), BY_HAND)
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
-def test_a_paper_utility_has_the_value_computed_by_hand(
+def test_a_named_utility_has_the_value_computed_by_hand(
     name: str, magnitudes: tuple[float, ...], value: float, cost_sign: str
 ) -> None:
-    objectives = PAPER[name][0]
+    objectives = NAMED[name][0]
     returns = oriented(dict(zip(objectives, magnitudes, strict=True)), objectives, cost_sign)
     utility = make_utility(name, objectives, cost_sign=cost_sign)
     assert float(utility(returns)) == pytest.approx(value, rel=1e-12)
     assert float(utility(torch.tensor(returns))) == pytest.approx(value, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", NAMED)
 @given(data=st.data())
-def test_a_paper_utility_equals_its_literal_formula_in_any_order_and_sign(name: str, data: st.DataObject) -> None:
+def test_a_named_utility_equals_its_literal_formula_in_any_order_and_sign(name: str, data: st.DataObject) -> None:
     magnitudes, order, cost_sign = data.draw(situations(name))
     expected = literal(name, magnitudes)
     utility = make_utility(name, order, cost_sign=cost_sign)
@@ -150,7 +194,7 @@ def every_utility() -> list[Utility]:
     """One of each utility, with three objectives if they can be chosen."""
     names = ("a", "b", "c")
     return [
-        *(make_utility(name, PAPER[name][0]) for name in PAPER),
+        *(make_utility(name, NAMED[name][0]) for name in NAMED),
         make_utility("linear", names, weights=[0.5, 0.25, 0.25]),
         make_utility("augmented_chebyshev", names, weights=[0.5, 0.25, 0.25], ideal=[1.0, 2.0, 3.0]),
         make_utility("generalised_gini", names, weights=[0.5, 0.3, 0.2], scales=[1.0, 2.0, 4.0]),
@@ -205,14 +249,14 @@ def central_differences(utility: Utility, point: np.ndarray) -> np.ndarray:
     return gradient
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", NAMED)
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
 @given(data=st.data())
-def test_gradients_of_a_paper_utility_equal_finite_differences_where_it_is_smooth(
+def test_gradients_of_a_named_utility_equal_finite_differences_where_it_is_smooth(
     name: str, cost_sign: str, data: st.DataObject
 ) -> None:
     magnitudes, order, _ = data.draw(situations(name))
-    assume(all(abs(magnitudes["distance"] - at) > 0.1 for at in (0.0, 2.0)))
+    assume(all(abs(magnitudes[name] - at) > 0.1 for name in magnitudes for at in KINKS.get(name, ())))
     utility = make_utility(name, order, cost_sign=cost_sign)
     point = torch.tensor(oriented(magnitudes, order, cost_sign), requires_grad=True)
     (gradient,) = torch.autograd.grad(utility(point), point)
@@ -235,9 +279,9 @@ def test_gradients_of_a_standard_utility_equal_finite_differences_where_it_is_sm
     np.testing.assert_allclose(gradient.numpy(), central_differences(utility, np.array(point)), rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", NAMED)
 def test_gradients_are_finite_where_a_utility_is_not_smooth(name: str) -> None:
-    objectives = PAPER[name][0]
+    objectives = NAMED[name][0]
     for d in (0.0, 2.0):
         point = torch.zeros(len(objectives), dtype=torch.float64)
         point[0] = d
@@ -246,10 +290,10 @@ def test_gradients_are_finite_where_a_utility_is_not_smooth(name: str) -> None:
         assert gradient.isfinite().all()
 
 
-@pytest.mark.parametrize("name", [name for name in PAPER if name.endswith("_linear")])
+@pytest.mark.parametrize("name", [name for name in NAMED if name.endswith("_linear")])
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
 @given(data=st.data())
-def test_the_weights_of_a_linear_paper_utility_are_its_factors_of_returns(
+def test_the_weights_of_a_named_linear_utility_are_its_factors_of_returns(
     name: str, cost_sign: str, data: st.DataObject
 ) -> None:
     magnitudes, order, _ = data.draw(situations(name))
@@ -260,11 +304,31 @@ def test_the_weights_of_a_linear_paper_utility_are_its_factors_of_returns(
     assert float(np.dot(utility.weights, returns)) == pytest.approx(literal(name, magnitudes), abs=1e-9)
 
 
-def test_weights_of_linear_paper_utilities_are_not_negative_for_maximised_rewards() -> None:
-    for name in (name for name in PAPER if name.endswith("_linear")):
-        weights = make_utility(name, PAPER[name][0]).weights
+def test_weights_of_named_linear_utilities_are_not_negative_for_maximised_rewards() -> None:
+    for name in (name for name in NAMED if name.endswith("_linear")):
+        weights = make_utility(name, NAMED[name][0]).weights
         assert weights is not None
         assert min(weights) > 0.0
+
+
+@given(shares=st.floats(0.01, 0.99), data=st.data())
+def test_an_even_lottery_is_worth_less_than_its_mean_to_the_risk_averse(shares: float, data: st.DataObject) -> None:
+    averse, neutral = make_utility("left_turn_risk_averse", LEFT_TURN), make_utility("left_turn_linear", LEFT_TURN)
+    first, second = (
+        oriented({name: data.draw(RANGES[name]) for name in LEFT_TURN}, LEFT_TURN, "maximise") for _ in range(2)
+    )
+    assume(abs(float(neutral(first)) - float(neutral(second))) > 0.5)
+    outcomes, odds = np.stack([first, second]), np.array([shares, 1.0 - shares])
+    assert float(odds @ averse(outcomes)) < float(averse(odds @ outcomes))
+    # Of certain returns it prefers what the linear one prefers.
+    assert (averse(first) > averse(second)) == (neutral(first) > neutral(second))
+
+
+def test_what_is_within_a_comfort_budget_has_no_price() -> None:
+    utility = make_utility("one_waypoint_comfort_budget", ONE_WAYPOINT)
+    returns = torch.tensor([[10.0, 1.0, -4.9, -39.0], [10.0, 1.0, -5.1, -41.0]], requires_grad=True)
+    (gradient,) = torch.autograd.grad(utility(returns).sum(), returns)
+    np.testing.assert_allclose(gradient.numpy(), [[0.1, 10.0, 0.0, 0.0], [0.1, 10.0, 2.0, 0.05]], rtol=1e-6)
 
 
 def test_linear_is_the_weighted_sum() -> None:
@@ -449,21 +513,21 @@ def test_an_unknown_name_is_refused_with_all_known_ones() -> None:
     with pytest.raises(ValueError, match="is unknown") as refusal:
         make_utility("zzz", ONE_WAYPOINT)
     assert all(name in str(refusal.value) for name in UTILITIES)
-    assert set(PAPER) < set(UTILITIES)
+    assert set(NAMED) < set(UTILITIES)
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", NAMED)
 def test_missing_and_extra_and_repeated_objectives_are_refused(name: str) -> None:
-    objectives = PAPER[name][0]
+    objectives = NAMED[name][0]
     for wrong in (objectives[1:], (*objectives, "comfort"), (*objectives, objectives[0]), ()):
         with pytest.raises(ValueError, match=r"is defined for .*the environment has"):
             make_utility(name, wrong)
 
 
-@pytest.mark.parametrize("name", PAPER)
-def test_a_paper_utility_takes_no_arguments(name: str) -> None:
+@pytest.mark.parametrize("name", NAMED)
+def test_a_named_utility_takes_no_arguments(name: str) -> None:
     with pytest.raises(ValueError, match=r"takes no arguments.*weights"):
-        make_utility(name, PAPER[name][0], weights=[1.0])
+        make_utility(name, NAMED[name][0], weights=[1.0])
 
 
 def test_an_unknown_cost_sign_is_refused() -> None:

@@ -474,7 +474,7 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
     [
         (idle, {"split": "train"}, ValueError, r"split = 'train' must be one of \['validation', 'test'\]"),
         (idle, {"split": "test", "seed": 3}, ValueError, "split = 'test' and seed = 3 are both given"),
-        (idle, {"split": "test", "episodes": 1001}, ValueError, "episodes = 1001 exceeds the 1,000 scenarios"),
+        (idle, {"split": "test", "episodes": 2001}, ValueError, "episodes = 2001 exceeds the 2,000 scenarios"),
         (idle, {"episodes": 0}, ValueError, "episodes = 0 must be a positive integer"),
         (idle, {"greedy": False}, ValueError, "greedy = False is for agents"),
         (idle, {"utility": "one_waypoint_linaer"}, ValueError, "did you mean 'one_waypoint_linear'"),

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def test_the_splits_are_those_of_version_1() -> None:
     assert SPLITS_VERSION == 1
-    assert dict(SPLITS) == {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_001_000)}
+    assert dict(SPLITS) == {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_002_000)}
     assert FIRST_TRAINING_SEED == 2**32
 
 
@@ -61,12 +61,12 @@ def test_a_run_uses_each_split_for_its_purpose(split: Split, tmp_path: Path, mon
 
 
 def test_a_split_has_no_more_scenarios_than_it_has() -> None:
-    check_episodes("--episodes", 1000, "test")
+    check_episodes("--episodes", 2000, "test")
     check_episodes("--episodes", 1001, "validation")
-    with pytest.raises(ValueError, match="--episodes = 1001 exceeds the 1,000 scenarios of the test split"):
-        check_episodes("--episodes", 1001, "test")
-    with pytest.raises(ValueError, match=r"evaluation\.final_episodes = 1001 exceeds the 1,000 scenarios of the test"):
-        make_experiment({**VALUES, "evaluation": {"final_episodes": 1001}})
+    with pytest.raises(ValueError, match="--episodes = 2001 exceeds the 2,000 scenarios of the test split"):
+        check_episodes("--episodes", 2001, "test")
+    with pytest.raises(ValueError, match=r"evaluation\.final_episodes = 2001 exceeds the 2,000 scenarios of the test"):
+        make_experiment({**VALUES, "evaluation": {"final_episodes": 2001}})
     with pytest.raises(ValueError, match=r"evaluation\.episodes = 1000001 exceeds the 1,000,000 scenarios of the val"):
         make_experiment({**VALUES, "evaluation": {"episodes": 1_000_001}})
 
@@ -79,10 +79,10 @@ def test_the_former_seed_of_evaluations_is_refused_with_the_new_setting() -> Non
 @pytest.mark.parametrize(
     ("episodes", "seed", "text"),
     [
-        (1000, 3_000_000, "1000 episodes of the test split"),
+        (2000, 3_000_000, "2000 episodes of the test split"),
         (100, 2_000_000, "100 episodes of the validation split"),
         (100, 3_000_001, "100 episodes from seed 3000001"),
-        (1001, 3_000_000, "1001 episodes from seed 3000000"),
+        (2001, 3_000_000, "2001 episodes from seed 3000000"),
     ],
 )
 def test_episodes_are_described_by_their_split(episodes: int, seed: int, text: str) -> None:

@@ -94,7 +94,7 @@ def test_episodes_and_seed_are_those_of_the_command_line_or_the_experiment(exper
     ("arguments", "message"),
     [
         (["--episodes=0"], "--episodes 0 must be at least 1"),
-        (["--episodes=1001"], "--episodes = 1001 exceeds the 1,000 scenarios of the test split"),
+        (["--episodes=2001"], "--episodes = 2001 exceeds the 2,000 scenarios of the test split"),
         (["--seed=-1"], "--seed -1 must be between 0 and 2147483647"),
         (["--seed=2147483648"], "--seed 2147483648"),
         (["--video=a.txt"], r"--video 'a\.txt' must end in \.mp4"),

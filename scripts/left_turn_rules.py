@@ -1,0 +1,69 @@
+"""What fixed rules achieve in LeftTurn: a driver that goes at once, or waits for a gap in the oncoming traffic.
+
+    python scripts/left_turn_rules.py --output docs/results
+
+The folder gets left_turn_rules.csv and left_turn_rules.png. The rules see what an agent observes
+(`algorithms.planning.left_turn_rules`); their parameters were chosen on the validation split.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from rich.console import Console
+
+from algorithms.evaluation.splits import SPLITS, describe_episodes
+from algorithms.experiments.cli import make_parser
+from algorithms.planning.rules_report import plot_scores, rows, score_rules, write_scores
+from algorithms.reporting.wide_tables import print_rows
+from mo_deepdrive.config import ActionType, Traffic
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
+    """The options of this script."""
+    parser = make_parser(__doc__)
+    gaps = [float(gap) for gap in range(9)]
+    parser.add_argument("--gaps", type=float, nargs="+", default=gaps, metavar="S", help="gaps in s (default: 0 to 8)")
+    parser.add_argument("--episodes", type=int, default=2000, metavar="N", help="per rule (default: %(default)s)")
+    parser.add_argument("--split", choices=SPLITS, default="test", help="scenario seeds (default: %(default)s)")
+    parser.add_argument("--traffic", choices=get_args(Traffic), default="default", help="flow (default: %(default)s)")
+    parser.add_argument(
+        "--actions", choices=get_args(ActionType), default="discrete", help="action type (default: %(default)s)"
+    )
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder of the table and the picture")
+    options = parser.parse_args(arguments)
+    if options.output is not None and not options.output.is_dir():
+        parser.error(f"--output {options.output} is not a folder")
+    return options
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line ``arguments``, those of the process if None, and return the exit code."""
+    options = parse_arguments(arguments)
+    try:
+        scores = score_rules(
+            options.gaps,
+            episodes=options.episodes,
+            split=options.split,
+            traffic=options.traffic,
+            actions=options.actions,
+        )
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    episodes = describe_episodes(options.episodes, SPLITS[options.split].start)
+    note = f"{episodes}, {options.traffic} traffic, {options.actions} actions"
+    if options.output is not None:
+        write_scores(options.output / "left_turn_rules.csv", scores)
+        plot_scores(options.output / "left_turn_rules.png", scores, note)
+    print_rows(Console(), rows(scores), f"Fixed rules in LeftTurn: {note}", 1)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
