@@ -1,0 +1,223 @@
+"""Fixed rules for LeftTurn: drive to the crossing, wait for a gap in the oncoming traffic, turn along the lanes.
+
+A rule knows the road, and of everything that moves what an agent observes. It steers along a path of two straight lines
+and an arc, and it goes once no oncoming car would reach the crossing within ``gap`` seconds at its present speed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mo_deepdrive.actions import (
+    CONTINUOUS,
+    CURL,
+    DECAY,
+    DECREASE,
+    INCREASE,
+    MAINTAIN,
+    OFFSET,
+    SPEED_CHANGE,
+    action_table,
+)
+from mo_deepdrive.observation import layout
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.geometry import HALF_LENGTH
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_ACCELERATION, STEER_RANGE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+SCENARIO = SCENARIOS["left_turn"]
+WAYPOINTS = np.array(SCENARIO.routes[0].waypoints)
+LEGS = np.hypot(*np.diff(WAYPOINTS, axis=0).T)  # m, lengths of the two legs after the first waypoint
+COLUMN = {entry.name: column for column, entry in enumerate(layout(SCENARIO))}
+
+# Of the simulator's vehicle, by its equations of motion (docs/simulator.md).
+CURVATURE_PER_STEER = 8.4  # 1/m per rad
+DRAG = 0.06  # deceleration by friction (m/s^2) per m/s
+BRAKING = 2.45  # deceleration (m/s^2) per m/s and unit of brake
+DECISION = 0.1  # s
+THROTTLE = 1.0  # m/s^2, of the discrete actions
+
+# The path: along the middle of the first lane, an arc, and along the last lane, a little left of its middle so that the
+# front, which swings out, stays in the lane.
+RADIUS = 7.0  # m
+EXIT_OFFSET = 0.22  # m
+TO_ONCOMING_LANE = 1.5  # m, from the first waypoint to where the box touches the oncoming lane
+PREVIEW = 0.35  # s by which the wheel is ahead of the path, about the lag of the yaw rate
+HEADING_GAIN = 0.25  # curvature (1/m) per rad of error
+OFFSET_GAIN = 0.06  # curvature (1/m) per m of error
+SLACK = 0.08  # share of the target speed that may be lost before the rule speeds up again
+SOFT_CHANGE = 0.15  # m/s^2 by which the throttle changes in a decision, of continuous actions
+
+
+@dataclass(frozen=True)
+class GapRule:
+    """What a fixed rule for LeftTurn is made of.
+
+    Attributes:
+        gap: it goes once the next oncoming car is this far from the crossing (s); 0 to go at once.
+        approach_speed: on the way to the crossing (m/s).
+        turn_speed: in the crossing (m/s).
+        exit_speed: after it (m/s).
+        stop_distance: from the front of the waiting vehicle to the crossing (m).
+    """
+
+    gap: float
+    approach_speed: float = 3.0
+    turn_speed: float = 4.0
+    exit_speed: float = 5.0
+    stop_distance: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0.0 if name in ("gap", "stop_distance") else 0.1
+            if not (math.isfinite(value) and value >= least):
+                raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
+
+
+class GapDriver:
+    """A driver that follows a :class:`GapRule`, as a policy for :func:`algorithms.evaluation.episodes.evaluate`.
+
+    It remembers in which episodes it goes. An episode in which no reward has accrued has only begun.
+
+    Args:
+        rule: the rule.
+        action_type: "discrete", "discrete-16" or "continuous".
+    """
+
+    def __init__(self, rule: GapRule, action_type: str = "discrete"):
+        self.rule = rule
+        self.table = None if action_type == CONTINUOUS else action_table(action_type)
+        self._goes = np.zeros(0, dtype=np.bool_)
+
+    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
+        """Actions (N,), or (N, 3) if they are continuous, for observations (N, size) and accrued rewards (N, d)."""
+        seen = np.asarray(observations, dtype=np.float64)
+        if len(self._goes) != len(seen):
+            self._goes = np.zeros(len(seen), dtype=np.bool_)
+        self._goes &= np.any(accrued != 0.0, axis=1)
+        front, heading = locate(seen)
+        speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
+        # To the stop line, on the way straight on; what is beyond it is negative.
+        line = WAYPOINTS[0, 1] - self.rule.stop_distance - front[:, 1]
+        braking_distance = speed * (1.0 / BRAKING + 1.5 * DECISION)
+        here = line <= braking_distance + 0.3
+        to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
+        lead_time = (np.sqrt(speed**2 + 2.0 * THROTTLE * to_lane) - speed) / THROTTLE
+        self._goes |= here & (free_time(seen, lead_time) >= self.rule.gap) | (self.rule.gap == 0.0)
+
+        centre = front - HALF_LENGTH * _forward(heading)
+        turning = front[:, 1] > WAYPOINTS[0, 1] - 1.5
+        left = centre[:, 0] < WAYPOINTS[0, 0] - 0.8 * RADIUS
+        rolling = np.where(left, self.rule.exit_speed, np.where(turning, self.rule.turn_speed, self.rule.approach_speed))
+        waiting = np.minimum(self.rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
+        target = np.where(self._goes, rolling, waiting)
+        brakes = ~self._goes & (line <= braking_distance)
+        steer = path_curvature(centre, heading, speed) / CURVATURE_PER_STEER
+        if self.table is None:
+            return self._continuous(steer, speed, throttle, target, brakes, line)
+        wanted = np.where(throttle > 0.0, target, target * (1.0 - SLACK))
+        change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
+        change = np.where(brakes, DECREASE, change)
+        offered = (
+            self.table[:, DECAY] * seen[:, COLUMN["steer"], None]
+            + self.table[:, OFFSET]
+            + self.table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
+        )
+        error = np.where(self.table[:, SPEED_CHANGE] == change[:, None], np.abs(offered - steer[:, None]), np.inf)
+        return error.argmin(axis=1)
+
+    def _continuous(
+        self, steer: Floats, speed: Floats, throttle: Floats, target: Floats, brakes: NDArray[np.bool_], line: Floats
+    ) -> Floats:
+        wanted = np.clip(target - speed, 0.0, THROTTLE) + DRAG * speed
+        wanted = np.where(brakes | (target < speed - 0.5), 0.0, wanted)
+        push = np.clip(wanted, throttle - SOFT_CHANGE, throttle + SOFT_CHANGE)
+        push = np.where(brakes, 0.0, np.clip(push, 0.0, MAX_ACCELERATION))
+        # To rest within the distance that is left: v' = -BRAKING b v, so b = v / (BRAKING distance).
+        brake = np.where(brakes, speed / (BRAKING * np.maximum(line, 0.3 * np.maximum(speed, 0.5))), 0.0)
+        actions = (steer / STEER_RANGE, push / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0)
+        return np.clip(np.stack(actions, axis=1), -1.0, 1.0).astype(np.float32)
+
+
+def free_time(seen: Floats, lead_time: Floats) -> Floats:
+    """The time (N,) until the next oncoming car reaches the crossing at its present speed (s); inf if none does.
+
+    Args:
+        seen: observations (N, size).
+        lead_time: (N,) what the vehicle takes to the lane of these cars (s); those that have left by then do not count.
+    """
+    least = np.full(len(seen), np.inf)
+    for name in ("oncoming_1", "oncoming_2"):
+        distance, speed = seen[:, COLUMN[f"{name}_distance"]], seen[:, COLUMN[f"{name}_speed"]]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            arrives = np.where(distance <= 0.0, 0.0, distance / speed)
+            leaves = (distance + 2.0 * LANE_WIDTH + LENGTH) / speed
+        least = np.where(leaves < lead_time, least, np.minimum(least, arrives))
+    return least
+
+
+def locate(seen: Floats) -> tuple[Floats, Floats]:
+    """Where the front is (N, 2) (m), and the heading (N,) (rad), from observations (N, size).
+
+    Before the second waypoint by the directions of the next two; after it by that of the destination and by the
+    distances to the lane lines.
+    """
+    first, second = _seen_from(seen, "next"), _seen_from(seen, "after")
+    distance = seen[:, COLUMN["next_distance"]]
+    between = np.hypot(*(second - first).T)
+    leg = np.where(between < 0.5 * LEGS[0], 2, np.where(between < LEGS.mean(), 0, 1))
+    seen_direction = np.arctan2(*(second - first).T[::-1])
+    after = WAYPOINTS[np.minimum(leg + 1, 2)] - WAYPOINTS[np.minimum(leg, 1)]
+    heading = np.arctan2(-after[:, 0], after[:, 1]) - seen_direction
+
+    aside = (seen[:, COLUMN["left_lane_distance"]] - seen[:, COLUMN["right_lane_distance"]]) / 2.0
+    rear_in_crossing = distance > LEGS[1] - LENGTH
+    ratio = np.clip(aside / np.maximum(distance, 1.0), -1.0, 1.0)
+    angle = np.arctan2(first[:, 1], first[:, 0])
+    error = np.where(rear_in_crossing, np.arcsin(ratio) - angle, (aside - angle * distance) / (distance + HALF_LENGTH))
+    heading = np.where(leg == 2, math.pi / 2 + error, heading)
+    forward = _forward(heading)
+    to_left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    return WAYPOINTS[leg] - first[:, :1] * forward - first[:, 1:] * to_left, heading
+
+
+def _seen_from(seen: Floats, which: str) -> Floats:
+    """The next waypoint or the one after it as seen from the front (N, 2): metres ahead, and to the left."""
+    distance = seen[:, COLUMN["next_distance"]]
+    if which == "after":
+        # It is observed by way of the next one; the same entries twice are the destination.
+        same = seen[:, COLUMN["after_distance"]] == distance
+        distance = seen[:, COLUMN["after_distance"]] - np.where(same, 0.0, distance)
+    angle = -seen[:, COLUMN[f"{which}_angle"]]
+    return distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def path_curvature(centre: Floats, heading: Floats, speed: Floats) -> Floats:
+    """The curvature (N,) (1/m) that leads vehicles along the path of the left turn.
+
+    Args:
+        centre: (N, 2) (m).
+        heading: (N,) (rad).
+        speed: (N,) (m/s).
+    """
+    ahead = centre + (PREVIEW * speed)[:, None] * _forward(heading)
+    middle = np.array([WAYPOINTS[0, 0] - RADIUS, WAYPOINTS[1, 1] - EXIT_OFFSET - RADIUS])
+    x, y = (ahead - middle).T
+    before, beyond = y < 0.0, (x < 0.0) & (y >= 0.0)
+    angle = np.where(before, 0.0, np.where(beyond, math.pi / 2, np.arctan2(y, x)))
+    # How far the path is to the left of the point ahead.
+    offset = np.where(before, x, np.where(beyond, y, np.hypot(x, y))) - RADIUS
+    curvature = np.where(before | beyond, 0.0, 1.0 / RADIUS)
+    return curvature + HEADING_GAIN * (angle - heading) + OFFSET_GAIN * offset
+
+
+def _forward(heading: Floats) -> Floats:
+    return np.stack([-np.sin(heading), np.cos(heading)], axis=1)
