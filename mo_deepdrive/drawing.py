@@ -98,13 +98,15 @@ class Canvas:
     def touch(self, area: pygame.Rect) -> None:
         """Record a rectangle that was drawn on; it is merged with one that it overlaps."""
         area = area.inflate(4, 4).clip(self.surface.get_rect())
+        if not area:
+            return  # nothing of it is on the surface
         left, top = area.left // SUPERSAMPLING * SUPERSAMPLING, area.top // SUPERSAMPLING * SUPERSAMPLING
         width, height = (-(-size // SUPERSAMPLING) * SUPERSAMPLING for size in (area.right - left, area.bottom - top))
         area = pygame.Rect(left, top, width, height)
         overlapped = area.collidelist(self.touched)
         if overlapped >= 0:
             self.touched[overlapped].union_ip(area)
-        elif width and height:
+        else:
             self.touched.append(area)
 
     def polygon(self, points: ArrayLike, colour: Colour) -> None:
