@@ -1,4 +1,4 @@
-"""Shapes on the map, in metres: roads, waypoints, trails, the bicycle and the cars."""
+"""Shapes on the map, in metres: roads, waypoints, trails, bicycles and cars."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mo_deepdrive.quiet_pygame import gfxdraw, pygame
 from mo_deepdrive.scenarios import MAP_CENTRE
-from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, RUNNING
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, LENGTH, RUNNING
 
 Colour = tuple[int, ...]  # red, green, blue and possibly alpha, each 0 to 255
 Points = NDArray[np.float64]  # (points, 2), m
@@ -26,6 +26,8 @@ EDGE_LINE, CENTRE_LINE = (232, 232, 228), (236, 190, 74)
 BLACK, WHITE, GREY, SHADOW, SHADOW_OFFSET = (0, 0, 0), (255, 255, 255), (190, 190, 190), (0, 0, 0, 45), (0.12, -0.16)
 TYRE, GLASS, HEADLIGHT = (24, 26, 30), (34, 46, 62), (255, 244, 190)
 TAIL_LIGHT, BRAKE_LIGHT, GLOW = (122, 22, 28), (255, 36, 40), (255, 36, 40, 90)
+SIGNAL_LIGHT, SIGNAL_GLOW = (255, 176, 0), (255, 176, 0, 120)
+TRAFFIC_PAINT = (222, 224, 228)  # of oncoming cars
 OBSTACLE, WARNING = (196, 30, 84), (196, 30, 84, 30)
 
 CIRCLE = np.stack([np.cos(np.linspace(0.0, math.tau, 49)), np.sin(np.linspace(0.0, math.tau, 49))], axis=1)
@@ -40,10 +42,20 @@ ROOF_CENTRE, NUMBER_HEIGHT = np.array([0.0, -0.52]), 1.7  # m
 FRONT_LAMP = np.array([(0.5, 2.5), (0.82, 2.4), (0.97, 2.08), (0.66, 2.2)])
 REAR_LAMP = np.array([(0.46, -2.52), (0.84, -2.44), (0.98, -2.14), (0.8, -2.2), (0.46, -2.34)])
 BRAKE_GLOW = (0.7, -2.5) + 0.55 * CIRCLE
+SIGNAL_LAMPS = (
+    np.array([(0.8, 2.46), (1.0, 2.12), (1.04, 1.6), (0.9, 1.9)]),
+    np.array([(0.8, -2.5), (1.0, -2.2), (1.04, -1.7), (0.9, -2.0)]),
+)
+SIGNAL_GLOWS = ((0.95, 2.2) + 0.6 * CIRCLE, (0.95, -2.25) + 0.6 * CIRCLE)
 MIRROR = np.array([(1.0, 0.92), (1.24, 0.82), (1.24, 0.66), (1.0, 0.7)])
 WHEEL = np.array([(-0.15, 0.44), (0.15, 0.44), (0.15, -0.44), (-0.15, -0.44)])
 FRONT_HUB, REAR_HUB = (0.98, 1.5), (0.98, -1.5)
 SIDES = np.array([(1, 1), (-1, 1)])  # right, left
+LEFT = SIDES[1]
+# Deceleration (m/s^2) above which an oncoming car shows its braking lights: below it, a car that slows down without its
+# brakes must not (UN Regulation No. 13-H, paragraph 5.2.22.4).
+BRAKE_LIGHT_DECELERATION = 0.7
+ONCOMING_HEADING = math.pi
 # The tubes of a bicycle that is 1 long (along it, above its axles): rear triangle, front triangle, fork, saddle.
 FRAME = (
     np.array([(0.2, 0.0), (0.46, 0.0), (0.37, 0.26), (0.2, 0.0)]),
@@ -86,13 +98,15 @@ class Canvas:
     def touch(self, area: pygame.Rect) -> None:
         """Record a rectangle that was drawn on; it is merged with one that it overlaps."""
         area = area.inflate(4, 4).clip(self.surface.get_rect())
+        if not area:
+            return  # nothing of it is on the surface
         left, top = area.left // SUPERSAMPLING * SUPERSAMPLING, area.top // SUPERSAMPLING * SUPERSAMPLING
         width, height = (-(-size // SUPERSAMPLING) * SUPERSAMPLING for size in (area.right - left, area.bottom - top))
         area = pygame.Rect(left, top, width, height)
         overlapped = area.collidelist(self.touched)
         if overlapped >= 0:
             self.touched[overlapped].union_ip(area)
-        elif width and height:
+        else:
             self.touched.append(area)
 
     def polygon(self, points: ArrayLike, colour: Colour) -> None:
@@ -187,24 +201,54 @@ class Canvas:
             for start, end in itertools.pairwise(joints):
                 self.line(start, end, 0.05 * length, TYRE)
 
-    def vehicle(self, vehicle: Any, colour: Colour, number: int | None = None) -> None:
-        """A car, with its number on the roof if given; pale if its episode has ended."""
+    def vehicle(self, vehicle: Any, colour: Colour, number: int | None = None, *, signals: bool = False) -> None:
+        """A vehicle, with its number on the roof if given; pale if its episode has ended.
+
+        Args:
+            vehicle: record of dtype VEHICLE.
+            colour: of its paint.
+            number: on its roof; None for none.
+            signals: whether its left turn signal is lit.
+        """
         paint = colour if vehicle.end == RUNNING else mix(colour, GREY, 0.6)
-        glow, light = ([(BRAKE_GLOW, GLOW)], BRAKE_LIGHT) if vehicle.brake > 0.0 else ([], TAIL_LIGHT)
+        position = np.array([vehicle.x, vehicle.y])
+        self._car(position, vehicle.heading, paint, steer=vehicle.steer, brakes=vehicle.brake > 0.0, signals=signals)
+        if number is not None:
+            self.number(number, position + turned(ROOF_CENTRE, vehicle.heading))
+
+    def oncoming_car(self, car: Any) -> None:
+        """An oncoming car, a record of dtype CAR; nothing if it is out of view."""
+        # gfxdraw takes coordinates of 16 bits, and a car may be kilometres away.
+        if abs(car.y - MAP_CENTRE) < self.reach + LENGTH:
+            brakes = car.acceleration < -BRAKE_LIGHT_DECELERATION
+            self._car(np.array([car.x, car.y]), ONCOMING_HEADING, TRAFFIC_PAINT, brakes=brakes)
+
+    def _car(
+        self,
+        position: Points,
+        heading: float,
+        paint: Colour,
+        *,
+        steer: float = 0.0,
+        brakes: bool = False,
+        signals: bool = False,
+    ) -> None:
+        """A car with its centre at ``position`` (2,), whose braking lights and left turn signal may be lit."""
+        glow, light = ([(BRAKE_GLOW, GLOW)], BRAKE_LIGHT) if brakes else ([], TAIL_LIGHT)
         trim, bonnet, roof = mix(paint, BLACK, 0.35), mix(paint, WHITE, 0.14), mix(paint, WHITE, 0.22)
         parts = [*glow, (BODY, trim), (BODY * (0.95, 0.98), paint), (BONNET, bonnet), (CABIN, GLASS), (ROOF, roof)]
         parts += [(MIRROR, trim), (FRONT_LAMP, HEADLIGHT), (REAR_LAMP, light), (WHEEL + REAR_HUB, TYRE)]
         shapes: list[tuple[Points, Colour]] = [(part * side, shade) for part, shade in parts for side in SIDES]
         # Both front wheels turn the same way, so they are not mirror images.
-        shapes += [(turned(WHEEL, vehicle.steer) + FRONT_HUB * side, TYRE) for side in SIDES]
-        position = np.array([vehicle.x, vehicle.y])
+        shapes += [(turned(WHEEL, steer) + FRONT_HUB * side, TYRE) for side in SIDES]
+        if signals:
+            shapes = [(lamp * LEFT, SIGNAL_GLOW) for lamp in SIGNAL_GLOWS] + shapes
+            shapes += [(lamp * LEFT, SIGNAL_LIGHT) for lamp in SIGNAL_LAMPS]
         for spread in (1.02, 1.07):
-            outline = np.concatenate([BODY, (BODY * SIDES[1])[::-1]]) * spread
-            self.polygon(turned(outline, vehicle.heading) + position + SHADOW_OFFSET, SHADOW)
+            outline = np.concatenate([BODY, (BODY * LEFT)[::-1]]) * spread
+            self.polygon(turned(outline, heading) + position + SHADOW_OFFSET, SHADOW)
         for shape, shade in shapes:
-            self.polygon(position + turned(shape, vehicle.heading), shade)
-        if number is not None:
-            self.number(number, position + turned(ROOF_CENTRE, vehicle.heading))
+            self.polygon(position + turned(shape, heading), shade)
 
     def number(self, number: int, centre: Points) -> None:
         """An upright number, drawn on top."""

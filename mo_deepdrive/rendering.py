@@ -39,6 +39,7 @@ PANEL_PIXELS = 336
 FRAME_SIZE = (MAP_PIXELS + PANEL_PIXELS, MAP_PIXELS)  # multiples of 16, which video encoders need
 TRAIL_SECONDS = 5.0
 VEHICLE_MARGIN = 3.0  # m visible around a vehicle's centre; more than half its diagonal
+FLASHES = 1.5  # of a turn signal per second (UN Regulation No. 48, paragraph 6.5.9.1: 90 +- 30 per minute)
 
 VEHICLE_COLOURS = ((38, 116, 232), (240, 126, 38))
 PANEL, TILE, RULE, TEXT, DIM = (24, 28, 36), (36, 42, 53), (54, 62, 76), (240, 243, 248), (150, 160, 176)
@@ -69,6 +70,16 @@ def reach_of(world: NDArray[Any]) -> float:
         reaches.append(max(abs(vehicle.x - MAP_CENTRE), abs(vehicle.y - MAP_CENTRE)) + VEHICLE_MARGIN)
         reaches.extend(np.abs(vehicle.waypoints[: vehicle.n_waypoints] - MAP_CENTRE).ravel() + DESTINATION_RADIUS)
     return float(max(reaches))
+
+
+def signals_left(vehicle: Any) -> bool:
+    """Whether a vehicle has its left turn signal on: until it is on the last leg of a route that turns left."""
+    last = vehicle.n_waypoints - 1
+    if vehicle.next_waypoint >= last:
+        return False
+    x, y = vehicle.waypoints[last] - vehicle.waypoints[last - 1]
+    leftward = -x * math.cos(vehicle.start_heading) - y * math.sin(vehicle.start_heading)
+    return bool(leftward > 0.5 * math.hypot(x, y))
 
 
 class Panel:
@@ -314,15 +325,24 @@ class Viewer:
                 canvas.trail(np.array(positions), colour, self._sheet)
         for k in range(self.scenario.obstacles):
             canvas.bicycle(world[0].obstacle[2 * k : 2 * k + 2])
+        for car in world[0].cars:
+            if car.present:
+                canvas.oncoming_car(car)
         # A vehicle that has ended is off the road, so the other one is drawn on top of it.
         for v in np.argsort(world["end"] == RUNNING, kind="stable"):
-            canvas.vehicle(world[v], VEHICLE_COLOURS[v], int(v) if len(world) > 1 else None)
+            number = int(v) if len(world) > 1 else None
+            canvas.vehicle(world[v], VEHICLE_COLOURS[v], number, signals=self._signal_is_lit(world[v]))
         self._frame.blit(self._small_ground, (0, 0))
         for area in canvas.touched:
             small = pygame.Rect(*(side // SUPERSAMPLING for side in area))
             pygame.transform.smoothscale(self._map.subsurface(area), small.size, self._frame.subsurface(small))
         for area in canvas.touched:
             self._map.blit(self._ground.surface, area, area)
+
+    def _signal_is_lit(self, vehicle: Any) -> bool:
+        """Whether the left turn signal of a vehicle is lit; those who face oncoming cars have one, which flashes."""
+        flashes = FLASHES * vehicle.decisions / self.config.decision_frequency
+        return self.scenario.cars > 0 and signals_left(vehicle) and flashes % 1.0 < 0.5
 
     def _draw_ground(self, reach: float) -> None:
         self._ground = Canvas(self._ground.surface, reach)
