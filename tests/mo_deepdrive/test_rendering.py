@@ -14,6 +14,7 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import rendering
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
+from mo_deepdrive.drawing import TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
 from mo_deepdrive.scenarios import MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
@@ -208,6 +209,52 @@ def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
     assert resembles(colour_at(frame, goal_x, goal_y), BLUE)
     assert resembles(colour_at(frame, goal_x + 1.65, goal_y), BLUE)
     assert np.abs(colour_at(frame, *vehicle.obstacle.mean(axis=0)) - ground).max() > 30
+
+
+def oncoming(acceleration: float = 0.0, y: float = 42.0) -> tuple[WorldBatch, Viewer, Any]:
+    """LeftTurn with one oncoming car in view."""
+    batch, viewer = start("left_turn")
+    batch.state["cars"]["present"] = False
+    car = batch.state[0, 0]["cars"][0]
+    car["present"], car["y"], car["acceleration"] = True, y, acceleration
+    return batch, viewer, car
+
+
+def test_an_oncoming_car_shows_where_it_is_while_it_is_there() -> None:
+    batch, viewer, car = oncoming()
+    roof = car["x"], car["y"] + 0.5
+    shown = colour_at(viewer.draw(batch.state[0]), *roof)
+    assert resembles(shown, TRAFFIC_PAINT)
+    car["present"] = False
+    assert not resembles(colour_at(viewer.draw(batch.state[0]), *roof), TRAFFIC_PAINT)
+    car["present"], car["y"] = True, 5000.0  # the last of a slow flow is kilometres away
+    viewer.draw(batch.state[0])
+
+
+@pytest.mark.parametrize(("acceleration", "lit"), [(1.0, False), (-0.5, False), (-2.0, True)])
+def test_an_oncoming_car_that_brakes_shows_its_braking_lights(acceleration: float, lit: bool) -> None:
+    batch, viewer, car = oncoming(acceleration)
+    frame = viewer.draw(batch.state[0])
+    behind = [colour_at(frame, car["x"] + side, car["y"] + 2.55) for side in (-0.7, 0.7)]
+    assert [bool(red > 190) for red, _, _ in behind] == [lit, lit]
+
+
+def test_the_left_turn_signal_flashes_until_the_turn_is_made() -> None:
+    batch, viewer = start("left_turn")
+    vehicle = batch.state[0, 0]
+
+    def lit() -> tuple[bool, bool]:
+        frame = viewer.draw(batch.state[0])
+        sides = [colour_at(frame, *ahead_of(vehicle, 2.2, right)) for right in (-1.2, 1.2)]
+        return tuple(bool(red > blue + 60) for red, _, blue in sides)
+
+    seen = set()
+    for _ in range(10):
+        seen.add(lit())
+        drive(batch)
+    assert seen == {(True, False), (False, False)}
+    vehicle.next_waypoint = vehicle.n_waypoints - 1
+    assert {(drive(batch), lit())[1] for _ in range(10)} == {(False, False)}
 
 
 def test_a_car_beyond_the_map_stays_in_the_frame() -> None:
