@@ -1,6 +1,7 @@
 """What fixed rules achieve in LeftTurn: a driver that goes at once, or waits for a gap in the oncoming traffic.
 
     python scripts/left_turn_rules.py --output docs/results
+    python scripts/left_turn_rules.py --gaps 0 3 5 --episodes 100 --gif docs/images/left_turn.gif
 
 The folder gets left_turn_rules.csv and left_turn_rules.png. The rules see what an agent observes
 (`algorithms.planning.left_turn_rules`); their parameters were chosen on the validation split.
@@ -15,8 +16,8 @@ from typing import TYPE_CHECKING, get_args
 from rich.console import Console
 
 from algorithms.evaluation.splits import SPLITS, describe_episodes
-from algorithms.experiments.cli import make_parser
-from algorithms.planning.rules_report import plot_scores, rows, score_rules, write_scores
+from algorithms.experiments.cli import check_file, make_parser
+from algorithms.planning.rules_report import film_rules, plot_scores, rows, score_rules, write_scores
 from algorithms.reporting.wide_tables import print_rows
 from mo_deepdrive.config import ActionType, Traffic
 
@@ -36,6 +37,10 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
         "--actions", choices=get_args(ActionType), default="discrete", help="action type (default: %(default)s)"
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of the table and the picture")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="film the rules on one scenario, side by side")
+    parser.add_argument(
+        "--gif-seed", type=int, default=2_000_029, metavar="S", help="of that scenario (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
     if options.output is not None and not options.output.is_dir():
         parser.error(f"--output {options.output} is not a folder")
@@ -46,6 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line ``arguments``, those of the process if None, and return the exit code."""
     options = parse_arguments(arguments)
     try:
+        if options.gif is not None:
+            check_file("--gif", options.gif)
         scores = score_rules(
             options.gaps,
             episodes=options.episodes,
@@ -61,6 +68,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.output is not None:
         write_scores(options.output / "left_turn_rules.csv", scores)
         plot_scores(options.output / "left_turn_rules.png", scores, note)
+    if options.gif is not None:
+        film_rules(options.gif, options.gaps, options.gif_seed, traffic=options.traffic, actions=options.actions)
     print_rows(Console(), rows(scores), f"Fixed rules in LeftTurn: {note}", 1)
     return 0
 

@@ -11,11 +11,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.episodes import evaluate
+from algorithms.evaluation.function_policy import FunctionPolicy
 from algorithms.evaluation.metrics import COLLISION, UTILITY_SER
 from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 from algorithms.planning.left_turn_rules import SCENARIO, GapDriver, GapRule
+from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.style import DPI, STYLE, surround
+from algorithms.reporting.videos import episode_frames, make_render_env
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
@@ -176,3 +180,24 @@ def _draw(axis: Axes, scores: Sequence[RuleScores], name: str, label: str, colou
     axis.errorbar(times, values, yerr=errors, color=colour, marker="o", markersize=4, capsize=2, label=label)
     for time, value, each in zip(times, values, scores, strict=True):
         axis.annotate(f"{each.gap:g}", (time, value), (0, 5), textcoords="offset points", ha="center", fontsize=8)
+
+
+def film_rules(path: Path, gaps: Sequence[float], seed: int, *, traffic: str, actions: str) -> None:
+    """Write a GIF of the rules on one scenario, side by side.
+
+    Args:
+        path: the file.
+        gaps: of the rules (s).
+        seed: of the scenario.
+        traffic: flow.
+        actions: "discrete" or "continuous".
+    """
+    settings = {"traffic": traffic, "action_type": actions}
+    env = make_render_env(SCENARIO.id, settings)
+    adapter = EnvAdapter(make_env(SCENARIO.id, 1, settings))
+    clips = []
+    for gap in gaps:
+        policy = FunctionPolicy(GapDriver(GapRule(gap=gap), actions), adapter)
+        caption = f"waits for {gap:g} s" if gap else "goes at once"
+        clips.append((caption, list(episode_frames(policy, env, seed, greedy=True))))
+    write_gif(clips, path)

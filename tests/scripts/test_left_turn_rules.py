@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 def test_the_rules_are_written_from_risky_to_safe(load_script: Callable[[str], ModuleType], tmp_path: Path) -> None:
     script = load_script("left_turn_rules")
     arguments = ["--gaps", "0", "6", "--episodes", "60", "--split", "validation", "--output", str(tmp_path)]
-    assert script.main(arguments) == 0
+    assert script.main([*arguments, "--gif", str(tmp_path / "rules.gif")]) == 0
+    assert (tmp_path / "rules.gif").read_bytes().startswith(b"GIF89a")
     with (tmp_path / "left_turn_rules.csv").open(encoding="utf-8") as stream:
         risky, safe = csv.DictReader(stream)
     assert (float(risky["gap"]), float(safe["gap"])) == (0.0, 6.0)
