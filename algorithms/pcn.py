@@ -151,8 +151,7 @@ class PCN(FrontAgent):
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
-        self._observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
-        self._command_scales = torch.tensor([*self.scales, config.horizon_scale], device=self.device)
+        self._command_scales = np.array([*self.scales, config.horizon_scale], dtype=np.float32)
 
     # ------------------------------------------------------------------------------------------------------ the update
 
@@ -193,35 +192,36 @@ class PCN(FrontAgent):
         env, n, d = self.env, self.env.num_envs, len(self.scales)
         accrued_reward = AccruedReward.begin(n, 1, d)
         observations = env.reset(self.env_seed + n * self.updates)
-        running = np.ones(n, dtype=np.bool_)
-        succeeded = np.zeros(n, dtype=np.bool_)
-        lengths = np.zeros(n, dtype=np.int64)
-        steps: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
-        while running.any():
+        over = np.zeros(n, dtype=np.bool_)
+        steps: list[tuple[NDArray[Any], ...]] = []
+        while not over.all():
             if policy is None:
                 actions = self._random_actions(steps[-1][1][:, None] if steps else None)
             else:
                 actions = policy.act(observations, accrued_reward, self.generator)
             step = env.step(actions)
-            steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0]))
+            ended = (step.terminated | step.truncated)[:, 0]
+            steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0], ended, step.succeeded[:, 0]))
             accrued_reward.add(step.rewards, self.gamma)
-            lengths += running
-            succeeded |= running & step.succeeded[:, 0]
-            running &= ~(step.terminated | step.truncated)[:, 0]
+            over |= ended
             observations = step.observations
 
-        columns = [np.stack(column, axis=1) for column in zip(*steps, strict=True)]
-        episodes, returns = [], np.zeros((n, d))
-        for i, length in enumerate(lengths):
-            seen, taken, rewards = (column[i, :length] for column in columns)
-            episodes.append(Episode(seen.copy(), taken.copy(), returns_to_go(rewards, self.gamma)))
-            returns[i] = rewards.sum(axis=0, dtype=np.float64)
-        discounted = np.stack([episode.returns[0] for episode in episodes])
+        seen, taken, rewards, ended, succeeded = (np.stack(column, axis=1) for column in zip(*steps, strict=True))
+        last = ended.argmax(axis=1)  # an environment goes on with further episodes while others are in their first
+        lengths = last + 1
+        rewards[np.arange(len(steps)) > last[:, None]] = 0.0
+        to_go = returns_to_go(rewards, self.gamma)
+        episodes = [
+            Episode(*(column[i, :length].copy() for column in (seen, taken, to_go)))
+            for i, length in enumerate(lengths.tolist())
+        ]
+        discounted = to_go[:, 0]
         self.buffer.add(episodes)
         self.bounds = self.buffer.bounds()
         self.step += int(lengths.sum())
         self.updates += 1
         self._collected += n
+        returns, succeeded = rewards.sum(axis=1, dtype=np.float64), succeeded[np.arange(n), last]
         self.episodes.append(Episodes(np.zeros_like(lengths), returns, discounted.astype(float), lengths, succeeded))
         return discounted
 
@@ -241,30 +241,25 @@ class PCN(FrontAgent):
         """One gradient step of eq. 1 or 2 on a batch of the buffer; the loss."""
         observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
         targets = torch.from_numpy(actions).to(self.device)
-        with self.optimiser.recording():
-            outputs = self._outputs(observations, returns, left)
-            loss = (
-                nn.functional.mse_loss(outputs, targets)
-                if self.env.continuous
-                else nn.functional.cross_entropy(outputs, targets)
-            )
+        inputs = self._scaled(observations, returns, left)
+        outputs = self.network(*(torch.from_numpy(each).to(self.device) for each in inputs))
+        loss = (
+            nn.functional.mse_loss(outputs.tanh(), targets)
+            if self.env.continuous
+            else nn.functional.cross_entropy(outputs, targets)
+        )
         self.optimiser.minimise(loss, learning_rate)
         return loss.detach()
 
-    def _outputs(
+    def _scaled(
         self, observations: NDArray[np.float32], desired: NDArray[np.float32], horizon: NDArray[np.float32]
-    ) -> torch.Tensor:
-        """Logits (n, actions), or continuous actions (n, k), under commands (n, d) and (n,)."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Inputs of the network for observations (n, o) and commands (n, d) and (n,)."""
         command = np.concatenate([desired, horizon[:, None]], axis=1, dtype=np.float32)
-        outputs: torch.Tensor = self.network(
-            torch.from_numpy(observations).to(self.device) / self._observation_scales,
-            torch.from_numpy(command).to(self.device) / self._command_scales,
-        )
-        return outputs.tanh() if self.env.continuous else outputs
+        return observations / self.env.observation_scales, command / self._command_scales
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
-    @torch.inference_mode()
     def choose_actions(
         self,
         observations: NDArray[np.float32],
@@ -280,17 +275,19 @@ class PCN(FrontAgent):
             horizon: decisions in which to collect it.
             generator: samples actions; None acts greedily.
         """
-        outputs = self._outputs(observations, desired, horizon)
+        outputs = self.network.respond(*self._scaled(observations, desired, horizon))
         if self.env.continuous:
+            actions: NDArray[np.float32] = np.tanh(outputs)
             if generator is not None:
-                noise = torch.randn(outputs.shape, generator=generator, device=self.device)
-                outputs = (outputs + self.config.action_noise * noise).clamp(-1.0, 1.0)
-            return outputs.cpu().numpy()
-        if generator is not None:
-            # The largest of logits plus Gumbel noise is a draw from their softmax.
-            noise = torch.empty_like(outputs).exponential_(generator=generator).log()
-            outputs = outputs - noise
-        return outputs.argmax(-1).cpu().numpy()
+                noise = torch.randn(actions.shape, generator=generator, device=self.device).cpu().numpy()
+                actions = np.clip(actions + self.config.action_noise * noise, -1.0, 1.0)
+            return actions
+        if generator is None:
+            return outputs.argmax(axis=1)
+        # By inversion: the first action whose cumulative probability is not below a uniform number in (0, 1].
+        cumulative = np.exp(outputs - outputs.max(axis=1, keepdims=True)).cumsum(axis=1)
+        uniform = 1.0 - torch.rand((len(outputs), 1), generator=generator, device=self.device).cpu().numpy()
+        return np.asarray((cumulative < uniform * cumulative[:, -1:]).sum(axis=1))
 
     def command(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
         """The policy that follows the commands ``desired`` (N, d) and ``horizon`` (N,), one per environment.
@@ -521,5 +518,5 @@ class CommandPolicy:
         desired = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
         horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
         low, high = self.agent.bounds
-        desired = np.clip(desired, np.minimum(low, self.desired), np.maximum(high, self.desired))
+        desired = np.minimum(np.maximum(desired, np.minimum(low, self.desired)), np.maximum(high, self.desired))
         return self.agent.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]

@@ -35,10 +35,10 @@ class Episode:
 
 
 def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
-    """Discounted returns-to-go R_t = r_t + gamma R_{t+1} (T, d) of ``rewards`` (T, d)."""
+    """Discounted returns-to-go R_t = r_t + gamma R_{t+1} (..., T, d) of ``rewards`` (..., T, d)."""
     returns = rewards.astype(np.float64)
-    for t in range(len(returns) - 2, -1, -1):
-        returns[t] += gamma * returns[t + 1]
+    for t in range(returns.shape[-2] - 2, -1, -1):
+        returns[..., t, :] += gamma * returns[..., t + 1, :]
     return returns.astype(np.float32)
 
 
