@@ -20,9 +20,12 @@ becomes
 and R is clipped to the range of the returns-to-go in the buffer, extended by the command itself.
 
 Assumes that the environment is deterministic. Differences from the paper: N commands are followed in parallel, one per
-environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; objectives are
-scaled; a buffer that is full of non-dominated episodes keeps a subset that covers them; random actions of the warm-up
-may repeat (``persistence``); continuous actions (eq. 2) have Gaussian exploration noise.
+environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; inputs of the
+network are divided by nominal scales or, in other libraries' environments, which have none, standardised by their means
+and standard deviations in the warm-up; a buffer that is full of non-dominated episodes keeps a subset that covers them;
+some episodes end with random actions (``exploration``), as in Go-Explore (Ecoffet et al. 2021), without which a network
+that has learnt to repeat the episodes of the buffer finds no others; random actions may repeat (``persistence``);
+continuous actions (eq. 2) have Gaussian exploration noise.
 """
 
 from __future__ import annotations
@@ -79,13 +82,15 @@ class PCNConfig(Settings):
         gradient_steps: gradient steps per update; an update also collects one episode per environment.
         warmup_episodes: minimum number of episodes of random actions before the first update.
         persistence: probability that a random action repeats the previous one.
+        exploration: probability that an episode continues with random actions from a random decision on.
         buffer_size: episodes kept.
         crowding: crowding distance up to which episodes of the buffer count as too similar.
         return_noise: largest increase of the desired return, in standard deviations (eq. 3).
         horizon_reduction: decisions by which the desired horizon is shorter than the episode's (eq. 3).
         action_noise: standard deviation of the exploration noise on continuous actions; discrete ones are sampled.
-        objective_scales: nominal size of each objective's return; None for the environment's own.
-        horizon_scale: nominal number of decisions of an episode.
+        objective_scales: nominal size of each objective's return, by which distances between returns are measured, and
+            commands are divided where inputs are not standardised; None for the environment's own.
+        horizon_scale: nominal number of decisions of an episode, where inputs are not standardised.
         max_policies: largest size of a front; a subset that covers it represents a larger one.
     """
 
@@ -102,9 +107,10 @@ class PCNConfig(Settings):
     hidden: HiddenSizes = [64, 64]
     batch_size: AtLeastOne = 256
     gradient_steps: AtLeastOne = 50
-    warmup_episodes: AtLeastOne = 64
+    warmup_episodes: AtLeastOne = 32
     persistence: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    buffer_size: Annotated[int, Field(ge=2)] = 256
+    exploration: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1
+    buffer_size: Annotated[int, Field(ge=2)] = 100
     crowding: NonNegative = 0.2
     return_noise: NonNegative = 1.0
     horizon_reduction: Annotated[int, Field(ge=0)] = 2
@@ -140,8 +146,15 @@ class PCN(FrontAgent):
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
+        # This package's environments have nominal scales.
+        self._standardises = not self.env.native
         self.network = CommandNetwork(
-            self.env.observation_size, d + 1, config.hidden, self.env.actions, self.initial
+            self.env.observation_size,
+            d + 1,
+            config.hidden,
+            self.env.actions,
+            self.initial,
+            standardised=self._standardises,
         ).to(self.device)
         self.optimiser = Adam(self.network.parameters())
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
@@ -151,7 +164,9 @@ class PCN(FrontAgent):
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
-        self._command_scales = np.array([*self.scales, config.horizon_scale], dtype=np.float32)
+        # Shift and scale (2, o + d + 1) of observations and commands before they enter the network.
+        scales = np.array([*self.env.observation_scales, *self.scales, config.horizon_scale], dtype=np.float32)
+        self._inputs = np.stack([np.zeros_like(scales), scales])
 
     # ------------------------------------------------------------------------------------------------------ the update
 
@@ -159,6 +174,16 @@ class PCN(FrontAgent):
         """Fill the buffer with episodes of random actions."""
         while self._collected < self.config.warmup_episodes:
             self._collect(None)
+        if self._standardises:
+            self._standardise()
+
+    def _standardise(self) -> None:
+        """Shift and scale inputs to mean 0 and standard deviation 1 in the buffer; constant ones keep their scale."""
+        rows = self.buffer.decisions()
+        # A rare value is at most ten scales away, however small its share in the deviation.
+        deviation = np.maximum(rows.std(axis=0), np.ptp(rows, axis=0) / 10.0)
+        varies = deviation > 1e-6 * self._inputs[1]
+        self._inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self._inputs[1])]).astype(np.float32)
 
     def update(self, progress: float) -> dict[str, float]:
         """Follow one command per environment for an episode, then imitate the buffer; the losses by name."""
@@ -191,14 +216,19 @@ class PCN(FrontAgent):
         """Add one episode per environment to the buffer, of ``policy`` or random; returns their discounted returns."""
         env, n, d = self.env, self.env.num_envs, len(self.scales)
         accrued_reward = AccruedReward.begin(n, 1, d)
+        random_from = np.full(n, np.inf) if policy is None else self._random_from(policy)
         observations = env.reset(self.env_seed + n * self.updates)
         over = np.zeros(n, dtype=np.bool_)
         steps: list[tuple[NDArray[Any], ...]] = []
         while not over.all():
+            previous = steps[-1][1][:, None] if steps else None
             if policy is None:
-                actions = self._random_actions(steps[-1][1][:, None] if steps else None)
+                actions = self._random_actions(previous)
             else:
                 actions = policy.act(observations, accrued_reward, self.generator)
+                random = (random_from <= len(steps)) & ~over
+                if random.any():
+                    actions[random] = self._random_actions(previous)[random]
             step = env.step(actions)
             ended = (step.terminated | step.truncated)[:, 0]
             steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0], ended, step.succeeded[:, 0]))
@@ -224,6 +254,13 @@ class PCN(FrontAgent):
         returns, succeeded = rewards.sum(axis=1, dtype=np.float64), succeeded[np.arange(n), last]
         self.episodes.append(Episodes(np.zeros_like(lengths), returns, discounted.astype(float), lengths, succeeded))
         return discounted
+
+    def _random_from(self, policy: CommandPolicy) -> NDArray[np.float64]:
+        """(N,) the decision from which on actions are random; infinite where they follow the command to the end."""
+        if not self.config.exploration:
+            return np.full(self.env.num_envs, np.inf)
+        chosen, when = torch.rand(2, self.env.num_envs, generator=self.draws, dtype=torch.float64).numpy()
+        return np.where(chosen < self.config.exploration, np.floor(when * policy.horizon), np.inf)
 
     def _random_actions(self, previous: NDArray[Any] | None) -> NDArray[Any]:
         """Random actions (N, 1) or (N, 1, k), some of which repeat the ``previous`` ones."""
@@ -256,7 +293,8 @@ class PCN(FrontAgent):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Inputs of the network for observations (n, o) and commands (n, d) and (n,)."""
         command = np.concatenate([desired, horizon[:, None]], axis=1, dtype=np.float32)
-        return observations / self.env.observation_scales, command / self._command_scales
+        (shift, scale), o = self._inputs, self.env.observation_size
+        return (observations - shift[:o]) / scale[:o], (command - shift[o:]) / scale[o:]
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
@@ -283,7 +321,7 @@ class PCN(FrontAgent):
                 actions = np.clip(actions + self.config.action_noise * noise, -1.0, 1.0)
             return actions
         if generator is None:
-            return outputs.argmax(axis=1)
+            return np.asarray(outputs.argmax(axis=1))
         # By inversion: the first action whose cumulative probability is not below a uniform number in (0, 1].
         cumulative = np.exp(outputs - outputs.max(axis=1, keepdims=True)).cumsum(axis=1)
         uniform = 1.0 - torch.rand((len(outputs), 1), generator=generator, device=self.device).cpu().numpy()
@@ -378,7 +416,7 @@ class PCN(FrontAgent):
         return {
             **super().identity(),
             "hidden": list(self.config.hidden),
-            "command_scales": self._command_scales.tolist(),
+            "command_scales": [*self.scales.tolist(), self.config.horizon_scale],
             "gamma": self.gamma,
         }
 
@@ -413,7 +451,8 @@ class PCN(FrontAgent):
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""
         network = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **network}
+        inputs = {"inputs": torch.from_numpy(self._inputs)} if self._standardises else {}
+        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **inputs, **network}
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The network, and in place of the buffer the returns and lengths that commands are made of."""
@@ -444,6 +483,11 @@ class PCN(FrontAgent):
         self.network.load_state_dict(strip_prefix(state, "network."))
         low, high = state["bounds"].numpy()
         self.bounds = low, high
+        if self._standardises:
+            inputs = state["inputs"].numpy()
+            if not np.isfinite(inputs).all() or not (inputs[1] > 0.0).all():
+                raise ValueError("the inputs of the network are shifted or scaled by numbers that are not valid")
+            self._inputs = inputs
         episodes = strip_prefix(state, "store.")
         self._check_decisions(episodes)
         self.buffer.set_state(episodes)

@@ -126,6 +126,12 @@ class EpisodeBuffer:
         returns = self._flat()["returns"]
         return returns.min(axis=0), returns.max(axis=0)
 
+    def decisions(self) -> NDArray[np.float32]:
+        """(D, o + d + 1) observation, return-to-go and number of decisions left at every time step."""
+        flat = self._flat()
+        left = np.repeat(flat["starts"] + flat["lengths"], flat["lengths"]) - np.arange(len(flat["returns"]))
+        return np.column_stack([flat["observations"], flat["returns"], left.astype(np.float32)])
+
     def sample(self, count: int, generator: torch.Generator) -> tuple[NDArray[Any], ...]:
         """Observations (n, o), actions, returns-to-go (n, d) and decisions left (n,) at random time steps.
 

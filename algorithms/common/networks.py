@@ -225,15 +225,28 @@ class CommandNetwork(nn.Module):
         hidden: width of the embeddings, then of the layers after them.
         outputs: width of the result.
         generator: draws the initial weights.
+        standardised: whether inputs have mean 0 and standard deviation 1. The embeddings before the sigmoid then begin
+            with a variance near 1, else with a smaller one.
     """
 
     FEW_ROWS = 64
 
-    def __init__(self, inputs: int, commands: int, hidden: Sequence[int], outputs: int, generator: torch.Generator):
+    def __init__(
+        self,
+        inputs: int,
+        commands: int,
+        hidden: Sequence[int],
+        outputs: int,
+        generator: torch.Generator,
+        *,
+        standardised: bool = False,
+    ):
         super().__init__()
+        widths = (inputs, commands)
+        gains = [math.sqrt(max(1.0, hidden[0] / width)) if standardised else 1.0 for width in widths]
         # Plain layers: the product of two of them is no chain, for which alone a Perceptron is faster.
-        self.observation = nn.Sequential(*mlp(inputs, (), hidden[0], generator, output_gain=1.0))
-        self.command = nn.Sequential(*mlp(commands, (), hidden[0], generator, output_gain=1.0))
+        self.observation = nn.Sequential(*mlp(inputs, (), hidden[0], generator, output_gain=gains[0]))
+        self.command = nn.Sequential(*mlp(commands, (), hidden[0], generator, output_gain=gains[1]))
         self.body = nn.Sequential(*mlp(hidden[0], hidden[1:], outputs, generator, output_gain=0.01))
         self._tensors = [*self.parameters()]
         self._arrays: tuple[int, list[NDArray[np.float32]]] | None = None
