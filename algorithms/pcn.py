@@ -106,10 +106,10 @@ class PCNConfig(Settings):
     gamma: PositiveFraction = 0.99
     hidden: HiddenSizes = [64, 64]
     batch_size: AtLeastOne = 256
-    gradient_steps: AtLeastOne = 50
+    gradient_steps: AtLeastOne = 100
     warmup_episodes: AtLeastOne = 32
     persistence: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    exploration: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1
+    exploration: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2
     buffer_size: Annotated[int, Field(ge=2)] = 100
     crowding: NonNegative = 0.2
     return_noise: NonNegative = 1.0
