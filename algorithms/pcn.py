@@ -20,9 +20,12 @@ becomes
 and R is clipped to the range of the returns-to-go in the buffer, extended by the command itself.
 
 Assumes that the environment is deterministic. Differences from the paper: N commands are followed in parallel, one per
-environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; objectives are
-scaled; a buffer that is full of non-dominated episodes keeps a subset that covers them; random actions of the warm-up
-may repeat (``persistence``); continuous actions (eq. 2) have Gaussian exploration noise.
+environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; inputs of the
+network are divided by nominal scales or, in other libraries' environments, which have none, standardised by their means
+and standard deviations in the warm-up; a buffer that is full of non-dominated episodes keeps a subset that covers them;
+some episodes end with random actions (``exploration``), as in Go-Explore (Ecoffet et al. 2021), without which a network
+that has learnt to repeat the episodes of the buffer finds no others; random actions may repeat (``persistence``);
+continuous actions (eq. 2) have Gaussian exploration noise.
 """
 
 from __future__ import annotations
@@ -79,13 +82,15 @@ class PCNConfig(Settings):
         gradient_steps: gradient steps per update; an update also collects one episode per environment.
         warmup_episodes: minimum number of episodes of random actions before the first update.
         persistence: probability that a random action repeats the previous one.
+        exploration: probability that an episode continues with random actions from a random decision on.
         buffer_size: episodes kept.
         crowding: crowding distance up to which episodes of the buffer count as too similar.
         return_noise: largest increase of the desired return, in standard deviations (eq. 3).
         horizon_reduction: decisions by which the desired horizon is shorter than the episode's (eq. 3).
         action_noise: standard deviation of the exploration noise on continuous actions; discrete ones are sampled.
-        objective_scales: nominal size of each objective's return; None for the environment's own.
-        horizon_scale: nominal number of decisions of an episode.
+        objective_scales: nominal size of each objective's return, by which distances between returns are measured, and
+            commands are divided where inputs are not standardised; None for the environment's own.
+        horizon_scale: nominal number of decisions of an episode, where inputs are not standardised.
         max_policies: largest size of a front; a subset that covers it represents a larger one.
     """
 
@@ -101,10 +106,11 @@ class PCNConfig(Settings):
     gamma: PositiveFraction = 0.99
     hidden: HiddenSizes = [64, 64]
     batch_size: AtLeastOne = 256
-    gradient_steps: AtLeastOne = 50
-    warmup_episodes: AtLeastOne = 64
+    gradient_steps: AtLeastOne = 100
+    warmup_episodes: AtLeastOne = 32
     persistence: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    buffer_size: Annotated[int, Field(ge=2)] = 256
+    exploration: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2
+    buffer_size: Annotated[int, Field(ge=2)] = 100
     crowding: NonNegative = 0.2
     return_noise: NonNegative = 1.0
     horizon_reduction: Annotated[int, Field(ge=0)] = 2
@@ -140,8 +146,15 @@ class PCN(FrontAgent):
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
+        # This package's environments have nominal scales.
+        self._standardises = not self.env.native
         self.network = CommandNetwork(
-            self.env.observation_size, d + 1, config.hidden, self.env.actions, self.initial
+            self.env.observation_size,
+            d + 1,
+            config.hidden,
+            self.env.actions,
+            self.initial,
+            standardised=self._standardises,
         ).to(self.device)
         self.optimiser = Adam(self.network.parameters())
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
@@ -151,8 +164,9 @@ class PCN(FrontAgent):
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
-        self._observation_scales = torch.tensor(self.env.observation_scales, device=self.device)
-        self._command_scales = torch.tensor([*self.scales, config.horizon_scale], device=self.device)
+        # Shift and scale (2, o + d + 1) of observations and commands before they enter the network.
+        scales = np.array([*self.env.observation_scales, *self.scales, config.horizon_scale], dtype=np.float32)
+        self._inputs = np.stack([np.zeros_like(scales), scales])
 
     # ------------------------------------------------------------------------------------------------------ the update
 
@@ -160,6 +174,16 @@ class PCN(FrontAgent):
         """Fill the buffer with episodes of random actions."""
         while self._collected < self.config.warmup_episodes:
             self._collect(None)
+        if self._standardises:
+            self._standardise()
+
+    def _standardise(self) -> None:
+        """Shift and scale inputs to mean 0 and standard deviation 1 in the buffer; constant ones keep their scale."""
+        rows = self.buffer.decisions()
+        # A rare value is at most ten scales away, however small its share in the deviation.
+        deviation = np.maximum(rows.std(axis=0), np.ptp(rows, axis=0) / 10.0)
+        varies = deviation > 1e-6 * self._inputs[1]
+        self._inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self._inputs[1])]).astype(np.float32)
 
     def update(self, progress: float) -> dict[str, float]:
         """Follow one command per environment for an episode, then imitate the buffer; the losses by name."""
@@ -192,38 +216,51 @@ class PCN(FrontAgent):
         """Add one episode per environment to the buffer, of ``policy`` or random; returns their discounted returns."""
         env, n, d = self.env, self.env.num_envs, len(self.scales)
         accrued_reward = AccruedReward.begin(n, 1, d)
+        random_from = np.full(n, np.inf) if policy is None else self._random_from(policy)
         observations = env.reset(self.env_seed + n * self.updates)
-        running = np.ones(n, dtype=np.bool_)
-        succeeded = np.zeros(n, dtype=np.bool_)
-        lengths = np.zeros(n, dtype=np.int64)
-        steps: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
-        while running.any():
+        over = np.zeros(n, dtype=np.bool_)
+        steps: list[tuple[NDArray[Any], ...]] = []
+        while not over.all():
+            previous = steps[-1][1][:, None] if steps else None
             if policy is None:
-                actions = self._random_actions(steps[-1][1][:, None] if steps else None)
+                actions = self._random_actions(previous)
             else:
                 actions = policy.act(observations, accrued_reward, self.generator)
+                random = (random_from <= len(steps)) & ~over
+                if random.any():
+                    actions[random] = self._random_actions(previous)[random]
             step = env.step(actions)
-            steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0]))
+            ended = (step.terminated | step.truncated)[:, 0]
+            steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0], ended, step.succeeded[:, 0]))
             accrued_reward.add(step.rewards, self.gamma)
-            lengths += running
-            succeeded |= running & step.succeeded[:, 0]
-            running &= ~(step.terminated | step.truncated)[:, 0]
+            over |= ended
             observations = step.observations
 
-        columns = [np.stack(column, axis=1) for column in zip(*steps, strict=True)]
-        episodes, returns = [], np.zeros((n, d))
-        for i, length in enumerate(lengths):
-            seen, taken, rewards = (column[i, :length] for column in columns)
-            episodes.append(Episode(seen.copy(), taken.copy(), returns_to_go(rewards, self.gamma)))
-            returns[i] = rewards.sum(axis=0, dtype=np.float64)
-        discounted = np.stack([episode.returns[0] for episode in episodes])
+        seen, taken, rewards, ended, succeeded = (np.stack(column, axis=1) for column in zip(*steps, strict=True))
+        last = ended.argmax(axis=1)  # an environment goes on with further episodes while others are in their first
+        lengths = last + 1
+        rewards[np.arange(len(steps)) > last[:, None]] = 0.0
+        to_go = returns_to_go(rewards, self.gamma)
+        episodes = [
+            Episode(*(column[i, :length].copy() for column in (seen, taken, to_go)))
+            for i, length in enumerate(lengths.tolist())
+        ]
+        discounted = to_go[:, 0]
         self.buffer.add(episodes)
         self.bounds = self.buffer.bounds()
         self.step += int(lengths.sum())
         self.updates += 1
         self._collected += n
+        returns, succeeded = rewards.sum(axis=1, dtype=np.float64), succeeded[np.arange(n), last]
         self.episodes.append(Episodes(np.zeros_like(lengths), returns, discounted.astype(float), lengths, succeeded))
         return discounted
+
+    def _random_from(self, policy: CommandPolicy) -> NDArray[np.float64]:
+        """(N,) the decision from which on actions are random; infinite where they follow the command to the end."""
+        if not self.config.exploration:
+            return np.full(self.env.num_envs, np.inf)
+        chosen, when = torch.rand(2, self.env.num_envs, generator=self.draws, dtype=torch.float64).numpy()
+        return np.where(chosen < self.config.exploration, np.floor(when * policy.horizon), np.inf)
 
     def _random_actions(self, previous: NDArray[Any] | None) -> NDArray[Any]:
         """Random actions (N, 1) or (N, 1, k), some of which repeat the ``previous`` ones."""
@@ -241,30 +278,26 @@ class PCN(FrontAgent):
         """One gradient step of eq. 1 or 2 on a batch of the buffer; the loss."""
         observations, actions, returns, left = self.buffer.sample(self.config.batch_size, self.draws)
         targets = torch.from_numpy(actions).to(self.device)
-        with self.optimiser.recording():
-            outputs = self._outputs(observations, returns, left)
-            loss = (
-                nn.functional.mse_loss(outputs, targets)
-                if self.env.continuous
-                else nn.functional.cross_entropy(outputs, targets)
-            )
+        inputs = self._scaled(observations, returns, left)
+        outputs = self.network(*(torch.from_numpy(each).to(self.device) for each in inputs))
+        loss = (
+            nn.functional.mse_loss(outputs.tanh(), targets)
+            if self.env.continuous
+            else nn.functional.cross_entropy(outputs, targets)
+        )
         self.optimiser.minimise(loss, learning_rate)
         return loss.detach()
 
-    def _outputs(
+    def _scaled(
         self, observations: NDArray[np.float32], desired: NDArray[np.float32], horizon: NDArray[np.float32]
-    ) -> torch.Tensor:
-        """Logits (n, actions), or continuous actions (n, k), under commands (n, d) and (n,)."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Inputs of the network for observations (n, o) and commands (n, d) and (n,)."""
         command = np.concatenate([desired, horizon[:, None]], axis=1, dtype=np.float32)
-        outputs: torch.Tensor = self.network(
-            torch.from_numpy(observations).to(self.device) / self._observation_scales,
-            torch.from_numpy(command).to(self.device) / self._command_scales,
-        )
-        return outputs.tanh() if self.env.continuous else outputs
+        (shift, scale), o = self._inputs, self.env.observation_size
+        return (observations - shift[:o]) / scale[:o], (command - shift[o:]) / scale[o:]
 
     # ---------------------------------------------------------------------------------------------------------- acting
 
-    @torch.inference_mode()
     def choose_actions(
         self,
         observations: NDArray[np.float32],
@@ -280,17 +313,19 @@ class PCN(FrontAgent):
             horizon: decisions in which to collect it.
             generator: samples actions; None acts greedily.
         """
-        outputs = self._outputs(observations, desired, horizon)
+        outputs = self.network.respond(*self._scaled(observations, desired, horizon))
         if self.env.continuous:
+            actions: NDArray[np.float32] = np.tanh(outputs)
             if generator is not None:
-                noise = torch.randn(outputs.shape, generator=generator, device=self.device)
-                outputs = (outputs + self.config.action_noise * noise).clamp(-1.0, 1.0)
-            return outputs.cpu().numpy()
-        if generator is not None:
-            # The largest of logits plus Gumbel noise is a draw from their softmax.
-            noise = torch.empty_like(outputs).exponential_(generator=generator).log()
-            outputs = outputs - noise
-        return outputs.argmax(-1).cpu().numpy()
+                noise = torch.randn(actions.shape, generator=generator, device=self.device).cpu().numpy()
+                actions = np.clip(actions + self.config.action_noise * noise, -1.0, 1.0)
+            return actions
+        if generator is None:
+            return np.asarray(outputs.argmax(axis=1))
+        # By inversion: the first action whose cumulative probability is not below a uniform number in (0, 1].
+        cumulative = np.exp(outputs - outputs.max(axis=1, keepdims=True)).cumsum(axis=1)
+        uniform = 1.0 - torch.rand((len(outputs), 1), generator=generator, device=self.device).cpu().numpy()
+        return np.asarray((cumulative < uniform * cumulative[:, -1:]).sum(axis=1))
 
     def command(self, desired: ArrayLike, horizon: ArrayLike) -> CommandPolicy:
         """The policy that follows the commands ``desired`` (N, d) and ``horizon`` (N,), one per environment.
@@ -381,7 +416,7 @@ class PCN(FrontAgent):
         return {
             **super().identity(),
             "hidden": list(self.config.hidden),
-            "command_scales": self._command_scales.tolist(),
+            "command_scales": [*self.scales.tolist(), self.config.horizon_scale],
             "gamma": self.gamma,
         }
 
@@ -416,7 +451,8 @@ class PCN(FrontAgent):
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""
         network = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **network}
+        inputs = {"inputs": torch.from_numpy(self._inputs)} if self._standardises else {}
+        return {"bounds": torch.from_numpy(np.stack(self.bounds)), **inputs, **network}
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The network, and in place of the buffer the returns and lengths that commands are made of."""
@@ -447,6 +483,11 @@ class PCN(FrontAgent):
         self.network.load_state_dict(strip_prefix(state, "network."))
         low, high = state["bounds"].numpy()
         self.bounds = low, high
+        if self._standardises:
+            inputs = state["inputs"].numpy()
+            if not np.isfinite(inputs).all() or not (inputs[1] > 0.0).all():
+                raise ValueError("the inputs of the network are shifted or scaled by numbers that are not valid")
+            self._inputs = inputs
         episodes = strip_prefix(state, "store.")
         self._check_decisions(episodes)
         self.buffer.set_state(episodes)
@@ -521,5 +562,5 @@ class CommandPolicy:
         desired = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
         horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
         low, high = self.agent.bounds
-        desired = np.clip(desired, np.minimum(low, self.desired), np.maximum(high, self.desired))
+        desired = np.minimum(np.maximum(desired, np.minimum(low, self.desired)), np.maximum(high, self.desired))
         return self.agent.choose_actions(observations[:, 0], desired, horizon, generator)[:, None]

@@ -35,10 +35,10 @@ class Episode:
 
 
 def returns_to_go(rewards: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
-    """Discounted returns-to-go R_t = r_t + gamma R_{t+1} (T, d) of ``rewards`` (T, d)."""
+    """Discounted returns-to-go R_t = r_t + gamma R_{t+1} (..., T, d) of ``rewards`` (..., T, d)."""
     returns = rewards.astype(np.float64)
-    for t in range(len(returns) - 2, -1, -1):
-        returns[t] += gamma * returns[t + 1]
+    for t in range(returns.shape[-2] - 2, -1, -1):
+        returns[..., t, :] += gamma * returns[..., t + 1, :]
     return returns.astype(np.float32)
 
 
@@ -125,6 +125,12 @@ class EpisodeBuffer:
         """(d,) lowest and highest return-to-go."""
         returns = self._flat()["returns"]
         return returns.min(axis=0), returns.max(axis=0)
+
+    def decisions(self) -> NDArray[np.float32]:
+        """(D, o + d + 1) observation, return-to-go and number of decisions left at every time step."""
+        flat = self._flat()
+        left = np.repeat(flat["starts"] + flat["lengths"], flat["lengths"]) - np.arange(len(flat["returns"]))
+        return np.column_stack([flat["observations"], flat["returns"], left.astype(np.float32)])
 
     def sample(self, count: int, generator: torch.Generator) -> tuple[NDArray[Any], ...]:
         """Observations (n, o), actions, returns-to-go (n, d) and decisions left (n,) at random time steps.

@@ -134,6 +134,7 @@ def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
         ({"horizon_scale": 0.0}, "'horizon_scale' = 0.0"),
         ({"gamma": 0.0}, "'gamma' = 0.0"),
         ({"persistence": 1.0}, "'persistence' = 1.0"),
+        ({"exploration": 1.1}, "'exploration' = 1.1"),
         ({"buffer_size": 1}, "'buffer_size' = 1"),
         ({"return_noise": -1.0}, "'return_noise' = -1.0"),
         ({"horizon_reduction": -1}, "'horizon_reduction' = -1"),
@@ -262,9 +263,11 @@ def by_hand(agent: PCN, observations: Any, wanted: Any, left: Any) -> np.ndarray
     def sigmoid(x: np.ndarray) -> np.ndarray:
         return 1.0 / (1.0 + np.exp(-x))
 
-    command = np.column_stack([np.asarray(wanted) / agent.scales, np.asarray(left) / agent.config.horizon_scale])
-    x = np.asarray(observations, dtype=np.float64) / agent.env.observation_scales
-    x = sigmoid(linear(x, "observation.0")) * sigmoid(linear(command, "command.0"))
+    scales = np.array([*agent.env.observation_scales, *agent.scales, agent.config.horizon_scale])
+    shift, scale = agent.get_state().get("inputs", torch.from_numpy(np.stack([np.zeros_like(scales), scales]))).numpy()
+    x = (np.column_stack([observations, wanted, left]) - shift) / scale
+    o = agent.env.observation_size
+    x = sigmoid(linear(x[:, :o], "observation.0")) * sigmoid(linear(x[:, o:], "command.0"))
     layers = len(agent.config.hidden)
     for i in range(layers):
         x = linear(x, f"body.{2 * i}")
@@ -326,7 +329,81 @@ def test_exploring_continuous_actions_are_noisy_and_stay_in_the_box(noise: float
     assert np.abs(agent.choose_actions(*given, torch.Generator().manual_seed(0))).max() <= 1.0
 
 
+class Tales(Choices):
+    """Choices whose observation never changes in one entry, rarely in another, and is large in the last."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.observation_space = spaces.Box(0.0, 8.0, (4,), dtype=np.float32)
+        self.episodes = 0
+
+    def _observed(self) -> Any:
+        self.episodes += self.count == 0
+        rare = self.episodes % 50 == 0 and self.count == 2
+        return np.array([self.count, 3.0, rare, 1000.0 + self.count], dtype=np.float32)
+
+
+def test_inputs_from_another_library_are_standardised_after_the_warm_up() -> None:
+    agent = PCN(MOSyncVectorEnv(Tales for _ in range(4)), warmup_episodes=200, buffer_size=200, gradient_steps=5)
+    agent.begin()
+    rows = agent.buffer.decisions()
+    assert rows.shape == (800, 4 + 2 + 1)
+    np.testing.assert_array_equal(rows[:4, -1], [4, 3, 2, 1])
+    seen, asked = agent._scaled(rows[:, :4], rows[:, 4:6], rows[:, 6])
+    found = np.concatenate([seen, asked], axis=1)
+    constant, rare = 1, 2
+    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=2e-3)
+    usual = [i for i in range(7) if i not in (constant, rare)]
+    np.testing.assert_allclose(found[:, usual].std(axis=0), 1.0, rtol=1e-3)
+    assert found[:, constant].tolist() == [0.0] * 800
+    assert agent._scaled(rows[:1, :4] + 8.0, rows[:1, 4:6], rows[:1, 6])[0][0, constant] == 1.0  # of its bounds
+    assert np.ptp(found[:, rare]) == pytest.approx(10.0, rel=1e-5)
+    # It is measured once, and part of the agent.
+    before = agent.get_state()["inputs"].clone()
+    agent.train(1000)
+    assert torch.equal(agent.get_state()["inputs"], before)
+
+
+def test_inputs_of_our_environments_are_divided_by_nominal_scales() -> None:
+    agent = small_pcn("one_waypoint")
+    agent.train(TOTAL)
+    assert "inputs" not in agent.get_state()
+    scales = agent.env.observation_scales[None]
+    np.testing.assert_array_equal(agent._scaled(scales, 3.0 * agent.scales[None], np.float32([50.0]))[0], 1.0)
+    np.testing.assert_array_equal(
+        agent._scaled(scales, 3.0 * agent.scales[None], np.float32([50.0]))[1], [[3.0, 3.0, 3.0, 3.0, 0.5]]
+    )
+
+
 # Episodes.
+
+
+@pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous"])
+def test_episodes_are_random_from_the_drawn_decision_on(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = small_pcn(place, exploration=0.5)
+    agent.begin()
+    rounds = collected(agent, monkeypatch)
+    policy, drawn = agent._sample_commands(), agent._random_actions(None) * 0
+    monkeypatch.setattr(agent, "_random_from", lambda policy: np.array([0.0, 3.0, np.inf, 1.0]))
+    monkeypatch.setattr(agent, "_random_actions", lambda previous: drawn)
+    monkeypatch.setattr(agent, "choose_actions", lambda *inputs: np.ones_like(drawn[:, 0]))
+    agent._collect(policy)
+    for episode, followed in zip(rounds[0], (0, 3, len(rounds[0][2]), 1), strict=True):
+        expected = (np.arange(len(episode)) < followed).astype(float)
+        np.testing.assert_array_equal(episode.actions.reshape(len(episode), -1)[:, 0], expected)
+
+
+@pytest.mark.parametrize("exploration", [0.0, 0.3, 1.0])
+def test_a_share_of_the_episodes_explores_from_a_decision_within_its_horizon(exploration: float) -> None:
+    agent = small_pcn("one_waypoint", num_envs=3000, exploration=exploration)
+    horizon = np.tile(np.float32([1.0, 5.0, 40.0]), 1000)
+    found = agent._random_from(CommandPolicy(agent, np.zeros((3000, 4), dtype=np.float32), horizon))
+    explores = np.isfinite(found)
+    assert explores.mean() == pytest.approx(exploration, abs=0.03)
+    assert (found[explores] < horizon[explores]).all()
+    if exploration:
+        for each in (1, 5, 40):
+            assert set(found[explores & (horizon == each)].tolist()) == set(range(each))
 
 
 @EVERYWHERE
@@ -647,6 +724,18 @@ def test_broken_and_incomplete_checkpoints_are_refused(tmp_path: Path) -> None:
             small_pcn("one_waypoint").load(path)
 
 
+@pytest.mark.parametrize("row", [0, 1])
+def test_a_checkpoint_with_inputs_that_cannot_be_scaled_is_refused(seasoned: PCN, tmp_path: Path, row: int) -> None:
+    state = seasoned.get_state()
+    other = small_pcn("deep-sea-treasure")
+    other.set_state(state)
+    assert torch.equal(other.get_state()["inputs"], state["inputs"])
+    broken = state["inputs"].clone()
+    broken[row, 0] = (np.nan, 0.0)[row]
+    with pytest.raises(ValueError, match="inputs of the network are shifted or scaled by numbers that are not valid"):
+        other.set_state({**state, "inputs": broken})
+
+
 # Fronts.
 
 
@@ -711,10 +800,10 @@ def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
     seasoned: PCN, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, _ = seasoned.commands()
-    assert len(whole) > 3
-    monkeypatch.setattr(seasoned, "config", seasoned.config.model_copy(update={"max_policies": 3}))
+    assert len(whole) > 2
+    monkeypatch.setattr(seasoned, "config", seasoned.config.model_copy(update={"max_policies": 2}))
     part, _ = seasoned.commands()
-    assert len(part) == 3
+    assert len(part) == 2
     np.testing.assert_array_equal(part.max(axis=0), whole.max(axis=0))
 
 
@@ -761,6 +850,14 @@ def test_every_trade_off_of_a_toy_is_found(observed: str, continuous: bool) -> N
     env = Choices(**settings)
     observation, _ = env.reset()
     assert env.action_space.contains(agent.eval(observation, [2.0, 2.0], 4))
+
+
+@pytest.mark.slow
+def test_the_defaults_find_all_fruits_of_a_tree() -> None:
+    agent = PCN(make_env("fruit-tree-v0", 16), seed=0)
+    agent.train(10_000)
+    front = agent.front(make_env("fruit-tree-v0", 64), episodes=1, seed=0, gamma=0.99)
+    assert len(front) >= 62  # of 64
 
 
 @pytest.mark.slow

@@ -50,6 +50,7 @@ def test_returns_to_go_are_those_of_a_plain_loop(length: int, gamma: float, seed
     for t in range(length):
         expected = sum((gamma ** (i - t) * rewards[i].astype(np.float64) for i in range(t, length)), np.zeros(3))
         np.testing.assert_allclose(found[t], expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(returns_to_go(np.stack([-rewards, rewards]), gamma), [-found, found])
     np.testing.assert_array_equal(rewards, before)
 
 

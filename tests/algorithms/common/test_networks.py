@@ -12,7 +12,8 @@ import torch
 from torch import nn
 
 from algorithms.common.hyperparameters import NetworkSettings
-from algorithms.common.networks import ACTIVATIONS, make_network, mlp
+from algorithms.common.networks import ACTIVATIONS, CommandNetwork, make_network, mlp
+from algorithms.common.optimisers import Adam
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -140,3 +141,33 @@ def test_a_users_network_that_cannot_be_used_is_refused_in_one_line(path: str, m
     with pytest.raises(ValueError, match=re.escape(f"algorithm.network = {path!r}: {message}")) as caught:
         make_network(NetworkSettings(network=path), 3, 2, seeded(0))
     assert "\n" not in str(caught.value)
+
+
+# The network of PCN.
+
+
+@pytest.mark.parametrize("rows", [1, 16, CommandNetwork.FEW_ROWS, CommandNetwork.FEW_ROWS + 1])
+@pytest.mark.parametrize("hidden", [[8], [16, 8, 4]])
+def test_a_command_network_responds_with_what_its_forward_pass_gives(hidden: list[int], rows: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    network = CommandNetwork(5, 3, hidden, 4, generator)
+    for scale in (1.0, 100.0):  # the latter saturates the sigmoids
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter.normal_(0.0, 1.0, generator=generator)
+        observations, commands = (scale * torch.randn(rows, width, generator=generator) for width in (5, 3))
+        found = network.respond(observations.numpy(), commands.numpy())
+        assert found.dtype == np.float32
+        expected = network(observations, commands).detach().numpy()
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_command_network_responds_with_the_parameters_of_now() -> None:
+    network = CommandNetwork(2, 2, [8, 8], 3, torch.Generator().manual_seed(0))
+    x = np.ones((4, 2), dtype=np.float32)
+    network.respond(x, x)
+    optimiser = Adam(network.parameters())  # moves them
+    for _ in range(3):
+        optimiser.minimise(network(torch.from_numpy(x), torch.from_numpy(x)).square().sum(), 0.1)
+        expected = network(torch.from_numpy(x), torch.from_numpy(x)).detach().numpy()
+        np.testing.assert_allclose(network.respond(x, x), expected, rtol=1e-4, atol=1e-6)

@@ -1,0 +1,95 @@
+"""``scripts/pcn_comparison.py``: PCN beside morl-baselines' PCN."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import ModuleType
+
+    from tests.helpers.script_runs import Call
+
+
+@pytest.fixture
+def comparison(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script as a module."""
+    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+    return load_script("pcn_comparison")
+
+
+def test_the_optimum_of_a_problem_is_the_known_front(comparison: ModuleType) -> None:
+    import mo_gymnasium
+
+    for env_id, problem in comparison.PROBLEMS.items():
+        env = mo_gymnasium.make(env_id).unwrapped
+        assert len(problem.reference_point) == env.reward_space.shape[0]
+        if problem.optimum is not None:
+            assert len(env.pareto_front(gamma=comparison.GAMMA)) == problem.optimum
+
+
+def test_a_run_has_the_defaults_of_the_learner(comparison: ModuleType) -> None:
+    from algorithms.pcn import PCNConfig
+
+    ours, theirs = (
+        comparison.make_run("fruit-tree-v0", name, 12, 500) for name in (comparison.OURS, comparison.THEIRS)
+    )
+    assert PCNConfig(**ours.hyperparameters) == PCNConfig()
+    assert theirs.algorithm["nominal_scales"] is False
+    for run in (ours, theirs):
+        assert (run.training.seed, run.training.total_timesteps, run.evaluation.gamma) == (12, 500, 0.99)
+
+
+def test_a_run_is_measured_by_its_front_of_new_episodes(comparison: ModuleType) -> None:
+    found = comparison.learn("deep-sea-treasure-v0", "pcn", 10, 700)
+    again = comparison.learn("deep-sea-treasure-v0", "pcn", 10, 700)
+    assert (found.environment, found.learner, found.seed) == ("deep-sea-treasure-v0", "pcn", 10)
+    assert found.steps >= 700
+    assert 0.0 <= found.hypervolume <= 360.5
+    assert 1 <= found.policies <= 10
+    assert (found.hypervolume, found.policies, found.steps) == (again.hypervolume, again.policies, again.steps)
+
+
+def test_the_table_has_means_over_the_seeds(comparison: ModuleType, tmp_path: Path) -> None:
+    runs = [("fruit-tree-v0", "pcn", 10, 9.0, 60), ("fruit-tree-v0", "pcn", 11, 11.0, 64)]
+    results = [comparison.Result(env_id, name, seed, 20_000, hv, k, 1.26) for env_id, name, seed, hv, k in runs]
+    results.append(comparison.Result("four-room-v0", "morl_baselines.pcn", 10, 60_000, 0.0, 1, 20.0))
+    assert [row[:3] for row in comparison.rows(results)] == [
+        ["fruit-tree-v0", "pcn", "2"],
+        ["four-room-v0", "morl_baselines.pcn", "1"],
+    ]
+    first = comparison.rows(results)[0]
+    assert first[3].startswith("10")
+    assert first[4].startswith("62")
+    assert first[4].endswith(" of 64")
+    comparison.write_results(tmp_path / "runs.csv", results)
+    with (tmp_path / "runs.csv").open() as file:
+        written = list(csv.DictReader(file))
+    assert [row["hypervolume"] for row in written] == ["9", "11", "0"]
+    assert written[0]["seconds"] == "1.3"
+    assert np.unique([row["commit"] for row in written]).size == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--seeds", 0), "--seeds 0 must be at least 1"),
+        (("--steps", 0), "--steps 0 must be at least 1"),
+        (("--output", "nowhere/x.csv"), "--output nowhere/x.csv: there is no folder nowhere"),
+        (("--only", "cart-v0"), "invalid choice: 'cart-v0'"),
+    ],
+)
+def test_invalid_arguments_are_refused(
+    call: Call, monkeypatch: pytest.MonkeyPatch, arguments: tuple[object, ...], message: str
+) -> None:
+    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+    code, _, error = call("pcn_comparison", "--learners", "pcn", *arguments)
+    assert code == 2
+    assert message in error
