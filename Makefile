@@ -119,11 +119,11 @@ benchmark: $(READY)
 
 # The documentation site, in docs/_build/html, with the tutorials run. Warnings are errors.
 docs: $(DOCS_READY)
-	$(SPHINX) -b html docs docs/_build/html
+	$(SPHINX) -b html -d docs/_build/doctrees docs docs/_build/html
 
 # Links to other sites; needs the internet.
 docs-linkcheck: $(DOCS_READY)
-	$(SPHINX) -b linkcheck docs docs/_build/linkcheck
+	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
 
 clean:
 	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures .mypy_cache .ruff_cache .pytest_cache

@@ -10,6 +10,10 @@ DOCS = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS / "_ext"), str(DOCS.parent)]
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
+# For the kernels of the tutorials: the command mo-deepdrive, the files of docs/examples, and the width of tables.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+os.environ["EXAMPLES"] = str(DOCS / "examples")
+os.environ["COLUMNS"] = "100"
 
 import mo_deepdrive  # noqa: E402
 
@@ -42,7 +46,7 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_mock_imports = [
-    *("h5py", "minari", "momaland", "morl_baselines", "optuna", "ray", "stable_baselines3", "submitit", "wandb"),
+    *("h5py", "minari", "momaland", "morl_baselines", "optuna", "ray", "stable_baselines3", "wandb"),
 ]
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False

@@ -16,6 +16,7 @@ from site_pages.films import film_caption
 from site_pages.markdown import number, sections, table
 
 import mo_deepdrive
+from algorithms.evaluation.splits import SPLITS
 from algorithms.evaluation.statistics import interquartile_mean
 from algorithms.experiments.key_listing import model_keys
 from mo_deepdrive import reference_fronts
@@ -249,10 +250,11 @@ def results_text(scenario: Scenario) -> str:
     parts = []
     reproduction = reproduction_rows(scenario)
     if reproduction:
+        header = ["task", "protocol", "algorithm", "steps", "seeds", "episodes", "utility", "arrivals (%)"]
         parts.append(
-            "[Reproduction](../results/reproduction.md): utilities (ESR) and arrivals of the greedy policy on the test\n"
-            "split, interquartile means over the seeds; with two vehicles the sum of utilities, and how often both arrive."
-            "\n\n" + table(["task", "protocol", "algorithm", "steps", "seeds", "utility", "arrivals (%)"], reproduction)
+            "[Reproduction](../results/reproduction.md): utility (ESR) and arrivals of the stochastic policy, interquartile\n"
+            "means over the seeds; with two vehicles the sum of the utilities, and how often both arrive.\n\n"
+            + table(header, reproduction)
         )
     for path in sorted(RESULTS.glob("*.csv")):
         header, rows = environment_rows(path, scenario.id)
@@ -275,19 +277,22 @@ def environment_rows(path: Path, env_id: str) -> tuple[list[str], list[list[str]
 
 
 def reproduction_rows(scenario: Scenario) -> list[list[object]]:
-    """Interquartile means over seeds of the greedy policies in reproduction_scores.csv, apart from ablations."""
+    """Interquartile means over seeds of the stochastic policies in reproduction_scores.csv, apart from ablations."""
     groups: dict[tuple[str, ...], list[dict[str, str]]] = defaultdict(list)
     with (RESULTS / "reproduction_scores.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             named = [each.name for each in SCENARIOS.values() if row["task"].startswith(f"{each.name}_")]
-            if max(named, key=len, default="") == scenario.name and row["policy"] == "greedy":
-                groups[row["task"], row["protocol"], row["label"], row["steps"]].append(row)
+            if max(named, key=len, default="") == scenario.name and row["policy"] == "stochastic":
+                key = row["task"], row["protocol"], row["label"], row["steps"], row["first_episode"]
+                groups[key].append(row)
     found: list[list[object]] = []
-    for (task, protocol, label, steps), rows in groups.items():
+    for (task, protocol, label, steps, first), rows in groups.items():
         if protocol == "without":  # ablations
             continue
         utilities = np.array([float(row["total_utility_esr"] or row["utility_esr"]) for row in rows])
         arrivals = np.array([100 * float(row["success"]) for row in rows])
         utility, arrived = (float(interquartile_mean(values)) for values in (utilities, arrivals))
-        found.append([f"`{task}`", protocol, label, int(steps), len(rows), f"{utility:.4g}", f"{arrived:.3g}"])
+        split = "test split" if int(first) in SPLITS["test"] else f"from seed {first}"
+        scores = [f"{utility:.4g}", f"{arrived:.3g}"]
+        found.append([f"`{task}`", protocol, label, int(steps), len(rows), split, *scores])
     return found

@@ -15,6 +15,7 @@ from algorithms.experiments.config import find_environment
 from algorithms.zoo import ABOUT, CONFIG
 from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, replay
+from mo_deepdrive.config import EnvConfig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +35,8 @@ def policy_of(scenario: Scenario) -> str | None:
         environment = read_mapping(zoo.find(name) / CONFIG)["environment"]
         scores = json.loads((zoo.find(name) / ABOUT).read_text(encoding="utf-8")).get("scores", {})
         same = find_environment(environment["id"]).kwargs.get("scenario") == scenario.name
-        if same and not environment.get("arguments") and "greedy" in scores:
+        default = same and EnvConfig(scenario=scenario.name, **environment["arguments"]) == EnvConfig(scenario=scenario.name)
+        if default and "greedy" in scores:
             found.append((-scores["greedy"]["success"], name))
     return min(found)[1] if found else None
 
