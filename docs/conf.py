@@ -10,10 +10,11 @@ DOCS = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS / "_ext"), str(DOCS.parent)]
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # frames are drawn in memory
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
-# For the kernels of the tutorials: the command mo-deepdrive, the files of docs/examples, and the width of tables.
+# For the kernels of the tutorials: the command mo-deepdrive, the files of docs/examples, and plain tables.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["EXAMPLES"] = str(DOCS / "examples")
 os.environ["COLUMNS"] = "100"
+os.environ["TERM"] = "dumb"
 
 import mo_deepdrive  # noqa: E402
 
@@ -38,7 +39,7 @@ myst_heading_anchors = 4
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(DOCS / "_build" / "notebooks")
 nb_execution_in_temp = True
-nb_execution_timeout = 120
+nb_execution_timeout = 300  # s per cell; they take a few
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 

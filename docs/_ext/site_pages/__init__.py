@@ -37,10 +37,9 @@ def write_pages() -> None:
 
 def write_pictures(folder: Path) -> None:
     """Write the pictures of the environments that are absent."""
+    from mo_deepdrive.scenarios import SCENARIOS
     from site_pages.environments import fronts
     from site_pages.films import write_film, write_front
-
-    from mo_deepdrive.scenarios import SCENARIOS
 
     folder.mkdir(exist_ok=True)
     for name, scenario in SCENARIOS.items():
@@ -67,8 +66,9 @@ def _on_source(app: Any, page: str, content: list[str]) -> None:
 def _check_names(app: Any, env: Any) -> None:
     """Warn of public classes and functions that the reference lacks."""
     del app
-    from site_pages.reference import constants, modules, public_names
     from sphinx.util import logging
+
+    from site_pages.reference import constants, modules, public_names
 
     documented = env.domains.python_domain.objects
     for module in modules():
@@ -78,7 +78,7 @@ def _check_names(app: Any, env: Any) -> None:
 
 
 def _find_short_name(app: Any, env: Any, node: Any, content: Any) -> Any:
-    """Resolve a name without its module (``Agent.act``) or of its package (``algorithms.Agent``), if one object fits."""
+    """Resolve a name without its module (``Agent.act``) or of its package (``algorithms.Agent``), if only one fits."""
     from sphinx.util.nodes import make_refnode
 
     if node.get("refdomain") != "py":

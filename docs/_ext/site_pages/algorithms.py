@@ -7,12 +7,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from site_pages.markdown import as_markdown, source_link, table
-
 from algorithms import ALGORITHMS, zoo
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.key_listing import model_keys
 from algorithms.zoo import CONFIG
+from site_pages.markdown import as_markdown, source_link, table
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 UTILITY = {True: "known", False: "unknown: learns a front"}

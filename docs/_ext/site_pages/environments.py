@@ -12,8 +12,6 @@ import gymnasium
 import moocore
 import numpy as np
 from scipy.stats import spearmanr
-from site_pages.films import film_caption
-from site_pages.markdown import number, sections, table
 
 import mo_deepdrive
 from algorithms.evaluation.splits import SPLITS
@@ -27,6 +25,8 @@ from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS, Scenario
 from mo_deepdrive.simulation.state import ENDS
+from site_pages.films import film_caption
+from site_pages.markdown import number, sections, table
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 GAMMAS = (reference_fronts.GAMMA, 1.0)
@@ -75,7 +75,7 @@ def page(scenario: Scenario) -> str:
         f"# {scenario.title}",
         f"```{{figure}} ../_pictures/{scenario.name}.gif\n:width: 360px\n:alt: {scenario.title}\n\n{film_caption(scenario)}\n```",
         doc["Description"],
-        f"```python\nimport mo_gymnasium\n\nenv = mo_gymnasium.make(\"mo_deepdrive:{scenario.id}\")\n```",
+        f'```python\nimport mo_gymnasium\n\nenv = mo_gymnasium.make("mo_deepdrive:{scenario.id}")\n```',
         "## Spaces",
         spaces_table(scenario, config),
         "## Actions",
@@ -93,7 +93,7 @@ def page(scenario: Scenario) -> str:
         doc["Starting State"],
         "## How episodes end",
         doc["Episode End"],
-        f"The reasons that `info[\"end\"]` can name in all environments: {', '.join(f'`{end}`' for end in ENDS if end)}.",
+        f'The reasons that `info["end"]` can name in all environments: {", ".join(f"`{end}`" for end in ENDS if end)}.',
         "## Arguments",
         "Keyword arguments of `make` (those that name another environment have no effect here):",
         arguments_table(),
@@ -212,7 +212,9 @@ def front_text(scenario: Scenario) -> str:
             front = mo_deepdrive.reference_front(scenario.name, kind, gamma)
             point = mo_deepdrive.reference_point(scenario.name, kind, gamma)
             volume = moocore.hypervolume(front, ref=point.values, maximise=True)
-            ranges = [f"{low:.3g} to {high:.3g}" for low, high in zip(front.min(axis=0), front.max(axis=0), strict=True)]
+            ranges = [
+                f"{low:.3g} to {high:.3g}" for low, high in zip(front.min(axis=0), front.max(axis=0), strict=True)
+            ]
             rows.append([f"`{kind}`", gamma, len(front), f"{volume:.0f}", *ranges])
     required = reference_fronts.front_config(scenario.name, kinds[0])
     arguments = ", ".join(
@@ -225,7 +227,8 @@ def front_text(scenario: Scenario) -> str:
         " range of the returns discounted with gamma.\n\n"
         + table(["actions", "gamma", "policies", "hypervolume", *scenario.objectives], rows)
         + f"\n```{{image}} ../_pictures/{scenario.name}_front.png\n:alt: returns of the best-known policies, two"
-        " objectives at a time\n:class: figure\n```\n\n### Which objectives conflict\n\n" + conflict_text(scenario, kinds[0])
+        " objectives at a time\n:class: figure\n```\n\n### Which objectives conflict\n\n"
+        + conflict_text(scenario, kinds[0])
     )
 
 

@@ -35,7 +35,9 @@ def policy_of(scenario: Scenario) -> str | None:
         environment = read_mapping(zoo.find(name) / CONFIG)["environment"]
         scores = json.loads((zoo.find(name) / ABOUT).read_text(encoding="utf-8")).get("scores", {})
         same = find_environment(environment["id"]).kwargs.get("scenario") == scenario.name
-        default = same and EnvConfig(scenario=scenario.name, **environment["arguments"]) == EnvConfig(scenario=scenario.name)
+        default = same and EnvConfig(scenario=scenario.name, **environment["arguments"]) == EnvConfig(
+            scenario=scenario.name
+        )
         if default and "greedy" in scores:
             found.append((-scores["greedy"]["success"], name))
     return min(found)[1] if found else None

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import yaml
+
 from site_pages.markdown import REPOSITORY_URL
 
 REPOSITORY = Path(__file__).resolve().parents[3]
