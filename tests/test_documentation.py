@@ -181,7 +181,9 @@ def test_the_readme_begins_with_a_short_example() -> None:
 STUBS = """
 PATH=
 emit() { printf '%s\\0' "$@"; printf '\\n'; }
-for name in python pip make wandb sudo git cd source docker mo-deepdrive; do eval "$name() { emit $name \\"\\$@\\"; }"; done
+for name in python pip make wandb sudo git cd source docker mo-deepdrive; do
+  eval "$name() { emit $name \\"\\$@\\"; }"
+done
 """
 
 

@@ -69,7 +69,7 @@ def test_the_page_of_an_environment_has_its_objectives(name: str) -> None:
     rows = table_with(page_of(name), "magnitude")
     expected = [OBJECTIVES[INDEX[objective]] for objective in SCENARIOS[name].objectives]
     assert [(row["objective"], row["magnitude"], row["unit"], row["sign"], float(row["scale"])) for row in rows] == [
-        (each.name, each.description, each.unit, "+" if each.sign > 0 else "−", each.scale) for each in expected
+        (each.name, each.description, each.unit, "+" if each.sign > 0 else "-", each.scale) for each in expected
     ]
 
 
@@ -130,19 +130,8 @@ def test_learning_results_are_those_of_the_result_files() -> None:
 
 def test_nothing_that_code_knows_is_written_by_hand() -> None:
     observed = {entry.name for scenario in SCENARIOS.values() for entry in layout(scenario)}
-    known = (
-        observed
-        | {row.name for row in OBJECTIVES}
-        | {each.id for each in SCENARIOS.values()}
-        | {*EnvConfig.model_fields}
-    )
-    known -= {
-        "scenario",
-        "objectives",
-        "action_type",
-        "time_limit",
-        "decision_frequency",
-    }  # attributes that the code reads
+    known = observed | {row.name for row in OBJECTIVES} | {each.id for each in SCENARIOS.values()}
+    known |= {*EnvConfig.model_fields} - {"scenario", "objectives", "action_type"}  # which select what is shown
     for module in (environments, markdown):
         for node in ast.walk(ast.parse(inspect.getsource(module))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -210,9 +199,7 @@ def test_the_index_of_algorithms_lists_all() -> None:
 
 def test_the_reference_has_every_module_once() -> None:
     pages = reference.pages()
-    named = [
-        name for text in pages.values() for name in re.findall(r"^\.\. automodule:: (\S+)$", text, flags=re.MULTILINE)
-    ]
+    named = re.findall(r"^\.\. automodule:: (\S+)$", "".join(pages.values()), flags=re.MULTILINE)
     expected = set()
     for package in ("mo_deepdrive", "algorithms"):
         for path in (REPOSITORY / package).rglob("*.py"):
@@ -271,10 +258,10 @@ def test_links_of_root_files_lead_to_pages_or_to_the_repository() -> None:
     pages = repository.pages()
     assert "](docs/" not in pages["changelog.md"] + pages["contributing.md"]
     assert "(simulator.md#versions-of-the-ids)" in pages["contributing.md"]
-    link = repository.outside_links(
-        "[a](../configs/reproduce.yaml) [b](../CONTRIBUTING.md#style) [c](x.md)", "peers.md"
-    )
-    assert link == f"[a]({markdown.REPOSITORY_URL}configs/reproduce.yaml) [b](../docs/contributing.md#style) [c](x.md)"
+    text = "[a](../configs/reproduce.yaml) [b](../CONTRIBUTING.md#style) [c](x.md)"
+    outside = f"[a]({markdown.REPOSITORY_URL}configs/reproduce.yaml)"
+    assert repository.outside_links(text, "peers.md") == f"{outside} [b](contributing.md#style) [c](x.md)"
+    assert repository.outside_links("[b](../../CONTRIBUTING.md)", "results/x.md") == "[b](../contributing.md)"
 
 
 def test_the_citation_is_that_of_the_file() -> None:

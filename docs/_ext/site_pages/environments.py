@@ -51,13 +51,14 @@ def index() -> str:
         for name, scenario in SCENARIOS.items()
     ]
     pictures = "\n".join(
-        f"```{{figure}} ../_pictures/{name}.gif\n:width: 240px\n:target: {name}.html\n:alt: {s.title}\n\n{s.title}\n```\n"
-        for name, s in SCENARIOS.items()
+        f"```{{figure}} ../_pictures/{name}.gif\n:width: 240px\n:target: {name}.html\n:alt: {scenario.title}\n\n"
+        f"{scenario.title}\n```\n"
+        for name, scenario in SCENARIOS.items()
     )
     return (
         "# Environments\n\n"
-        "Every objective is to be maximised; observations and objectives are per vehicle. What the environments have in\n"
-        "common, dynamics and departures from the published code: [simulator](../simulator.md). The APIs:\n"
+        "Every objective is to be maximised; observations and objectives are per vehicle. What the environments have\n"
+        "in common, dynamics and departures from the published code: [simulator](../simulator.md). The APIs:\n"
         "[interfaces](../interfaces.md).\n\n"
         + table(["environment", "id", "vehicles", "observation", "objectives"], rows)
         + f"\n::::{{container}} gallery\n{pictures}::::\n"
@@ -73,7 +74,8 @@ def page(scenario: Scenario) -> str:
     doc = sections(environment_class(scenario))
     parts = [
         f"# {scenario.title}",
-        f"```{{figure}} ../_pictures/{scenario.name}.gif\n:width: 360px\n:alt: {scenario.title}\n\n{film_caption(scenario)}\n```",
+        f"```{{figure}} ../_pictures/{scenario.name}.gif\n:width: 360px\n:alt: {scenario.title}\n\n"
+        f"{film_caption(scenario)}\n```",
         doc["Description"],
         f'```python\nimport mo_gymnasium\n\nenv = mo_gymnasium.make("mo_deepdrive:{scenario.id}")\n```',
         "## Spaces",
@@ -86,14 +88,14 @@ def page(scenario: Scenario) -> str:
         "What the entries mean:" if "Observation Space" in doc else "",
         _only_table(doc.get("Observation Space", "")),
         "## Objectives",
-        "The reward of a decision is the magnitude times the sign, so that every objective is maximised. The scale is the\n"
-        "nominal magnitude of the return of an episode, by which learners divide.",
+        "The reward of a decision is the magnitude times the sign, so that every objective is maximised. The scale is\n"
+        "the nominal magnitude of the return of an episode, by which learners divide.",
         objectives_table(scenario, config),
         "## Starting state",
         doc["Starting State"],
         "## How episodes end",
         doc["Episode End"],
-        f'The reasons that `info["end"]` can name in all environments: {", ".join(f"`{end}`" for end in ENDS if end)}.',
+        f'The reasons that `info["end"]` can name anywhere: {", ".join(f"`{end}`" for end in ENDS if end)}.',
         "## Arguments",
         "Keyword arguments of `make` (those that name another environment have no effect here):",
         arguments_table(),
@@ -166,7 +168,7 @@ def objectives_table(scenario: Scenario, config: EnvConfig) -> str:
     rows = []
     for i, name in enumerate(scenario.objectives):
         row = OBJECTIVES[INDEX[name]]
-        sign = "+" if row.sign > 0 else "−"
+        sign = "+" if row.sign > 0 else "-"
         low, high = number(space.low[i]), number(space.high[i])
         rows.append([f"`{name}`", row.description, row.unit, sign, low, high, number(row.scale)])
     return table(["objective", "magnitude", "unit", "sign", "lowest reward", "highest reward", "scale"], rows)
@@ -255,8 +257,8 @@ def results_text(scenario: Scenario) -> str:
     if reproduction:
         header = ["task", "protocol", "algorithm", "steps", "seeds", "episodes", "utility", "arrivals (%)"]
         parts.append(
-            "[Reproduction](../results/reproduction.md): utility (ESR) and arrivals of the stochastic policy, interquartile\n"
-            "means over the seeds; with two vehicles the sum of the utilities, and how often both arrive.\n\n"
+            "[Reproduction](../results/reproduction.md): utility (ESR) and arrivals of the stochastic policy,\n"
+            "interquartile means over the seeds; with two vehicles the sum of the utilities; arrivals of both.\n\n"
             + table(header, reproduction)
         )
     for path in sorted(RESULTS.glob("*.csv")):

@@ -34,12 +34,10 @@ def policy_of(scenario: Scenario) -> str | None:
     for name in zoo.names():
         environment = read_mapping(zoo.find(name) / CONFIG)["environment"]
         scores = json.loads((zoo.find(name) / ABOUT).read_text(encoding="utf-8")).get("scores", {})
-        same = find_environment(environment["id"]).kwargs.get("scenario") == scenario.name
-        default = same and EnvConfig(scenario=scenario.name, **environment["arguments"]) == EnvConfig(
-            scenario=scenario.name
-        )
-        if default and "greedy" in scores:
-            found.append((-scores["greedy"]["success"], name))
+        if find_environment(environment["id"]).kwargs.get("scenario") == scenario.name and "greedy" in scores:
+            given = EnvConfig(scenario=scenario.name, **environment["arguments"])
+            if given == EnvConfig(scenario=scenario.name):
+                found.append((-scores["greedy"]["success"], name))
     return min(found)[1] if found else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -44,7 +45,8 @@ def outside_links(text: str, page: str) -> str:
         name = target.relative_to(REPOSITORY).as_posix()
         own = {name: page for page, name in FILES.items()}
         if name in own:
-            return match[0].replace(path, path.replace(name, f"docs/{own[name]}"))
+            page_path = os.path.relpath(REPOSITORY / "docs" / own[name], folder)
+            return f"]({page_path}{'#' + anchor if anchor else ''})"
         return f"]({REPOSITORY_URL}{name}{'#' + anchor if anchor else ''})"
 
     return re.sub(r"\]\(((?!\w+:|#)[^)\s]+)\)", absolute, text)
