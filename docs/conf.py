@@ -15,6 +15,7 @@ os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.envir
 os.environ["EXAMPLES"] = str(DOCS / "examples")
 os.environ["COLUMNS"] = "100"
 os.environ["TERM"] = "dumb"
+os.environ["OMP_NUM_THREADS"] = "1"  # threads that wait for each other are slow where other programs run
 
 import mo_deepdrive  # noqa: E402
 
@@ -34,7 +35,7 @@ extensions = [
 exclude_patterns = ["_build", "_fragments", "examples", "**.ipynb_checkpoints"]
 
 # Markdown and notebooks
-myst_enable_extensions = ["colon_fence", "dollarmath", "attrs_block"]
+myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(DOCS / "_build" / "notebooks")
@@ -52,6 +53,7 @@ autodoc_mock_imports = [
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+napoleon_use_rtype = False
 napoleon_attr_annotations = False  # the signature has the types
 python_use_unqualified_type_names = True
 nitpicky = True

@@ -52,5 +52,6 @@ def as_markdown(text: str) -> str:
             while not lines[-1].strip():
                 lines.pop()
             lines += ["```", ""]
-        lines.append(line[4:] if literal else line)
+        # The numbers of equations are at the right margin of the file, which is wider than a page.
+        lines.append(re.sub(r" {3,}(\(\d+\))$", r"   \1", line[4:]) if literal else line)
     return "\n".join([*lines, *(["```"] if literal else [])])
