@@ -13,7 +13,7 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 # For the kernels of the tutorials: the command mo-deepdrive, the files of docs/examples, and plain tables.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["EXAMPLES"] = str(DOCS / "examples")
-os.environ["COLUMNS"] = "100"
+os.environ["COLUMNS"] = "90"
 os.environ["TERM"] = "dumb"
 os.environ["OMP_NUM_THREADS"] = "1"  # threads that wait for each other are slow where other programs run
 
