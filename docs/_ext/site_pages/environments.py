@@ -177,7 +177,7 @@ def objectives_table(scenario: Scenario, config: EnvConfig) -> str:
 def arguments_table() -> str:
     """One row per keyword argument."""
     rows = [
-        [f"`{key.name}`", key.type, f"`{_python(key.default)}`", _python(key.description)]
+        [f"`{key.name}`", _python(key.type), f"`{_python(key.default)}`", _python(key.description)]
         for key in model_keys(EnvConfig)
         if key.name != "scenario"
     ]
@@ -244,7 +244,7 @@ def conflict_text(scenario: Scenario, kind: str) -> str:
     rows = [[f"`{name}`", *(f"{value:.2f}" for value in row)] for name, row in zip(names, correlations, strict=True)]
     return (
         f"Spearman's rank correlation of the undiscounted returns over the best-known front (`{kind}`). Where it is\n"
-        "negative, more of one objective costs some of the other.\n\n"
+        "negative, policies with more of one objective tend to have less of the other.\n\n"
         + table(["", *(f"`{name}`" for name in names)], rows)
         + (f"\nThe same for all policies: {', '.join(f'`{name}`' for name in same)}.\n" if same else "")
     )
