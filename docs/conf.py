@@ -14,7 +14,7 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["EXAMPLES"] = str(DOCS / "examples")
 os.environ["COLUMNS"] = "90"
-os.environ["TERM"] = "dumb"
+os.environ["TTY_COMPATIBLE"] = "0"  # no colours and progress bars of rich, which a kernel asks for
 os.environ["OMP_NUM_THREADS"] = "1"  # threads that wait for each other are slow where other programs run
 
 import mo_deepdrive  # noqa: E402
