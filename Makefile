@@ -7,6 +7,7 @@ RAY_VENV ?= .venv-ray
 PEERS_VENV ?= .venv-peers
 INTEGRATIONS_VENV ?= .venv-integrations
 MUTANTS_VENV ?= .venv-mutants
+DOCS_VENV ?= .venv-docs
 PIP = $(VENV)/bin/python -m pip --disable-pip-version-check
 READY = $(VENV)/.ready
 TRAIN_READY = $(VENV)/.ready-train
@@ -14,11 +15,13 @@ RAY_READY = $(RAY_VENV)/.ready
 PEERS_READY = $(PEERS_VENV)/.ready
 INTEGRATIONS_READY = $(INTEGRATIONS_VENV)/.ready
 MUTANTS_READY = $(MUTANTS_VENV)/.ready
+DOCS_READY = $(DOCS_VENV)/.ready
+SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet
 # The tests that need nothing but the development environment.
 HERE = --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
 .PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-install mutants lint \
-	benchmark clean
+	benchmark docs docs-linkcheck clean
 
 install: $(READY)
 
@@ -65,6 +68,13 @@ $(MUTANTS_READY): pyproject.toml constraints.txt constraints-mutants.txt
 		--constraint constraints.txt --constraint constraints-mutants.txt --editable ".[dev]" cosmic-ray
 	touch $@
 
+# Sphinx and a Jupyter kernel for the tutorials: 53 further packages.
+$(DOCS_READY): pyproject.toml constraints.txt constraints-docs.txt
+	$(PYTHON) -m venv $(DOCS_VENV)
+	$(DOCS_VENV)/bin/python -m pip --disable-pip-version-check install --quiet \
+		--constraint constraints.txt --constraint constraints-docs.txt --editable ".[docs]"
+	touch $@
+
 train: $(TRAIN_READY)
 	$(VENV)/bin/python scripts/train.py --config $(CONFIG) --seed $(SEED)
 
@@ -107,5 +117,13 @@ mutants: $(MUTANTS_READY)
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
 
+# The documentation site, in docs/_build/html, with the tutorials run. Warnings are errors.
+docs: $(DOCS_READY)
+	$(SPHINX) -b html -d docs/_build/doctrees docs docs/_build/html
+
+# Links to other sites; needs the internet.
+docs-linkcheck: $(DOCS_READY)
+	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
+
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures .mypy_cache .ruff_cache .pytest_cache

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+# Of `make docs`, from the code and from files at the root; tests/docs tests them.
+WRITTEN_PAGES = ("docs/environments/", "docs/algorithms/", "docs/reference/")
+WRITTEN_FROM = {"docs/changelog.md": "CHANGELOG.md", "docs/contributing.md": "CONTRIBUTING.md", "docs/citation.md": ""}
 DOCUMENTS = [
     "README.md",
     "CONTRIBUTING.md",
@@ -32,6 +35,8 @@ DOCUMENTS = [
     *(f"docs/{p.name}" for p in (REPOSITORY / "docs").glob("*.md")),
 ]
 DOCUMENTS += [f"docs/results/{path.name}" for path in (REPOSITORY / "docs" / "results").glob("*.md")]
+DOCUMENTS += [f"docs/_fragments/{path.name}" for path in (REPOSITORY / "docs" / "_fragments").glob("*.md")]
+DOCUMENTS = [name for name in DOCUMENTS if name not in WRITTEN_FROM]
 # The changelog names what no longer exists.
 WITH_NAMES = [name for name in DOCUMENTS if name != "CHANGELOG.md"]
 NOT_RUN = "<!-- not run by the tests: "
@@ -103,10 +108,62 @@ def test_a_python_example_runs(block: Block, tmp_path: Path, monkeypatch: pytest
         assert namespace["evaluation"].metrics()["success"] > 0.9, "the trained policy should do what the text claims"
 
 
-@pytest.mark.parametrize("name", ["energy.py", "two_bicycles.py"])
-def test_the_tutorial_shows_the_files_of_its_examples(name: str) -> None:
-    text = (REPOSITORY / "docs" / "examples" / name).read_text(encoding="utf-8")
-    assert text in [block.text for block in EXAMPLES if block.document == "docs/own_objective_and_scenario.md"]
+def test_the_tutorials_include_the_files_of_their_examples() -> None:
+    shown = set()
+    for document in DOCUMENTS:
+        text = (REPOSITORY / document).read_text(encoding="utf-8")
+        shown |= set(re.findall(r"^```\{literalinclude\} (\S+)$", text, flags=re.MULTILINE))
+    assert {"examples/reinforce.py", "examples/energy.py", "examples/two_bicycles.py"} <= shown
+    assert all((REPOSITORY / "docs" / name).is_file() for name in shown)
+
+
+# ------------------------------------------------------------------------------------------------- cells of tutorials
+
+CELLS = list(blocks("{code-cell}"))
+
+
+def cell_text(block: Block) -> str:
+    """A cell without its options."""
+    return re.sub(r"\A(:.*\n)+\n*", "", block.text)
+
+
+def written_files() -> dict[str, str]:
+    """The files that cells write, by their names."""
+    cells = [cell_text(block).partition("\n") for block in CELLS]
+    return {first.removeprefix("%%writefile "): rest for first, _, rest in cells if first.startswith("%%writefile ")}
+
+
+def test_tutorials_run_in_the_build() -> None:
+    documents = {block.document for block in CELLS}
+    assert len(documents) >= 8
+    for document in documents:
+        assert (REPOSITORY / document).read_text(encoding="utf-8").startswith("---\nfile_format: mystnb\n"), document
+
+
+def test_every_tutorial_opens_with_what_one_has_at_its_end() -> None:
+    index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
+    tutorials = index.split(":caption: Tutorials")[1].split("```")[0].split()
+    assert len(tutorials) >= 8
+    for name in tutorials:
+        text = (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        first = re.split(r"^# .+\n", text, maxsplit=1, flags=re.MULTILINE)[1].strip()
+        assert first.startswith("At the end of this page"), name
+
+
+@pytest.mark.parametrize("block", CELLS, ids=str)
+def test_a_cell_is_python_a_file_or_a_command(block: Block) -> None:
+    text = cell_text(block)
+    if text.startswith("%%writefile "):
+        name, _, rest = text.removeprefix("%%writefile ").partition("\n")
+        if name.endswith(".yaml"):
+            assert isinstance(yaml.safe_load(rest), dict)
+            return
+        text = rest
+    if text.startswith("!"):
+        assert text.startswith("!mo-deepdrive ")
+        assert text.count("\n") == 1
+        return
+    compile(text, str(block), "exec")
 
 
 def test_there_are_examples() -> None:
@@ -124,7 +181,9 @@ def test_the_readme_begins_with_a_short_example() -> None:
 STUBS = """
 PATH=
 emit() { printf '%s\\0' "$@"; printf '\\n'; }
-for name in python pip make wandb sudo git cd docker mo-deepdrive; do eval "$name() { emit $name \\"\\$@\\"; }"; done
+for name in python pip make wandb sudo git cd source docker mo-deepdrive; do
+  eval "$name() { emit $name \\"\\$@\\"; }"
+done
 """
 
 
@@ -133,7 +192,9 @@ def commands() -> Iterator[tuple[Block, list[str]]]:
 
     Nothing is executed: known programs are functions that print their arguments, and any other is an error.
     """
-    for block in blocks("bash"):
+    shell = [block._replace(text=cell_text(block)[1:]) for block in CELLS if cell_text(block).startswith("!")]
+    shell = [block._replace(text=block.text.partition(" | ")[0]) for block in shell]
+    for block in [*blocks("bash"), *shell]:
         run = subprocess.run(
             ["bash", "--norc", "-eu", "-c", STUBS + block.text],
             cwd=REPOSITORY,
@@ -207,6 +268,9 @@ def test_a_command_is_understood_by_its_program(
         return
     examples = REPOSITORY / "docs" / "examples"  # where the pages on own code put their files
     elsewhere = examples if (examples / config).is_file() else tmp_path
+    for name, text in written_files().items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(REPOSITORY if words[0].startswith("scripts/") else elsewhere)
     assert find_config(config).is_file()
     if words[0] in ("scripts/train.py", "train"):
@@ -273,6 +337,10 @@ def test_relative_links_and_images_lead_somewhere(document: str) -> None:
             continue
         target, _, anchor = link.partition("#")
         found = (path.parent / target).resolve() if target else path
+        name = str(found).removeprefix(f"{REPOSITORY}/")
+        if name.startswith(WRITTEN_PAGES):
+            continue
+        found = REPOSITORY / WRITTEN_FROM.get(name, name)
         assert found.exists(), f"{document} links to {link}"
         assert REPOSITORY in found.parents, f"{document} links to {link}"
         if anchor:

@@ -14,7 +14,7 @@ HALF_LANE = LANE_WIDTH / 2
 def follow(vehicle: Record) -> bool:
     """Update the front point, the next waypoint and the distances.
 
-    Route distance = distance along the waypoints to the next one - |front -> next waypoint|.
+    Route distance = distance along the waypoints to the next one - ``|front -> next waypoint|``.
 
     Returns:
         Whether the destination is reached.

@@ -35,7 +35,7 @@ def test_every_extra_is_one_of_the_project(repository: Path) -> None:
     text = (repository / "pyproject.toml").read_text(encoding="utf-8")
     section = text.split("[project.optional-dependencies]")[1].split("\n[")[0]
     found = set(re.findall(r"^(\w+) = ", section, flags=re.MULTILINE))
-    assert found == {*EXTRAS.values(), "rllib", "integrations", "dev"}
+    assert found == {*EXTRAS.values(), "rllib", "integrations", "docs", "dev"}
 
 
 def test_an_algorithm_without_torch_names_the_extra(run_python: Callable[[str], Any]) -> None:

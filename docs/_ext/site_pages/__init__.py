@@ -1,0 +1,108 @@
+"""A Sphinx extension that writes the pages that code knows, before Sphinx reads the others.
+
+Environments, algorithms, the API reference, the changelog, the contributing guide and the citation are written into
+``docs``, where git ignores them. A page is written only if its text has changed, and a picture only if it is absent, so
+that a second build is short.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parents[2]
+FOLDERS = ("environments", "algorithms", "reference")  # which hold nothing but written pages
+
+
+def all_pages() -> dict[str, str]:
+    """The text of every page that is written, by its path in docs."""
+    from site_pages import algorithms, environments, reference, repository
+
+    return {**environments.pages(), **algorithms.pages(), **reference.pages(), **repository.pages()}
+
+
+def write_pages() -> None:
+    """Write the pages, and remove those of what no longer exists."""
+    found = all_pages()
+    for name, text in found.items():
+        path = DOCS / name
+        path.parent.mkdir(exist_ok=True)
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    for folder in FOLDERS:
+        for path in (DOCS / folder).glob("*.md"):
+            if path.relative_to(DOCS).as_posix() not in found:
+                path.unlink()
+
+
+def write_pictures(folder: Path) -> None:
+    """Write the pictures of the environments that are absent."""
+    from mo_deepdrive.scenarios import SCENARIOS
+    from site_pages.environments import fronts
+    from site_pages.films import write_film, write_front
+
+    folder.mkdir(exist_ok=True)
+    for name, scenario in SCENARIOS.items():
+        if not (folder / f"{name}.gif").is_file():
+            write_film(scenario, folder / f"{name}.gif")
+        for kind in fronts(scenario)[:1]:
+            if not (folder / f"{name}_front.png").is_file():
+                write_front(scenario, kind, folder / f"{name}_front.png")
+
+
+def _on_start(app: Any) -> None:
+    del app
+    write_pages()
+    write_pictures(DOCS / "_pictures")
+
+
+def _on_source(app: Any, page: str, content: list[str]) -> None:
+    from site_pages.repository import outside_links
+
+    if Path(app.env.doc2path(page)).suffix == ".md":
+        content[0] = outside_links(content[0], f"{page}.md")
+
+
+def _check_names(app: Any, env: Any) -> None:
+    """Warn of public classes and functions that the reference lacks."""
+    del app
+    from sphinx.util import logging
+
+    from site_pages.reference import constants, modules, public_names
+
+    documented = env.domains.python_domain.objects
+    for module in modules():
+        for name in [module, *public_names(module), *(f"{module}.{name}" for name in constants(module))]:
+            if name not in documented:
+                logging.getLogger(__name__).warning("%s is not documented", name, type="site_pages")
+
+
+def _find_short_name(app: Any, env: Any, node: Any, content: Any) -> Any:
+    """Resolve a name without its module (``Agent.act``) or of its package (``algorithms.Agent``), if only one fits."""
+    from sphinx.util.nodes import make_refnode
+
+    if node.get("refdomain") != "py":
+        return None
+    domain = env.domains.python_domain
+    target = node["reftarget"]
+    package, _, last = target.rpartition(".")
+    found = [name for name in domain.objects if name.endswith(f".{target}")] or [
+        name for name in domain.objects if name.startswith(f"{package}.") and name.endswith(f".{last}")
+    ]
+    if len(found) != 1:
+        return None
+    found_at = domain.objects[found[0]]
+    return make_refnode(app.builder, node["refdoc"], found_at.docname, found_at.node_id, content, found[0])
+
+
+def setup(app: Any) -> dict[str, Any]:
+    """Connect the extension."""
+    from site_pages.docstrings import prepare
+
+    app.setup_extension("sphinx.ext.autodoc")
+    app.connect("builder-inited", _on_start, priority=100)
+    app.connect("source-read", _on_source, priority=100)
+    app.connect("autodoc-process-docstring", prepare, priority=100)
+    app.connect("missing-reference", _find_short_name)
+    app.connect("env-check-consistency", _check_names)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,57 @@
+"""Small pieces of Markdown, and what is taken from docstrings."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+REPOSITORY_URL = "https://github.com/mo-deepdrive/mo-deepdrive/blob/main/"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; bars in cells are escaped."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "".join(f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def number(value: float) -> str:
+    """A number with up to six significant digits."""
+    return f"{float(value):.6g}"
+
+
+def source_link(path: str) -> str:
+    """A link to a file of the repository."""
+    return f"[`{path}`]({REPOSITORY_URL}{path})"
+
+
+def sections(owner: Any) -> dict[str, str]:
+    """The sections of a docstring in Gymnasium's form by their titles; what is above the first one is under ""."""
+    parts = re.split(r"^## (.+)$", inspect.cleandoc(owner.__doc__ or ""), flags=re.MULTILINE)
+    found = {"": parts[0].strip()}
+    found |= {title: text.strip() for title, text in zip(parts[1::2], parts[2::2], strict=True)}
+    return {title: as_markdown(text) for title, text in found.items()}
+
+
+def as_markdown(text: str) -> str:
+    """Prose of a docstring with the roles and literals of reStructuredText as code, and equations as literal blocks."""
+    text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
+    text = re.sub(r"``([^`\n]+(?:\n[^`\n]+)?)``", r"`\1`", text)
+    lines: list[str] = []
+    literal = False
+    for line in text.splitlines():
+        indented = line.startswith("    ")
+        if indented and not literal and lines and not lines[-1].strip():
+            literal = True
+            lines.append("```text")
+        if literal and line.strip() and not indented:
+            literal = False
+            while not lines[-1].strip():
+                lines.pop()
+            lines += ["```", ""]
+        # The numbers of equations are at the right margin of the file, which is wider than a page.
+        lines.append(re.sub(r" {3,}(\(\d+\))$", r"   \1", line[4:]) if literal else line)
+    return "\n".join([*lines, *(["```"] if literal else [])])

@@ -1,0 +1,281 @@
+"""The pages that `make docs` writes say what the code says, and grow with it."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+from functools import cache
+from typing import TYPE_CHECKING
+
+import polars as pl
+import pytest
+import yaml
+from scipy.stats import trim_mean
+
+from algorithms import ALGORITHMS as CLASSES
+from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.envs import spaces
+from mo_deepdrive.envs.single import DrivingEnv
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.observation import layout
+from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario
+from site_pages import algorithms, docstrings, environments, films, markdown, reference, repository
+from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SHIPPED = tuple(SCENARIOS)
+
+
+@cache
+def page_of(name: str) -> str:
+    """The page of a shipped environment."""
+    return environments.page(SCENARIOS[name])
+
+
+def tables(text: str) -> Iterator[list[dict[str, str]]]:
+    """The tables of a page, as rows by the names of their columns, without the quotes of code."""
+    for block in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
+        header, _, *rows = [
+            [cell.strip().strip("`") for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in block.splitlines()
+        ]
+        yield [dict(zip(header, row, strict=True)) for row in rows]
+
+
+def table_with(text: str, column: str) -> list[dict[str, str]]:
+    """The first table of a page that has a column."""
+    return next(table for table in tables(text) if table and column in table[0])
+
+
+# ------------------------------------------------------------------------------------------------------- environments
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_page_of_an_environment_has_its_observation(name: str) -> None:
+    space = spaces.observation_space(EnvConfig(scenario=name))
+    rows = table_with(page_of(name), "scale")
+    assert [(row["index"], row["name"], row["unit"], float(row["scale"])) for row in rows] == [
+        (str(i), entry.name, entry.unit, entry.scale) for i, entry in enumerate(layout(SCENARIOS[name]))
+    ]
+    assert [float(row["low"]) for row in rows] == pytest.approx(space.low.tolist(), rel=1e-5)
+    assert [float(row["high"]) for row in rows] == pytest.approx(space.high.tolist(), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_page_of_an_environment_has_its_objectives(name: str) -> None:
+    rows = table_with(page_of(name), "magnitude")
+    expected = [OBJECTIVES[INDEX[objective]] for objective in SCENARIOS[name].objectives]
+    assert [(row["objective"], row["magnitude"], row["unit"], row["sign"], float(row["scale"])) for row in rows] == [
+        (each.name, each.description, each.unit, "+" if each.sign > 0 else "-", each.scale) for each in expected
+    ]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_page_of_an_environment_has_every_argument(name: str) -> None:
+    rows = table_with(page_of(name), "argument")
+    assert [row["argument"] for row in rows] == [field for field in EnvConfig.model_fields if field != "scenario"]
+    assert all(row["meaning"] for row in rows)
+    assert next(row for row in rows if row["argument"] == "harmful_jerk")["default"] == "None"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_page_of_an_environment_has_the_sections_of_its_docstring(name: str) -> None:
+    page = page_of(name)
+    doc = markdown.sections(environments.environment_class(SCENARIOS[name]))
+    for section in ("Description", "Starting State", "Episode End", "Version History"):
+        assert doc[section]
+        assert doc[section] in page
+    assert f'mo_gymnasium.make("mo_deepdrive:{SCENARIOS[name].id}")' in page
+
+
+def test_the_page_of_an_environment_has_the_size_of_its_best_known_fronts() -> None:
+    rows = table_with(page_of("one_waypoint"), "hypervolume")
+    documented = (REPOSITORY / "docs" / "fronts.md").read_text(encoding="utf-8")
+    for row in rows:
+        assert f"| one_waypoint | {row['actions']} | {row['gamma']} | {row['policies']} |" in documented
+        assert f" {row['hypervolume']} |" in documented
+    assert "None is shipped" in page_of("intersection")
+
+
+def test_conflicts_are_rank_correlations_on_the_front() -> None:
+    text = environments.conflict_text(SCENARIOS["static_obstacle"], "discrete")
+    rows = {row[""]: row for row in table_with(text, "distance")}
+    assert float(rows["distance"]["distance"]) == 1.0
+    assert float(rows["distance"]["g_force"]) == float(rows["g_force"]["distance"]) < 0
+    assert "The same for all policies: `collision`." in text
+
+
+def test_learning_results_are_those_of_the_result_files() -> None:
+    text = environments.results_text(SCENARIOS["one_waypoint"])
+    rows = table_with(text, "protocol")
+    found = next(row for row in rows if row["task"] == "one_waypoint_linear" and row["protocol"] == "best")
+    assert found["episodes"] == "test split"
+    scores = pl.read_csv(environments.RESULTS / "reproduction_scores.csv", infer_schema_length=None).filter(
+        (pl.col("task") == found["task"])
+        & (pl.col("protocol") == "best")
+        & (pl.col("label") == found["algorithm"])
+        & (pl.col("policy") == "stochastic")
+    )
+    assert len(scores) == int(found["seeds"]) == 5
+    assert float(found["utility"]) == pytest.approx(trim_mean(scores["utility_esr"].to_numpy(), 0.25), abs=1e-3)
+    header, shown = environments.environment_rows(environments.RESULTS / "scores.csv", SCENARIOS["one_waypoint"].id)
+    lines = (environments.RESULTS / "scores.csv").read_text(encoding="utf-8").splitlines()
+    assert len(shown) == sum(line.startswith(f"{SCENARIOS['one_waypoint'].id},") for line in lines) > 0
+    assert "mo_a2c" in {row[header.index("algorithm")] for row in shown}
+    assert "[scores.csv](../results/scores.csv)" in text
+
+
+def test_nothing_that_code_knows_is_written_by_hand() -> None:
+    observed = {entry.name for scenario in SCENARIOS.values() for entry in layout(scenario)}
+    known = observed | {row.name for row in OBJECTIVES} | {each.id for each in SCENARIOS.values()}
+    known |= {*EnvConfig.model_fields} - {"scenario", "objectives", "action_type"}  # which select what is shown
+    for module in (environments, markdown):
+        for node in ast.walk(ast.parse(inspect.getsource(module))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                words = set(re.findall(r"[\w-]+", node.value))
+                assert not words & known, node.value
+                assert not re.search(r"\d(\.\d+)? (m|s|g|rad|Hz)\b", node.value), node.value
+    fragments = list((REPOSITORY / "docs" / "_fragments").glob("*.md"))
+    assert fragments
+    for path in fragments:
+        assert not set(re.findall(r"`([^`]+)`", path.read_text(encoding="utf-8"))) & known
+
+
+def test_a_registered_scenario_gets_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environments, "environment_class", lambda _: DrivingEnv)
+    scenario = Scenario(
+        name="page_of_its_own",
+        title="PageOfItsOwn",
+        routes=(Route(start=(7.0, 25.0, 0.0), waypoints=((20.0, 5.0),)),),
+        obstacles=2,
+        objectives=("distance", "collision"),
+    )
+    monkeypatch.setitem(SCENARIOS, scenario.name, scenario)
+    page = environments.page(scenario)
+    assert page.startswith("# PageOfItsOwn\n")
+    assert "obstacle_2_a_distance" in {row["name"] for row in table_with(page, "scale")}
+    assert "Random actions." in page
+    assert "\npage_of_its_own\n" in environments.index()
+
+
+def test_the_moving_picture_shows_the_policy_that_arrives_most_often() -> None:
+    assert films.policy_of(SCENARIOS["intersection"]) == "intersection_nonlinear-mo_ppo"
+    assert "`intersection_nonlinear-mo_ppo`" in page_of("intersection")
+
+
+# --------------------------------------------------------------------------------------------------------- algorithms
+
+
+@pytest.mark.parametrize("name", list(CLASSES))
+def test_the_page_of_an_algorithm_has_its_hyperparameters_and_equations(name: str) -> None:
+    page = algorithms.page(name)
+    rows = table_with(page, "key")
+    assert [row["key"] for row in rows] == list(CLASSES[name].Config.model_fields)
+    assert all(row["meaning"] for row in rows)
+    doc = inspect.getdoc(importlib.import_module(CLASSES[name].__module__)) or ""
+    equations = [" ".join(line.split()) for line in doc.splitlines() if line.startswith("    ")]
+    assert equations
+    literal = "\n".join(re.findall(r"^```text\n(.*?)^```$", page, flags=re.DOTALL | re.MULTILINE))
+    literal = re.sub(r" +", " ", literal)
+    assert [line for line in equations if line not in literal] == []
+
+
+def test_an_algorithm_has_its_configurations_and_policies() -> None:
+    assert "configs/one_waypoint/pcn.yaml" in algorithms.configs_of("pcn")
+    assert "one_waypoint_front-pcn" in algorithms.policies_of("pcn")
+    assert "configs/one_waypoint/pcn.yaml" not in algorithms.configs_of("a2c")
+
+
+def test_the_index_of_algorithms_lists_all() -> None:
+    rows = table_with(algorithms.index(), "name in YAML")
+    assert [row["name in YAML"] for row in rows] == list(CLASSES)
+    assert rows[0]["what it is"].startswith("Advantage actor-critic")
+
+
+# ---------------------------------------------------------------------------------------------------------- reference
+
+
+def test_the_reference_has_every_module_once() -> None:
+    pages = reference.pages()
+    named = re.findall(r"^\.\. automodule:: (\S+)$", "".join(pages.values()), flags=re.MULTILINE)
+    expected = set()
+    for package in ("mo_deepdrive", "algorithms"):
+        for path in (REPOSITORY / package).rglob("*.py"):
+            parts = path.relative_to(REPOSITORY).with_suffix("").parts
+            expected.add(".".join(part for part in parts if part != "__init__"))
+    assert sorted(named) == sorted(name for name in expected if not name.endswith("__main__"))
+
+
+def test_the_reference_has_every_public_constant() -> None:
+    text = "".join(reference.pages().values())
+    for name in ("SCENARIOS", "OBJECTIVES", "ALGORITHMS", "SPLITS"):
+        assert f".. py:data:: {name}\n" in text
+    lines = reference.constants("mo_deepdrive.observation")["ABSENT_DISTANCE"]
+    assert "   :value: 100.0" in lines
+    assert "   A vehicle that has left the road is observed straight ahead, at rest, at this distance (m)." in lines
+
+
+def test_public_names_are_classes_and_functions() -> None:
+    assert reference.public_names("mo_deepdrive.config") == [
+        f"mo_deepdrive.config.{name}" for name in ("Settings", "parse", "UtilityChoice", "EnvConfig", "parse_arguments")
+    ]
+
+
+# --------------------------------------------------------------------------------------------- docstrings and Markdown
+
+
+def test_equations_become_literal_blocks_until_the_first_section() -> None:
+    lines = ["Sum.", "", "The sum,", "", "    R = r_0", "      + r_1", "", "ends.", "", "Args:", "", "    x: a number."]
+    assert docstrings.literal_equations(lines) == [*lines[:4], "::", "", *lines[4:]]
+    kept = ["Such as::", "", "    code", "", "- a list", "", "    of paragraphs"]
+    assert docstrings.literal_equations(kept) == kept
+
+
+def test_sections_in_markdown_are_left_to_the_pages_of_environments() -> None:
+    lines = ["A car.", "", "## Observation", "", "| a | b |", "", "Args:", "    scenario: its name."]
+    docstrings.prepare(None, "class", "Env", None, None, lines)
+    assert lines[:2] == ["A car.", ""]
+    assert lines[-2:] == ["Args:", "    scenario: its name."]
+    assert not any("|" in line for line in lines)
+
+
+def test_roles_and_literals_become_code() -> None:
+    assert markdown.as_markdown("See :class:`a.B` and ``c``:\n\n    x = 1\n\nthen.") == (
+        "See `a.B` and `c`:\n\n```text\nx = 1\n```\n\nthen."
+    )
+
+
+def test_bars_in_cells_are_escaped() -> None:
+    assert markdown.table(["a"], [["x | y"]]) == "| a |\n| --- |\n| x \\| y |\n"
+
+
+# ---------------------------------------------------------------------------------------------------- pages from files
+
+
+def test_links_of_root_files_lead_to_pages_or_to_the_repository() -> None:
+    pages = repository.pages()
+    assert "](docs/" not in pages["changelog.md"] + pages["contributing.md"]
+    assert "(simulator.md#versions-of-the-ids)" in pages["contributing.md"]
+    text = "[a](../configs/reproduce.yaml) [b](../CONTRIBUTING.md#style) [c](x.md)"
+    outside = f"[a]({markdown.REPOSITORY_URL}configs/reproduce.yaml)"
+    assert repository.outside_links(text, "peers.md") == f"{outside} [b](contributing.md#style) [c](x.md)"
+    assert repository.outside_links("[b](../../CONTRIBUTING.md)", "results/x.md") == "[b](../contributing.md)"
+
+
+def test_the_citation_is_that_of_the_file() -> None:
+    page = repository.pages()["citation.md"]
+    cff = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    for work in (cff, *cff["references"]):
+        assert page.count(work["title"]) == 2
+    assert len(set(re.findall(r"^@\w+\{(\w+),", page, flags=re.MULTILINE))) == 1 + len(cff["references"])
+
+
+def test_what_is_written_is_ignored_by_git() -> None:
+    ignored = (REPOSITORY / ".gitignore").read_text(encoding="utf-8").split()
+    for name in repository.pages():
+        assert f"/docs/{name}" in ignored
+    for folder in ("environments", "algorithms", "reference", "_build", "_pictures"):
+        assert f"/docs/{folder}/" in ignored
