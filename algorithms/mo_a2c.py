@@ -23,6 +23,20 @@ v(S_t)), an advantage for the expected utility of the return (ESR). Beyond the r
 mean takes the place of the return inside u, which is the utility of the expected return (SER) for that part.
 ``advantage: utility_gradient`` replaces eqs. 4 and 5 by A_t = grad u(E[R]) . D_t, the policy gradient of SER; E[R] is a
 running mean of the returns, discounted with g, of finished episodes.
+
+``advantage: expected_utility`` follows ESR at any lambda and length of the rollout. Its rewards are the increases of u
+along the episode, which sum to u(R_T) - u(0), and its critic has one output, v(S) = E[u(R_T) - u(R_t) | S_t = S], so
+that u(R_t) + v(S_t) is the expected final utility. Equations 2 to 5 become
+
+    U_t     = u(R_{t+1}) - u(R_t) + v(S_{t+1}) - v(S_t)                                                (7)
+    A_t     = U_t + lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                     (8)
+
+and ``utility_scale`` takes the place of the scales in eq. 6. There is no other discount than the g within R_t: any
+factor below 1 on U_t would weight the increases by when they come, and their sum would not be u(R_T). With the true v,
+E[U_t | S_t] under the policy is 0, so that every term beyond U_t only adds noise: E[A_t | S_t, a_t] is the advantage
+for E[u(R_T)] at any lambda, as for a scalar reward (Schulman et al. 2016; the reward is that of a Markov decision
+process over S_t, Hayes et al. 2022, section 4.3). What a truncated episode would still have gained is v of its true
+final state. ``gamma`` matters here as the default of g alone; S_t must have R_t and, where g < 1, g^t.
 """
 
 from __future__ import annotations
@@ -74,7 +88,8 @@ class MOA2CConfig(NetworkSettings):
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
         gamma: discount of the critic.
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
-        advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
+        advantage: "utility_difference" (eqs. 4 and 5), "as_printed", "utility_gradient" or "expected_utility" (eqs. 7
+            and 8).
         accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
         observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
         observe_discount: include g^t in the state, on which eq. 4 depends too.
@@ -86,6 +101,7 @@ class MOA2CConfig(NetworkSettings):
         max_grad_norm: maximum norm of the gradient.
         normalise_advantages: normalise the advantages of an update to mean 0 and standard deviation 1.
         objective_scales: nominal size of each objective's return; None for the environment's own.
+        utility_scale: nominal size of the utility of a return, for the critic of "expected_utility".
         centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
 
@@ -105,6 +121,7 @@ class MOA2CConfig(NetworkSettings):
     max_grad_norm: Positive = 0.5
     normalise_advantages: bool = True
     objective_scales: Scales | None = None
+    utility_scale: Positive = 10.0
     centralised_critic: bool = False
 
     @model_validator(mode="after")
@@ -136,7 +153,11 @@ class MOA2CLearner(Learner):
         d = len(env.objectives)
         self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = make_network(config, self.input_size + self.others_size, d, generator).to(device)
+        # What the critic predicts: returns, or with expected_utility their utility.
+        scalar = config.advantage == "expected_utility"
+        self.value_scales = torch.tensor([config.utility_scale], device=device) if scalar else self.objective_scales
+        outputs = len(self.value_scales)
+        self.critic = make_network(config, self.input_size + self.others_size, outputs, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
 
@@ -156,9 +177,9 @@ class MOA2CLearner(Learner):
         return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
 
     def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        """v(S) (..., d), in the units of the returns."""
+        """v(S) (..., d) in the units of the returns, or (..., 1) in those of the utility."""
         outputs: torch.Tensor = self.critic(critic_inputs)
-        return self.objective_scales * outputs
+        return self.value_scales * outputs
 
     # ------------------------------------------------------------------------------------------------------ the update
 
@@ -185,19 +206,19 @@ class MOA2CLearner(Learner):
 
         log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
         policy_loss = -(weights * advantages * log_prob).sum()
-        value_loss = (weights * ((targets - values) / self.objective_scales).square().mean(-1)).sum()
+        value_loss = (weights * ((targets - values) / self.value_scales).square().mean(-1)).sum()
         entropy = (weights * entropies).sum()
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
         return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
 
     @torch.no_grad()
     def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N, d): 0 after termination, the value of the true final state after truncation.
+        """v(S_{t+1}) (T, N, d or 1): 0 after termination, the value of the true final state after truncation.
 
         Args:
             rollout: T steps of this vehicle.
             critic_inputs: (T + 1, N, ...) of S_0 to S_T.
-            values: (T, N, d) v(S_t).
+            values: (T, N, d or 1) v(S_t).
         """
         next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
         next_values[rollout.terminated] = 0.0
@@ -210,9 +231,19 @@ class MOA2CLearner(Learner):
     def advantages(
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """A_t (T, N) and y_t (T, N, d) of eqs. 2 to 5, from v(S_t) and v(S_{t+1}), each (T, N, d)."""
+        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5 or 7 and 8, from v(S_t) and v(S_{t+1}), as y_t."""
         u, gamma, g, decay = self.utility, self.config.gamma, self.config.accrued_discount, self.config.gae_lambda
         not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        # R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
+        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
+        next_accrued = accrued + discounts * rollout.rewards
+        if self.config.advantage == "expected_utility":
+            # Equations 7 and 8.
+            increases = u(next_accrued) - u(accrued)
+            gains = increases + next_values.squeeze(-1) - values.squeeze(-1)
+            advantages = generalised_advantages(gains, not_done, decay)
+            return advantages, advantages.unsqueeze(-1) + values
+
         # Equations 2 and 3.
         deltas = rollout.rewards + gamma * next_values - values
         vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
@@ -220,9 +251,7 @@ class MOA2CLearner(Learner):
         if self.config.advantage == "utility_gradient":
             return vector_advantages @ utility_gradient(u, self.expected_return.value), targets
 
-        # Equation 4, with R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
-        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
-        next_accrued = accrued + discounts * rollout.rewards
+        # Equation 4.
         expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
         differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
         # Equation 5.

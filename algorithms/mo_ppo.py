@@ -15,6 +15,12 @@ and every rollout serves several epochs of minibatches of the clipped surrogate 
     L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
             + c_v E[|(y_t - v(S_t)) / scales|^2 / d] - c_e E[H(pi)]                                    (7)
 
+With ``advantage: expected_utility``, for ESR at any lambda, the critic predicts the scalar v(S) = E[u(R_T) - u(R_t) |
+S_t = S], ``utility_scale`` takes the place of the scales in eq. 7, and eqs. 2 to 5 become
+
+    U_t     = u(R_{t+1}) - u(R_t) + v(S_{t+1}) - v(S_t)                                                (8)
+    A_t     = U_t + lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                     (9)
+
 The means are over the samples in which the vehicle acted. :mod:`algorithms.mo_a2c` explains ``accrued_gamma`` (g), the
 forms of ``advantage``, and which objective (ESR or SER) each of them follows.
 """
@@ -71,7 +77,8 @@ class MOPPOConfig(NetworkSettings):
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
         gamma: discount of the critic.
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
-        advantage: "utility_difference" (eqs. 4 and 5), "as_printed" or "utility_gradient".
+        advantage: "utility_difference" (eqs. 4 and 5), "as_printed", "utility_gradient" or "expected_utility" (eqs. 8
+            and 9).
         accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
         observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
         observe_discount: include g^t in the state, on which eq. 4 depends too.
@@ -86,6 +93,7 @@ class MOPPOConfig(NetworkSettings):
         max_grad_norm: maximum norm of the gradient.
         normalise_advantages: normalise the advantages of a rollout to mean 0 and standard deviation 1.
         objective_scales: nominal size of each objective's return; None for the environment's own.
+        utility_scale: nominal size of the utility of a return, for the critic of "expected_utility".
         centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
     """
 
@@ -108,6 +116,7 @@ class MOPPOConfig(NetworkSettings):
     max_grad_norm: Positive = 0.5
     normalise_advantages: bool = True
     objective_scales: Scales | None = None
+    utility_scale: Positive = 10.0
     centralised_critic: bool = False
 
     @model_validator(mode="after")
@@ -139,7 +148,11 @@ class MOPPOLearner(Learner):
         d = len(env.objectives)
         self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = make_network(config, self.input_size + self.others_size, d, generator).to(device)
+        # What the critic predicts: returns, or with expected_utility their utility.
+        scalar = config.advantage == "expected_utility"
+        self.value_scales = torch.tensor([config.utility_scale], device=device) if scalar else self.objective_scales
+        outputs = len(self.value_scales)
+        self.critic = make_network(config, self.input_size + self.others_size, outputs, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         # Shuffles the minibatches.
         self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
@@ -161,9 +174,9 @@ class MOPPOLearner(Learner):
         return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs
 
     def values(self, critic_inputs: torch.Tensor) -> torch.Tensor:
-        """v(S) (..., d), in the units of the returns."""
+        """v(S) (..., d) in the units of the returns, or (..., 1) in those of the utility."""
         outputs: torch.Tensor = self.critic(critic_inputs)
-        return self.objective_scales * outputs
+        return self.value_scales * outputs
 
     # ------------------------------------------------------------------------------------------------------ the update
 
@@ -201,12 +214,12 @@ class MOPPOLearner(Learner):
 
     @torch.no_grad()
     def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N, d): 0 after termination, the value of the true final state after truncation.
+        """v(S_{t+1}) (T, N, d or 1): 0 after termination, the value of the true final state after truncation.
 
         Args:
             rollout: T steps of this vehicle.
             critic_inputs: (T + 1, N, ...) of S_0 to S_T.
-            values: (T, N, d) v(S_t).
+            values: (T, N, d or 1) v(S_t).
         """
         next_values = torch.cat([values[1:], self.values(critic_inputs[-1:])])
         next_values[rollout.terminated] = 0.0
@@ -219,9 +232,19 @@ class MOPPOLearner(Learner):
     def advantages(
         self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """A_t (T, N) and y_t (T, N, d) of eqs. 2 to 5, from v(S_t) and v(S_{t+1}), each (T, N, d)."""
+        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5 or 8 and 9, from v(S_t) and v(S_{t+1}), as y_t."""
         u, gamma, g, decay = self.utility, self.config.gamma, self.config.accrued_discount, self.config.gae_lambda
         not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
+        # R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
+        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
+        next_accrued = accrued + discounts * rollout.rewards
+        if self.config.advantage == "expected_utility":
+            # Equations 8 and 9.
+            increases = u(next_accrued) - u(accrued)
+            gains = increases + next_values.squeeze(-1) - values.squeeze(-1)
+            advantages = generalised_advantages(gains, not_done, decay)
+            return advantages, advantages.unsqueeze(-1) + values
+
         # Equations 2 and 3.
         deltas = rollout.rewards + gamma * next_values - values
         vector_advantages = generalised_advantages(deltas, not_done.unsqueeze(-1), gamma * decay)
@@ -229,9 +252,7 @@ class MOPPOLearner(Learner):
         if self.config.advantage == "utility_gradient":
             return vector_advantages @ utility_gradient(u, self.expected_return.value), targets
 
-        # Equation 4, with R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
-        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
-        next_accrued = accrued + discounts * rollout.rewards
+        # Equation 4.
         expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
         differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
         # Equation 5.
@@ -247,7 +268,7 @@ class MOPPOLearner(Learner):
             log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
             values = self.critic(samples.critic_inputs)
         policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
-        value_loss = squared_error(values, samples.targets / self.objective_scales)
+        value_loss = squared_error(values, samples.targets / self.value_scales)
         entropy = mean(entropies)
         loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
         self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.utilities import Utility
 
-AdvantageForm = Literal["utility_difference", "as_printed", "utility_gradient"]
+AdvantageForm = Literal["utility_difference", "as_printed", "utility_gradient", "expected_utility"]
 
 
 def generalised_advantages(deltas: torch.Tensor, not_done: torch.Tensor, decay: float) -> torch.Tensor:

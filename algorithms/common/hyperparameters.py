@@ -52,7 +52,7 @@ class NetworkSettings(Settings):
     def _without_new_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what earlier versions did not have, so that their runs and sweeps remain the same experiments."""
         values: dict[str, Any] = dump(self)
-        new = {"activation": "relu", "network": None}
+        new = {"activation": "relu", "network": None, "utility_scale": 10.0}
         return {key: value for key, value in values.items() if key not in new or value != new[key]}
 
 

@@ -206,6 +206,8 @@ RESUMED: dict[str, tuple[str, str, dict[str, Any]]] = {
     "mo_a2c, gradient": ("utility_gradient", ONE_WAYPOINT, {"num_envs": 4, "steps": 6}),
     "mo_a2c, gradient, two vehicles": ("utility_gradient", INTERSECTION, {"num_envs": 4, "steps": 6}),
     "mo_a2c, continuous, two vehicles": ("utility_difference", INTERSECTION, {"num_envs": 2, "env": CONTINUOUS}),
+    "mo_a2c, expected utility": ("expected_utility", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
+    "mo_a2c, expected utility, two vehicles": ("expected_utility", INTERSECTION, {"centralised_critic": True}),
     "mo_a2c, without discount": ("without discount", ONE_WAYPOINT, {"num_envs": 4, "steps": 6}),
     "mo_ppo": ("clipped", STATIC_OBSTACLE, {"num_envs": 4, "steps": 6}),
     "mo_ppo, two vehicles, central": ("clipped", INTERSECTION, {"num_envs": 3, "centralised_critic": True}),

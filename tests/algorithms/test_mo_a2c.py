@@ -164,7 +164,10 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
                     )
                 gained = u(reward) if form == "a2c" else reward
                 vector = vector + (gamma * decay) ** (k - t) * (gained + gamma * following - value)
-                if form == "utility_gradient":
+                if form == "expected_utility":
+                    increase = u(r.accrued[k, i] + factor * reward) - u(r.accrued[k, i])
+                    vector = advantage = advantage + decay ** (k - t) * (increase + following - value)
+                elif form == "utility_gradient":
                     advantage = vector @ slope
                 elif form == "a2c":
                     advantage = vector
@@ -174,7 +177,7 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
                     advantage = advantage + decay ** (k - t) * difference
                 if r.terminated[k, i] or r.truncated[k, i]:
                     break
-            scale = learner.config.value_scale if form == "a2c" else learner.objective_scales
+            scale = {"a2c": 10.0, "expected_utility": 10.0}.get(form, learner.objective_scales)
             # The critic is at the value itself, so that its error is the advantage.
             critic.append(float(((vector / scale) ** 2).mean()))
             x = seen_by(learner, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])

@@ -14,7 +14,9 @@ from tests.helpers.agents import (
     handmade,
 )
 
-ADVANTAGES = pytest.mark.parametrize("advantage", ["utility_difference", "as_printed", "utility_gradient"])
+ADVANTAGES = pytest.mark.parametrize(
+    "advantage", ["utility_difference", "as_printed", "utility_gradient", "expected_utility"]
+)
 
 
 @ADVANTAGES

@@ -31,6 +31,7 @@ FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
     "utility_difference": (MOA2C, {}),
     "as_printed": (MOA2C, {"advantage": "as_printed"}),
     "utility_gradient": (MOA2C, {"advantage": "utility_gradient"}),
+    "expected_utility": (MOA2C, {"advantage": "expected_utility"}),
     "without discount": (MOA2C, {"observe_discount": False}),
 }
 ALL_FORMS = pytest.mark.parametrize("form", FORMS)
@@ -176,6 +177,6 @@ def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discoun
 
 
 def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
-    scale = learner.config.value_scale if form == "a2c" else learner.objective_scales
+    scale = {"a2c": 10.0, "expected_utility": 10.0}.get(form, learner.objective_scales)
     value = (scale * learner.critic(seen_by(learner, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
