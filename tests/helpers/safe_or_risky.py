@@ -24,7 +24,7 @@ RISKY_OUTCOMES = np.array([[1.2, 0.0], [0.0, 1.2]], dtype=np.float32)  # with eq
 PRODUCT = Utility("product", ("objective_0", "objective_1"), lambda returns: returns[..., 0] * returns[..., 1])
 
 
-class SafeOrRisky(VectorEnv):  # type: ignore[type-arg]
+class SafeOrRisky(VectorEnv):
     """N copies of a problem of two arms, as MOSyncVectorEnv would step them.
 
     The first of ``delay`` + 1 decisions chooses the arm, the others are without effect, and the last brings the
@@ -35,7 +35,7 @@ class SafeOrRisky(VectorEnv):  # type: ignore[type-arg]
     of a mixture lies between it and (0.5, 0.5): the risky arm is the optimum of SER.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(self, num_envs: int, delay: int):
         self.num_envs, self.delay = num_envs, delay
