@@ -21,7 +21,8 @@ def test_without_options_the_keys_of_all_algorithms_and_of_sweeps_are_listed(cal
         assert f"\nhyperparameters of {name}; equations: help('algorithms.{name}')\n" in out
     for line in (
         "environment.arguments.time_limit: float > 0, <= 3600, default 60.0",
-        'algorithm.advantage: "utility_difference" or "as_printed" or "utility_gradient"',
+        'algorithm.advantage: "utility_difference" or "as_printed" or "utility_gradient" or '
+        '"expected_utility", default',
         "training.seed: int >= 0, < 2147483648, default 0",
         "search.trials: int >= 1, required",
     ):
