@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 LOG_TWO_PI = math.log(2 * math.pi)
 
-# exp(x) = 2^k exp(r), with k the integer nearest to x / log(2) and |r| <= log(2) / 2.
+# exp(x) = 2^k exp(r), with k the integer nearest to x / log(2), so that r is at most log(2) / 2 from 0.
 LOG2_E = 1.0 / math.log(2.0)
 LOG_2 = math.log(2.0)
 ROUND = 1.5 * 2.0**52  # added to a number below 2^51, it leaves the nearest integer in the last bits
