@@ -28,7 +28,7 @@ REASON_LENGTH = 300  # of a message of Numba, which may have hundreds of lines
 class Measure(NamedTuple):
     """What fills a column of the rewards, which column, and by what the magnitude is multiplied there.
 
-    ``write(worlds, params, acting, column, sign, rewards)`` is compiled; see :func:`_writer`.
+    ``write(worlds, params, acting, column, sign, rewards)`` is compiled.
     """
 
     write: Callable[[Records, Records, NDArray[np.bool_], int, float, NDArray[np.float32]], None]
