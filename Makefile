@@ -16,7 +16,7 @@ PEERS_READY = $(PEERS_VENV)/.ready
 INTEGRATIONS_READY = $(INTEGRATIONS_VENV)/.ready
 MUTANTS_READY = $(MUTANTS_VENV)/.ready
 DOCS_READY = $(DOCS_VENV)/.ready
-SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet
+SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTIONS)
 # The tests that need nothing but the development environment.
 HERE = --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
