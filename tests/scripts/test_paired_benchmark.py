@@ -110,6 +110,7 @@ def test_names_are_selected_by_patterns(paired: ModuleType) -> None:
         "make_vec-one-waypoint",
         "make_vec-static-obstacle",
         "make_vec-intersection",
+        "make_vec-left-turn",
         "import",
     ]
     with pytest.raises(ValueError, match="'imports' matches no measurement"):
