@@ -31,7 +31,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Reference:
 
 @pytest.fixture(scope="session")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """A sweep of two runs of several seconds each, to be interrupted."""
+    """A sweep of two runs of ten seconds each, to be interrupted."""
     folder = tmp_path_factory.mktemp("long")
     reference = Reference(write_sweep(folder, overrides=LONG, seeds=1), folder / "here")
     assert run_sweep(reference.file, "--output", reference.directory).returncode == 0

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROOT = REPOSITORY
-LONG = {"training.total_timesteps": 500_000, "training.num_envs": 64}  # several seconds
+LONG = {"training.total_timesteps": 1_500_000, "training.num_envs": 64}  # ten seconds
 
 
 @dataclass(frozen=True)
