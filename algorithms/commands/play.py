@@ -102,7 +102,7 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
 def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
     """Print how an episode ended."""
     units = [OBJECTIVES[INDEX[name]].unit for name in objectives]
-    rows = [["", "end", "time", *objectives], ["", "", "s", *("" if unit == "1" else unit for unit in units)]]
+    rows = [["", "end", "length", *objectives], ["", "", "s", *("" if unit == "1" else unit for unit in units)]]
     for v, (end, seconds, returns) in enumerate(zip(outcome.ends, outcome.seconds, outcome.returns, strict=True)):
         rows.append([f"vehicle_{v}", end, f"{seconds:.1f}", *(f"{value:.2f}" for value in returns)])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

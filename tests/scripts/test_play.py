@@ -84,7 +84,7 @@ def test_an_episode_in_the_window_ends_as_it_was_driven(
     ]
     assert controls == "vehicle 0: arrow keys; R restarts the episode, Escape quits"
     assert title == "episode 1, seed 3"
-    assert names.split() == ["end", "time", "distance", "destination", "g_force", "jerk"]
+    assert names.split() == ["end", "length", "distance", "destination", "g_force", "jerk"]
     assert units.split() == ["s", "m", "g", "m/s^3"]
     vehicle, end, seconds, *returns = row.split()
     assert (vehicle, end, float(seconds)) == ("vehicle_0", "backwards", 5.1)
