@@ -1,12 +1,12 @@
 """Draw learning curves: runs that differ in their seed alone become one curve with a 95% interval.
 
-    mo-deepdrive plot runs/mo_a2c_linear/* runs/a2c_linear/* --output comparison.png
+    mo-deepdrive plot runs/mo_a2c_linear runs/a2c_linear --output comparison.png
     mo-deepdrive plot SWEEP --output FILE.png
 
-Of a sweep (a directory with a manifest, made by mo-deepdrive sweep) the best cells are drawn, ranked by the utility or
-the hypervolume of their final evaluations; these scores of all runs are drawn against each key that varies into
-FILE-cells.png. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet
-files, which are updated here; algorithms/sweeps/collection.py describes them.
+A folder stands for the runs in it. Of a sweep (a directory with a manifest, made by mo-deepdrive sweep) the best cells
+are drawn, ranked by the utility or the hypervolume of their final evaluations; these scores of all runs are drawn
+against each key that varies into FILE-cells.png. The collected scores and metrics of the runs are kept for other
+programs in SWEEP/collected/ as Parquet files, which are updated here; algorithms/sweeps/collection.py describes them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "plot")
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run directories, or one sweep")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep")
     parser.add_argument(
         "--output", default="curves.png", type=Path, metavar="FILE", help="the image file (default: curves.png)"
     )
@@ -43,13 +43,15 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
 
     from algorithms.reporting.learning_curves import describe, load_groups, plot
+    from algorithms.reporting.seed_tables import find_runs
     from algorithms.sweeps.plots import plot_sweep
 
     try:
         check_file("--output", options.output)
         if not any(is_sweep(run) for run in options.runs):
-            groups = load_groups(options.runs)
-            for run in options.runs:
+            runs = find_runs(options.runs)
+            groups = load_groups(runs)
+            for run in runs:
                 warn_of_changes(run, ("config.yaml", "metrics.csv"))
             plot(groups, options.output)
             print(*describe(groups), options.output, sep="\n")

@@ -23,10 +23,18 @@ def test_plot_draws_runs(finished: Path, tmp_path: Path, call: Call) -> None:
     assert code == 0, out + error
     assert "mo_a2c: 1 seed" in out
     assert (tmp_path / "curves.pdf").read_bytes().startswith(b"%PDF")
-    refused(call("plot", "nowhere"), "'nowhere' is not a run directory")
+    refused(call("plot", "nowhere"), "'nowhere' holds no run")
     refused(call("plot", finished, finished), "the same seed")
     refused(call("plot", finished, "--output", "curves.xyz"), "xyz")
     refused(call("plot", finished, "--output", "nowhere/x.png"), "--output 'nowhere/x.png'", "nowhere' is not a direc")
+
+
+def test_a_folder_stands_for_the_runs_in_it(finished: Path, tmp_path: Path, call: Call) -> None:
+    folder = tmp_path / "experiment"
+    shutil.copytree(finished, folder / "seeds" / "one")
+    code, out, error = call("plot", folder, "--output", "curves.png")
+    assert code == 0, out + error
+    assert "mo_a2c: 1 seed" in out
 
 
 def test_plot_draws_runs_of_fronts(finished_front: Path, tmp_path: Path, call: Call) -> None:
