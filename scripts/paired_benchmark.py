@@ -400,4 +400,6 @@ def main(name: str, tree: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1] not in CASES or not os.environ.get("PYTHONPATH"):
+        sys.exit(f"{__doc__}\nNAME is one of: {', '.join(CASES)}.")
     main(sys.argv[1], Path(os.environ["PYTHONPATH"]))

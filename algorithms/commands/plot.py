@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "plot")
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
+    )
     parser.add_argument(
         "--output", default="curves.png", type=Path, metavar="FILE", help="the image file (default: curves.png)"
     )
