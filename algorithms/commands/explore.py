@@ -10,10 +10,11 @@ the same policy for the same preference. The page is one file that needs no netw
 
 from __future__ import annotations
 
-import shlex
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.cli import (
+    CHOICE_EPISODES,
+    CHOICE_SPLIT,
     INSTALLED,
     add_evaluation_arguments,
     add_trust_argument,
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
     from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
-DEFAULT_EPISODES, DEFAULT_SPLIT = 20, "validation"  # those of `mo-deepdrive choose`
-
 
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
@@ -41,7 +40,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
         "runs", nargs="+", metavar="RUN", help="directory of a finished run, a name in the zoo, or a best-known front"
     )
     parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file")
-    add_evaluation_arguments(parser, default_episodes=DEFAULT_EPISODES, default_split=DEFAULT_SPLIT)
+    add_evaluation_arguments(parser, default_episodes=CHOICE_EPISODES, default_split=CHOICE_SPLIT)
     add_trust_argument(parser)
     return parser.parse_args(arguments)
 
@@ -74,7 +73,7 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
     """
     from algorithms.evaluation.front import Front
     from algorithms.experiments.build import load_policy
-    from algorithms.experiments.front_explorer import explorable
+    from algorithms.experiments.front_explorer import choose_command, explorable
 
     run = Run.open(name, device="cpu", trust=options.trust)
     if run.experiment.known_utility:
@@ -82,11 +81,15 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
     episodes, seed = evaluation_arguments(options, run.experiment)
     warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
     front = Front.read(run.path)
-    where = ["--trust"] if options.trust else []
-    where += [] if options.episodes == DEFAULT_EPISODES else ["--episodes", str(options.episodes)]
-    if options.seed is not None:
-        where += ["--seed", str(options.seed)]
-    elif options.split != DEFAULT_SPLIT:
-        where += ["--split", options.split]
-    command = as_called(" ".join(["mo-deepdrive choose", shlex.quote(name), "{preference}", *where]), program)
-    return explorable(load_policy(run), front, run.experiment, episodes=episodes, seed=seed, title=name, command=command)
+    command = choose_command(
+        run, name, episodes=options.episodes, split=options.split or CHOICE_SPLIT, seed=options.seed
+    )
+    return explorable(
+        load_policy(run),
+        front,
+        run.experiment,
+        episodes=episodes,
+        seed=seed,
+        title=name,
+        command=as_called(command, program),
+    )

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import find_spec
 from mo_deepdrive.envs.vector import DrivingVectorEnv
-from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
+from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.state import ENDS
 
 if TYPE_CHECKING:
@@ -117,10 +117,15 @@ class Scene:
     decision_frequency: int
     drives: tuple[Drive, ...]
 
-    def reach(self, margin: float) -> float:
-        """The distance (m) from the map's centre that shows the map, the route and all drives with ``margin``."""
-        points = np.concatenate([self.route, *(drive.readings[:, :2] for drive in self.drives)])
-        return float(max(MAP_SIZE / 2, np.abs(points - MAP_CENTRE).max() + margin))
+    def box(self, margin: float) -> tuple[float, float, float]:
+        """The least x, the least y and the side (m) of a square that shows everything with ``margin`` m around it."""
+        points = np.concatenate(
+            [self.route, self.obstacles.reshape(-1, 2), *(drive.readings[:, :2] for drive in self.drives)]
+        )
+        low, high = points.min(axis=0), points.max(axis=0)
+        side = float((high - low).max()) + 2 * margin
+        left, bottom = ((low + high - side) / 2).tolist()
+        return left, bottom, side
 
 
 def is_drivable(env_id: str) -> bool:

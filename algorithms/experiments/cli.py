@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 # Exit codes: an error while running, invalid input (as argparse), and Ctrl-C (as shells count it, 128 + SIGINT).
 FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
 SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
+# The episodes by which policies of a front are chosen, unless the user asks for others.
+CHOICE_EPISODES = 20
+CHOICE_SPLIT: Split = "validation"
 
 
 # How a command is called: "mo-deepdrive {}", "python -m algorithms {}" or "python scripts/{}.py".

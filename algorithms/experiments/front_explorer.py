@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Any
 
 import moocore
@@ -10,9 +11,13 @@ import numpy as np
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.drives import PlanDriver, PoliciesDriver, is_drivable, record_scenes
 from algorithms.evaluation.front import Front, best_known_front
+from algorithms.evaluation.splits import SPLITS
+from algorithms.experiments.cli import CHOICE_EPISODES, CHOICE_SPLIT
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
+from algorithms.experiments.run_directory import imported_paths
 from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.page import EXPLORER_FILE, write_page
 from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
 from mo_deepdrive.objectives import signs
@@ -20,11 +25,39 @@ from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from algorithms.agent import FrontAgent
+    from algorithms.evaluation.drives import Scene
     from algorithms.experiments.config import Experiment
+    from algorithms.experiments.run_directory import Run
 
 SCENARIOS_SHOWN = 3  # of a front whose episodes differ
 BEST_KNOWN = "best-known/"  # before the name of a best-known front
+
+
+def choose_command(
+    run: Run, name: str, *, episodes: int = CHOICE_EPISODES, split: str = CHOICE_SPLIT, seed: int | None = None
+) -> str:
+    """The command that evaluates a choice on the same episodes, with ``{preference}`` for the preference.
+
+    Args:
+        run: a finished run.
+        name: how the user calls it.
+        episodes: of each policy.
+        split: of the scenario seeds.
+        seed: of the first episode, instead of a split.
+    """
+    words = ["mo-deepdrive choose", shlex.quote(name), "{preference}"]
+    if imported_paths(run.experiment.to_dict()):
+        words.append("--trust")
+    if episodes != CHOICE_EPISODES:
+        words.append(f"--episodes {episodes}")
+    if seed is not None:
+        words.append(f"--seed {seed}")
+    elif split != CHOICE_SPLIT:
+        words.append(f"--split {split}")
+    return " ".join(words)
 
 
 def explorable(
@@ -47,7 +80,12 @@ def explorable(
         seed: of the first episode, and of the first scenario that is shown.
         title: of the front.
         command: as of :class:`ExplorableFront`.
+
+    Raises:
+        ValueError: if the front has no policy.
     """
+    if not len(front):
+        raise ValueError(f"the front of {title!r} has no policy")
     evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
     returns = np.stack([each.returns[:, 0] for each in evaluations])
     env_id, arguments = experiment.environment.id, experiment.environment.arguments
@@ -57,14 +95,9 @@ def explorable(
         best_known = best_known_front(env, 1.0)
     finally:
         env.close()
-    driven, scenes = returns.shape[1], []
-    if is_drivable(env_id):
-        seeds = range(seed, seed + min(driven, SCENARIOS_SHOWN))
-        conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
-        driver = PoliciesDriver(agent.policies(conditions), len(conditions))
-        scenes = record_scenes(driver, env_id, arguments, seeds=seeds, drives=len(front))
     name, budget = _budget(find_environment(env_id).kwargs.get("scenario"), front.objectives)
     arrived = np.array([each.succeeded[:, 0].mean() for each in evaluations])
+    driven = returns.shape[1]
     how = f"{driven} episodes of each policy" if driven > 1 else "every episode is the same, so one is driven"
     return ExplorableFront(
         title=title,
@@ -77,10 +110,48 @@ def explorable(
         command=command,
         note=f"Undiscounted returns, {how}, from seed {seed} on.",
         best_known=best_known,
-        scenes=tuple(scenes),
+        scenes=tuple(_scenes(agent, front, experiment, range(seed, seed + min(driven, SCENARIOS_SHOWN)))),
         budget_name=name,
         budget=budget,
     )
+
+
+def _scenes(agent: FrontAgent, front: Front, experiment: Experiment, seeds: range) -> list[Scene]:
+    """A drive of every policy in the scenario of every seed; nothing where drives cannot be recorded."""
+    env = experiment.environment
+    if not is_drivable(env.id):
+        return []
+    conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
+    driver = PoliciesDriver(agent.policies(conditions), len(conditions))
+    return record_scenes(driver, env.id, env.arguments, seeds=seeds, drives=len(front))
+
+
+def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
+    """Write the explorer of a run's front into its directory and print the file, or why there is none.
+
+    Args:
+        run: with the front of its final evaluation.
+        agent: has learnt it.
+        console: where to print.
+    """
+    path = run.path / EXPLORER_FILE
+    name = str(run.path)
+    try:
+        front = explorable(
+            agent,
+            Front.read(run.path),
+            run.experiment,
+            episodes=CHOICE_EPISODES,
+            seed=SPLITS[CHOICE_SPLIT].start,
+            title=name,
+            command=choose_command(run, name),
+        )
+        write_page([front], path, f"Explorer of fronts: {name}")
+    except Exception as error:  # as of videos: what is shown must not cost the numbers
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        console.print(f"no explorer: {reason}", markup=False, highlight=False, soft_wrap=True)
+        return
+    console.print(f"explorer: {path}: open it in a browser", markup=False, highlight=False, soft_wrap=True)
 
 
 def explorable_best_known(name: str) -> ExplorableFront:

@@ -37,7 +37,7 @@ function car(size, attributes) {
 
 /** Roads that cross at the centre, two lanes each. */
 function roads(scene) {
-  const [c, w, far] = [scene.centre, scene.laneWidth, scene.centre + scene.reach + 60];
+  const [c, w, far] = [scene.centre, scene.laneWidth, 500];
   const group = svg("g", {});
   for (const quarter of [0, 90, 180, 270]) {
     const arm = svg("g", { transform: `translate(${c} ${c}) rotate(${quarter})` });
@@ -54,11 +54,15 @@ function roads(scene) {
   return group;
 }
 
+/** A line every five metres. */
 function grid(scene) {
-  const [low, high] = [Math.floor(scene.centre - scene.reach), Math.ceil(scene.centre + scene.reach)];
+  const [left, low, size] = scene.box;
   const group = svg("g", { stroke: "var(--grid)", "stroke-width": 0.08 });
-  for (let k = low - (low % 5); k <= high; k += 5) {
-    group.append(svg("line", { x1: k, y1: low, x2: k, y2: high }), svg("line", { x1: low, y1: k, x2: high, y2: k }));
+  for (let k = 5 * Math.ceil(left / 5); k <= left + size; k += 5) {
+    group.append(svg("line", { x1: k, y1: low, x2: k, y2: low + size }));
+  }
+  for (let k = 5 * Math.ceil(low / 5); k <= low + size; k += 5) {
+    group.append(svg("line", { x1: left, y1: k, x2: left + size, y2: k }));
   }
   return group;
 }
@@ -72,9 +76,9 @@ class DriveMap {
 
   /** Draw a scenario; `drives` are { label, drive }, the chosen one first. */
   show(scene, drives) {
-    const { centre, reach } = scene;
-    const world = svg("g", { transform: `translate(0 ${2 * centre}) scale(1 -1)` });
-    this.element.setAttribute("viewBox", `${centre - reach} ${centre - reach} ${2 * reach} ${2 * reach}`);
+    const [left, low, size] = scene.box;
+    const world = svg("g", { transform: "scale(1 -1)" }); // y points up
+    this.element.setAttribute("viewBox", `${left} ${-low - size} ${size} ${size}`);
     this.element.style.background = scene.lanes ? "var(--grass)" : "";
     world.append(scene.lanes ? roads(scene) : grid(scene));
     this.route(scene, world);
@@ -84,8 +88,8 @@ class DriveMap {
     }
     this.tracks = drives.map(({ drive, label }, place) => {
       const points = drive.x.map((x, step) => `${x},${drive.y[step]}`).join(" ");
-      const path = svg("polyline", { points, fill: "none", stroke: series(place), "stroke-width": 0.3,
-        "stroke-dasharray": DASHES[place].map((part) => part / 4).join(" "), "stroke-opacity": 0.8 });
+      const path = svg("polyline", { points, fill: "none", stroke: series(place), "stroke-width": 0.2,
+        "stroke-dasharray": DASHES[place].map((part) => part / 8).join(" "), "stroke-opacity": 0.8 });
       const vehicle = car(scene.vehicle, { class: "vehicle", fill: series(place), "data-policy": label });
       return { drive, path, vehicle };
     });
@@ -105,7 +109,7 @@ class DriveMap {
     scene.route.forEach(([x, y], k) => {
       const last = k === scene.route.length - 1;
       for (const r of last ? [scene.arrivalRadius, 1.8 * scene.arrivalRadius] : [scene.arrivalRadius]) {
-        world.append(svg("circle", { cx: x, cy: y, r, fill: "none", stroke: "var(--ink)", "stroke-width": 0.2,
+        world.append(svg("circle", { cx: x, cy: y, r, fill: "none", stroke: "var(--ink)", "stroke-width": 0.12,
           "stroke-opacity": 0.75 }));
       }
     });

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Of the stored readings: whole multiples of this, as differences from decision to decision.
 RESOLUTION = {"x": 0.01, "y": 0.01, "heading": 0.001, "speed": 0.01, "g_force": 0.001, "jerk": 0.01}
 ABSENT = None  # position of an oncoming car that is not there
-MARGIN = 3.0  # m that the map shows around a drive
+MARGIN = 5.0  # m that the map shows around the drives
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
         "frequency": scene.decision_frequency,
         "lanes": scene.lanes,
         "centre": MAP_CENTRE,
-        "reach": round(scene.reach(MARGIN), 2),
+        "box": rounded(scene.box(MARGIN)),
         "laneWidth": LANE_WIDTH,
         "arrivalRadius": ARRIVAL_RADIUS,
         "vehicle": [LENGTH, WIDTH],

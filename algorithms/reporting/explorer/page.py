@@ -1,8 +1,8 @@
 """The page of the explorer: one HTML file with its data, code and plotting library in it.
 
-The plots are drawn by Vega, which the package vl-convert-python contains as JavaScript. Of the libraries that draw
-parallel coordinates, its runtime is a eighth of plotly.js (0.6 MB instead of 4.8 MB), draws vectors that a browser
-without WebGL shows and a screen reader finds, and lets the page know every range that is brushed.
+The plots are drawn by Vega, which the package vl-convert-python contains as JavaScript. It takes an eighth of the space of
+plotly.js (0.6 MB instead of 4.8 MB), draws parallel coordinates as vectors, which needs no WebGL, and tells the page
+which range of an axis is brushed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ EXPLORER_FILE = "explore.html"
 FORMAT = 1  # of the data, which the page checks
 SOURCES = resources.files("algorithms.reporting.explorer")
 # In this order, as one module.
-SCRIPTS = ("rules.js", "views.js", "drives.js", "explorer.js")
+SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")
 # Colours of COLOURS of the chosen policy and of those that it is compared with: on white, and on black.
 LIGHT_SERIES, DARK_SERIES = (0, 1, 2, 3), (5, 4, 2, 3)
 VEGA_NOTICE = """Vega {version}. Copyright (c) 2015-2025, University of Washington Interactive Data Lab, and its bundled
@@ -86,7 +86,12 @@ def _vega() -> str:
     """Vega's runtime as JavaScript that sets ``window.vega``."""
     from vl_convert import javascript_bundle  # not earlier: it starts a JavaScript engine
 
-    bundle: str = javascript_bundle("window.vega=vega;")
+    # The name that Vega-Embed's modules import it by, a file in vl-convert-python; nothing is fetched.
+    module = f"https://cdn.jsdelivr.net/npm/vega@{_vega_version()}/+esm"
+    bundle: str = javascript_bundle(
+        f"import * as runtime from '{module}';"
+        "window.vega = {View: runtime.View, parse: runtime.parse, Error: runtime.Error};"
+    )
     if re.search("</script|<!--", bundle, flags=re.IGNORECASE):
         raise ValueError("Vega's code cannot be inside an HTML page: it holds the end of a script")
     return bundle

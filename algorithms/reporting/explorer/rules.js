@@ -56,8 +56,9 @@ function weightOf(importance, scale) {
 }
 
 /**
- * What the policies next to `chosen` offer: for each objective the nearest policy that is better in it by at least a
- * twentieth of the front's extent, and the nearest ones overall. Distances are in extents of the front.
+ * What the policies next to `chosen` offer, as policies `k` with the objectives for which they are listed: for each objective the nearest policy that is better in it by at least a
+ * twentieth of the front's extent, and the nearest ones overall that differ by more than a hundredth. Distances are in
+ * extents of the front.
  */
 function alternatives(means, chosen, nearest = 3) {
   const d = means[chosen].length;
@@ -75,11 +76,17 @@ function alternatives(means, chosen, nearest = 3) {
   const found = [];
   for (let i = 0; i < d; i++) {
     const best = others.find((each) => each.step[i] >= 0.05);
-    if (best) found.push({ k: best.k, objective: i });
+    const same = found.find((each) => each.k === best?.k);
+    if (same) same.better.push(i);
+    else if (best) found.push({ k: best.k, better: [i] });
   }
+  let count = 0;
   for (const each of others) {
-    if (found.filter((other) => other.objective === null).length === nearest) break;
-    if (each.distance > 0 && !found.some((other) => other.k === each.k)) found.push({ k: each.k, objective: null });
+    const apart = (k) => Math.hypot(...scaled(k).map((value, i) => value - each.step[i])) >= 0.01;
+    if (count === nearest) break;
+    if (each.distance < 0.01 || !found.every(({ k }) => apart(k))) continue;
+    found.push({ k: each.k, better: [] });
+    count += 1;
   }
   return found;
 }

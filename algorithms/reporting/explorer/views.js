@@ -17,7 +17,7 @@ function makeView(spec, element, label) {
  */
 function parallelSpec(axes, width) {
   const upright = width >= 96 * axes.length;
-  const height = upright ? 340 : 62 * axes.length + 10;
+  const height = upright ? 400 : 62 * axes.length + 10;
   const padding = upright ? { left: 46, right: 46, top: 46, bottom: 24 } : { left: 12, right: 12, top: 30, bottom: 24 };
   const [across, along] = upright ? ["x", "y"] : ["y", "x"];
   const inner = [width - padding.left - padding.right, height - padding.top - padding.bottom];
@@ -32,13 +32,14 @@ function parallelSpec(axes, width) {
   });
   const lines = (data, encoding, name) => ({
     type: "group",
-    name,
     aria: false,
     from: { facet: { name: "line", data, groupby: "policy" } },
-    marks: [{ ...line(encoding), ...(name ? { name: `${name}Line` } : {}) }],
+    marks: [{ ...line(encoding), ...(name ? { name } : {}) }],
   });
-  const text = (encoding) => ({ type: "text", from: { data: "axes" }, aria: false, interactive: false, encode: { update: {
-    font: { value: FONT }, ...encoding } } });
+  // Twice, the first time as its own background.
+  const text = (encoding) => [{ stroke: { value: "var(--panel)" }, strokeWidth: { value: 4 } }, {}].map((outline) => ({
+    type: "text", from: { data: "axes" }, aria: false, interactive: false,
+    encode: { update: { font: { value: FONT }, ...encoding, ...outline } } }));
   const role = "indexof(chosen, datum.policy)";
   const [near, far] = upright
     ? [{ y: { signal: "height + 14" }, x: at(), align: { value: "center" } },
@@ -83,21 +84,21 @@ function parallelSpec(axes, width) {
       lines("learnt", {
         stroke: { value: series(0) },
         strokeOpacity: { signal: "datum.policy === hovered ? 1 : kept[datum.policy] ? 0.42 : 0.05" },
-        strokeWidth: { signal: "datum.policy === hovered ? 3 : 1.3" }, cursor: { value: "pointer" } }, "learnt"),
+        strokeWidth: { signal: "datum.policy === hovered ? 3 : 1.3" }, cursor: { value: "pointer" } }, "learntLine"),
       { type: "rect", name: "brush", from: { data: "brushes" }, aria: false, interactive: false, encode: { update: {
         ...spot(at(-8), value("low")), [`${across}2`]: at(8), [`${along}2`]: value("high"),
         fill: { value: "var(--accent)" }, fillOpacity: { value: 0.3 }, stroke: { value: "var(--accent)" } } } },
       lines("shown", {
         stroke: { signal: `'var(--series-' + max(${role}, 0) + ')'` }, strokeWidth: { value: 3.5 },
-        strokeDash: { signal: `${JSON.stringify(DASHES)}[max(${role}, 0)]` } }, "shown"),
+        strokeDash: { signal: `${JSON.stringify(DASHES)}[max(${role}, 0)]` } }, "shownLine"),
       { type: "rect", name: "hit", from: { data: "axes" }, aria: false, encode: { update: {
         ...spot(at(-14), { value: -6 }), [`${across}2`]: at(14),
         [`${along}2`]: { signal: upright ? "height + 6" : "width + 6" },
         fill: { value: "transparent" }, cursor: { value: "crosshair" } } } },
-      text({ ...title, text: { field: "title" }, fontSize: { value: 13 }, fill: { value: "var(--ink)" } }),
-      text({ ...near, text: { field: "worst" }, fontSize: { value: 11 }, fill: { value: "var(--dim)" },
+      ...text({ ...title, text: { field: "title" }, fontSize: { value: 13 }, fill: { value: "var(--ink)" } }),
+      ...text({ ...near, text: { field: "worst" }, fontSize: { value: 11 }, fill: { value: "var(--dim)" },
         baseline: { value: "middle" } }),
-      text({ ...far, text: { field: "best" }, fontSize: { value: 11 }, fill: { value: "var(--dim)" },
+      ...text({ ...far, text: { field: "best" }, fontSize: { value: 11 }, fill: { value: "var(--dim)" },
         baseline: { value: "middle" } }),
     ],
   };
@@ -107,9 +108,9 @@ function parallelSpec(axes, width) {
 function timeSpec(title, width) {
   return {
     $schema: "https://vega.github.io/schema/vega/v6.json",
-    autosize: { type: "fit", contains: "padding" },
+    autosize: { type: "fit", contains: "padding", resize: true },
     width,
-    height: 150,
+    height: width >= 480 ? 210 : 150,
     padding: 4,
     title: { text: title, anchor: "start", font: FONT, fontSize: 13, fontWeight: "normal", color: "var(--ink)" },
     signals: [{ name: "now", value: 0 }],
