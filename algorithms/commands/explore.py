@@ -3,9 +3,9 @@
     mo-deepdrive explore RUN --output explore.html
     mo-deepdrive explore RUN RUN best-known/one_waypoint_discrete --output explore.html
 
-RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo; or best-known/SCENARIO_ACTIONS,
-a best-known front. All policies of a run are evaluated again, on the episodes of `mo-deepdrive choose`, which chooses
-the same policy for the same preference. The page is one file that needs no network.
+RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo; or a best-known front, as
+best-known/SCENARIO_ACTIONS. All policies of a run are evaluated again, on the episodes of mo-deepdrive choose, which
+chooses the same policy for the same preference. The page is one file that needs no network.
 """
 
 from __future__ import annotations

@@ -154,7 +154,7 @@ def record_scenes(
         ValueError: if the environment is not one of this package with one vehicle.
     """
     count = len(seeds) * drives
-    env = gymnasium.make_vec(env_id, num_envs=count, autoreset_mode=AutoresetMode.NEXT_STEP, **env_arguments)
+    env: Any = gymnasium.make_vec(env_id, num_envs=count, autoreset_mode=AutoresetMode.NEXT_STEP, **env_arguments)
     try:
         inner = env.unwrapped
         if not isinstance(inner, DrivingVectorEnv) or inner.vehicles != 1:

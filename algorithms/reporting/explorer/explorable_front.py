@@ -32,7 +32,7 @@ class ExplorableFront:
         title: what the front belongs to.
         objectives: d names.
         returns: (K, E, d) undiscounted returns of E episodes of each policy.
-        scales: (d,) nominal magnitudes of the returns, as :func:`algorithms.evaluation.choice.rank_policies` takes them.
+        scales: (d,) nominal magnitudes of the returns, for :func:`algorithms.evaluation.choice.rank_policies`.
         signs: (d,) +1 or -1, by which a return is multiplied to get a magnitude.
         success: (K,) share of the episodes that arrived; NaN where that is not known.
         lengths: (K,) mean number of decisions.
@@ -131,9 +131,7 @@ def drive_to_json(drive: Drive) -> dict[str, Any]:
 
     The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once.
     """
-    series = {
-        name: _differences(drive.readings[:, column] / RESOLUTION[name]) for column, name in enumerate(READINGS)
-    }
+    series = {name: _differences(drive.readings[:, column] / RESOLUTION[name]) for column, name in enumerate(READINGS)}
     cars = [
         [ABSENT if np.isnan(x) else [round(x, 2), round(y, 2)] for x, y in drive.cars[:, car].tolist()]
         for car in range(drive.cars.shape[1])

@@ -160,28 +160,26 @@ class Explorer {
       axis: i, title: titled(objective), worst: front.text(front.domains[i][0], i), best: front.text(front.domains[i][1], i) }));
     const rows = (means) => means.flatMap((row, policy) => row.map((value, axis) => ({
       policy, axis, value: front.scaled(value, axis) })));
-    this.axes = axes;
     const view = makeView(parallelSpec(axes, this.width), byId("parallel"),
       `Parallel coordinates of ${front.size} policies; the table of all policies has their numbers`);
-    view.data("bestKnown", rows(front.bestKnown)).data("learnt", rows(front.means));
-    view.addSignalListener("picked", (_, picked) => this.update({ mode: "picked", picked: picked.policy }));
-    view.addSignalListener("brushing", (_, brushing) => {
-      const [low, high] = front.domains[brushing.axis];
-      const [from, to] = [brushing.from, brushing.to].sort((a, b) => a - b).map((share) => low + share * (high - low));
-      const digits = (value) => Number(value.toPrecision(5));
-      this.setRange(brushing.axis, Math.abs(brushing.from - brushing.to) < 0.01 ? null : [digits(from), digits(to)]);
+    view.data("axes", axes).data("bestKnown", rows(front.bestKnown)).data("learnt", rows(front.means));
+    const listen = (signal, action) =>
+      view.addSignalListener(signal, (_, value) => view.runAfter(() => action(value)));
+    listen("picked", ({ policy }) => this.update({ mode: "picked", picked: policy }));
+    listen("brushing", ({ axis, from, to }) => {
+      const [low, high] = front.domains[axis];
+      const limit = (share) => Number((low + share * (high - low)).toPrecision(5));
+      this.setRange(axis, Math.abs(from - to) < 0.01 ? null : [limit(Math.min(from, to)), limit(Math.max(from, to))]);
     });
     this.parallel = view;
     this.showParallel();
   }
 
   showParallel() {
-    const clamped = (value, i) => Math.min(Math.max(this.front.scaled(value, i), 0), 1);
-    const axes = this.axes.map((axis) => {
-      const range = this.state.ranges[axis.axis];
-      return range ? { ...axis, low: clamped(range[0], axis.axis), high: clamped(range[1], axis.axis) } : { ...axis };
-    });
-    this.parallel.data("axes", axes).signal("chosen", this.shownPolicies()).signal("kept", this.kept()).run();
+    const share = (value, axis) => Math.min(Math.max(this.front.scaled(value, axis), 0), 1);
+    const brushes = Object.entries(this.state.ranges).map(([axis, [low, high]]) => ({
+      axis: Number(axis), low: share(low, axis), high: share(high, axis) }));
+    this.parallel.data("brushes", brushes).signal("chosen", this.shownPolicies()).signal("kept", this.kept()).run();
   }
 
   refresh() {

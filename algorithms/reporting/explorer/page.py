@@ -1,8 +1,8 @@
 """The page of the explorer: one HTML file with its data, code and plotting library in it.
 
-The plots are drawn by Vega, which the package vl-convert-python contains as JavaScript. It takes an eighth of the space of
-plotly.js (0.6 MB instead of 4.8 MB), draws parallel coordinates as vectors, which needs no WebGL, and tells the page
-which range of an axis is brushed.
+The plots are drawn by Vega, which the package vl-convert-python contains as JavaScript. It takes an eighth of the
+space of plotly.js (0.6 MB instead of 4.8 MB), draws parallel coordinates as vectors, which needs no WebGL, and tells
+the page which range of an axis is brushed.
 """
 
 from __future__ import annotations

@@ -32,20 +32,21 @@ class Panels {
     this.showTable();
   }
 
-  slider({ label, value, max, step, text, change }) {
-    const output = element("output", {}, text(value));
-    const input = element("input", { type: "range", min: 0, max, step, value, "aria-valuetext": text(value),
+  slider({ id, label, value, max, step, text, change }) {
+    const output = element("output", { for: id }, text(value));
+    const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value),
       oninput: () => {
         output.textContent = text(Number(input.value));
         input.setAttribute("aria-valuetext", output.textContent);
         change(Number(input.value));
       } });
-    return element("label", { class: "slider" }, element("span", {}, label), output, input);
+    return element("div", { class: "slider" }, element("label", { for: id }, label), output, input);
   }
 
   makeSliders() {
     const { front, state } = this;
     byId("weights").replaceChildren(...front.objectives.map((objective, i) => this.slider({
+      id: `weight-${i}`,
       label: objective.name,
       value: state.weights[i],
       max: 100,
@@ -59,6 +60,7 @@ class Panels {
       const most = Math.max(2 * front.budget[key], ...front.means.map((row) => row[i] * objective.sign));
       const step = 10 ** Math.floor(Math.log10(most / 50));
       return this.slider({
+        id: `budget-${i}`,
         label: `${objective.name} free up to`,
         value: state.budget[key],
         max: Math.ceil(most / step) * step,

@@ -68,9 +68,8 @@ function parallelSpec(axes, width) {
           update: `{axis: brushing.axis, from: brushing.from, to: clamp(invert('value', ${along}()), 0, 1)}` }] },
     ],
     data: [
-      { name: "axes" }, { name: "bestKnown" }, { name: "learnt" },
+      { name: "axes" }, { name: "bestKnown" }, { name: "learnt" }, { name: "brushes" },
       { name: "shown", source: "learnt", transform: [{ type: "filter", expr: `${role} >= 0` }] },
-      { name: "brushes", source: "axes", transform: [{ type: "filter", expr: "isValid(datum.low)" }] },
     ],
     scales: [
       { name: "axis", type: "point", range: upright ? "width" : "height", domain: axes.map((_, i) => i) },
