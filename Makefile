@@ -130,4 +130,5 @@ docs-linkcheck: $(DOCS_READY)
 	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures docs/_static/explore_one_waypoint.html \
+		.mypy_cache .ruff_cache .pytest_cache

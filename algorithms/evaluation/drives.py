@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import find_spec
 from mo_deepdrive.envs.vector import DrivingVectorEnv
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
 from mo_deepdrive.simulation.state import ENDS
 
 if TYPE_CHECKING:
@@ -118,9 +118,19 @@ class Scene:
     drives: tuple[Drive, ...]
 
     def box(self, margin: float) -> tuple[float, float, float]:
-        """The least x, the least y and the side (m) of a square that shows everything with ``margin`` m around it."""
+        """The least x, the least y and the side (m) of a square that shows everything with ``margin`` m around it.
+
+        Of oncoming cars it shows where they are on the map.
+        """
+        cars = any(drive.cars.shape[1] for drive in self.drives)
+        corners = MAP_CENTRE + np.array([[-0.5, -0.5], [0.5, 0.5]]) * (MAP_SIZE - 2 * margin)
         points = np.concatenate(
-            [self.route, self.obstacles.reshape(-1, 2), *(drive.readings[:, :2] for drive in self.drives)]
+            [
+                self.route,
+                self.obstacles.reshape(-1, 2),
+                *(drive.readings[:, :2] for drive in self.drives),
+                corners if cars else np.zeros((0, 2)),
+            ]
         )
         low, high = points.min(axis=0), points.max(axis=0)
         side = float((high - low).max()) + 2 * margin

@@ -16,18 +16,19 @@ import yaml
 from algorithms.commands import choose
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.evaluation.choice import expected_utility, rank_policies, weighted_sum
+from algorithms.evaluation.drives import PlanDriver, record_scenes
 from algorithms.evaluation.front import Front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.run_directory import Run
+from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
+from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
 from tests.browser.conftest import ZOO
 from tests.browser.explorer_page import NARROW, SEED, Page
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 
@@ -148,9 +149,17 @@ def test_a_link_of_a_picked_policy_and_of_a_budget_and_of_another_front(page: Pa
 
 @pytest.mark.parametrize(
     "link",
-    ["#front=9", "#policy=-1&mode=picked", "#weights=1,2", "#weights=1,2,3,x", "#mode=budget&budget=a,b", "#range=9,1,2",
-     "#compare=a,-1,1e9&scenario=7", "#%"],
-)  # fmt: skip
+    [
+        "#front=9",
+        "#policy=-1&mode=picked",
+        "#weights=1,2",
+        "#weights=1,2,3,x",
+        "#mode=budget&budget=a,b",
+        "#range=9,1,2",
+        "#compare=a,-1,1e9&scenario=7",
+        "#%",
+    ],
+)
 def test_what_is_not_valid_in_a_link_is_left_at_its_default(page: Page, zoo_page: Path, link: str) -> None:
     page.open(zoo_page)
     before = page.chosen()
@@ -278,6 +287,37 @@ def test_vehicles_are_where_the_simulator_had_them(page: Page, request: pytest.F
         now = drives[2][min(step, len(drives[2]) - 1)]
         assert float(cells[2]) == pytest.approx(now["speed"], abs=0.011)
         assert float(cells[3]) == pytest.approx(now["g_force"], abs=0.0011)
+
+
+def test_oncoming_cars_are_where_the_simulator_had_them(page: Page, tmp_path: Path) -> None:
+    env_id = "mo-deepdrive-left-turn-v0"
+    objectives = SCENARIOS["left_turn"].objectives
+    plans = [np.full(20, 14), np.full(60, 1)]
+    scenes = record_scenes(PlanDriver(plans, np.array(0)), env_id, {"time_limit": 10}, seeds=[4], drives=2)
+    made_up = np.arange(14.0).reshape(2, 1, 7)
+    front = ExplorableFront(
+        title="cars",
+        objectives=objectives,
+        returns=made_up,
+        scales=np.ones(7),
+        signs=np.ones(7),
+        success=np.zeros(2),
+        lengths=np.ones(2),
+        command="{preference}",
+        scenes=tuple(scenes),
+    )
+    write_page([front], tmp_path / "explore.html", "Explorer")
+    page.open(tmp_path / "explore.html", "#mode=picked&policy=1&compare=0")
+    cars = scenes[0].drives[1].cars
+    seen = 0
+    for step in range(0, len(cars), 9):
+        page.scrub(step)
+        shown = [car for car in page.all("#map .oncoming") if car.value_of_css_property("display") != "none"]
+        present = cars[step][np.isfinite(cars[step][:, 0])]
+        moved = [re.findall(r"-?[\d.]+", car.get_attribute("transform")) for car in shown]
+        np.testing.assert_allclose(np.array(moved, dtype=float).reshape(-1, 3)[:, :2], present, atol=0.0051)
+        seen += len(shown)
+    assert seen > 5
 
 
 def test_the_animation_plays_pauses_and_goes_on(page: Page, zoo_page: Path) -> None:

@@ -109,7 +109,7 @@ class DriveMap {
     scene.route.forEach(([x, y], k) => {
       const last = k === scene.route.length - 1;
       for (const r of last ? [scene.arrivalRadius, 1.8 * scene.arrivalRadius] : [scene.arrivalRadius]) {
-        world.append(svg("circle", { cx: x, cy: y, r, fill: "none", stroke: "var(--ink)", "stroke-width": 0.12,
+        world.append(svg("circle", { cx: x, cy: y, r, fill: "none", stroke: scene.lanes ? "var(--marking)" : "var(--ink)", "stroke-width": 0.15,
           "stroke-opacity": 0.75 }));
       }
     });

@@ -13,6 +13,7 @@ from algorithms.evaluation.front import Front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 LEFT_TURN = "mo-deepdrive-left-turn-v0"
@@ -70,6 +71,7 @@ def test_a_drive_at_the_left_turn_has_the_oncoming_cars() -> None:
             else:
                 assert np.isnan(position).all()
     assert present > 0
+    assert scene.box(5.0) == pytest.approx((MAP_CENTRE - MAP_SIZE / 2, MAP_CENTRE - MAP_SIZE / 2, MAP_SIZE))
 
 
 def test_bicycles_are_in_the_scene_and_in_the_box() -> None:
