@@ -94,6 +94,7 @@ class Page:
         return {name: float(value) for name, _, value in (word.partition("=") for word in rest[:end])}
 
     def link(self) -> str:
+        self.run("return new Promise((resolve) => setTimeout(resolve, 300))")  # it is written after a pause
         return "#" + urlsplit(self.browser.current_url).fragment
 
     # ------------------------------------------------------------------------------------------------------- the front

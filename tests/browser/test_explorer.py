@@ -472,10 +472,12 @@ def test_everything_can_be_done_with_the_keyboard(page: Page, zoo_page: Path, zo
     focus_on("at.closest('#trades') !== null && at.type === 'checkbox'")
     page.press(Keys.SPACE)
     assert len(page.poses()) == 2
-    assert page.run("return document.activeElement.type") == "checkbox"
+    focused = "const at = document.activeElement; return [at.tagName, at.type, at.closest('table').id]"
+    assert page.run(focused) == ["INPUT", "checkbox", "trades"]
     focus_on("at.closest('#policies tbody') !== null && at.tagName === 'BUTTON'")
     page.press(Keys.ENTER)
     assert "mode=picked" in page.link()
+    assert page.run(focused) == ["BUTTON", "button", "policies"]
 
 
 def test_every_control_has_a_name(page: Page, zoo_page: Path) -> None:

@@ -83,7 +83,7 @@ class Explorer {
       this.showFront();
     });
     change("copy-command", "click", () => copy(byId("command").value, "command"));
-    change("copy-link", "click", () => copy(location.href, "link"));
+    change("copy-link", "click", () => copy(location.href.split("#")[0] + this.hash, "link"));
     change("command", "focus", (event) => event.target.select());
     change("play", "click", () => this.togglePlay());
     change("time", "input", (event) => {
@@ -142,6 +142,7 @@ class Explorer {
     this.width = byId("parallel").clientWidth;
     this.drawParallel();
     this.step = 0;
+    this.drawn = "";
     this.refresh();
   }
 
@@ -160,6 +161,7 @@ class Explorer {
       axis: i, title: titled(objective), worst: front.text(front.domains[i][0], i), best: front.text(front.domains[i][1], i) }));
     const rows = (means) => means.flatMap((row, policy) => row.map((value, axis) => ({
       policy, axis, value: front.scaled(value, axis) })));
+    byId("parallel").dataset.upright = isUpright(axes, this.width);
     const view = makeView(parallelSpec(axes, this.width), byId("parallel"),
       `Parallel coordinates of ${front.size} policies; the table of all policies has their numbers`);
     view.data("axes", axes).data("bestKnown", rows(front.bestKnown)).data("learnt", rows(front.means));
@@ -184,7 +186,14 @@ class Explorer {
 
   refresh() {
     this.hash = linkOfState(this.index, this.state);
-    history.replaceState(null, "", this.hash);
+    clearTimeout(this.writing); // browsers limit how often a page may change its address
+    this.writing = setTimeout(() => history.replaceState(null, "", this.hash), 200);
+    this.panels.showChoice();
+    // A slider changes the choice now and then only, and drawing takes a while.
+    const { compared, ranges, scenario } = this.state;
+    const drawn = JSON.stringify([this.chosen(), compared, ranges, scenario]);
+    if (drawn === this.drawn) return;
+    this.drawn = drawn;
     this.panels.show();
     this.showParallel();
     this.showDrives();

@@ -30,9 +30,6 @@ SOURCES = resources.files("algorithms.reporting.explorer")
 SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")
 # Colours of COLOURS of the chosen policy and of those that it is compared with: on white, and on black.
 LIGHT_SERIES, DARK_SERIES = (0, 1, 2, 3), (5, 4, 2, 3)
-VEGA_NOTICE = """Vega {version}. Copyright (c) 2015-2025, University of Washington Interactive Data Lab, and its bundled
-libraries (d3: copyright Mike Bostock). Licences: BSD-3-Clause (https://github.com/vega/vega/blob/main/LICENSE)
-and ISC (https://github.com/d3/d3/blob/main/LICENSE)."""
 
 
 def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
@@ -50,7 +47,7 @@ def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
         "title": html.escape(title),
         "style": _read("explorer.css").replace("/* series */", _series()),
         "data": as_json(data),
-        "notice": VEGA_NOTICE.format(version=_vega_version()),
+        "licences": _read("licences.txt").replace("@version@", _vega_version()),
         "vega": _vega(),
         "script": "\n".join(map(_read, SCRIPTS)).replace("/* format */ 0", str(FORMAT)),
     }

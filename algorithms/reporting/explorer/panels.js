@@ -24,9 +24,8 @@ class Panels {
     return this.explorer.state;
   }
 
-  /** Bring everything up to date. */
+  /** Bring everything but the choice up to date. */
   show() {
-    this.showChoice();
     this.showLegend();
     this.showTrades();
     this.showTable();
@@ -130,9 +129,16 @@ class Panels {
     }
   }
 
+  /** Change the state from a control in a table, which is made anew, and give the focus to the control's successor. */
+  updateFrom(control, selector, changes) {
+    const table = control.closest("table");
+    this.explorer.update(changes);
+    (table.querySelector(selector) ?? table.parentElement).focus();
+  }
+
   pickButton(k) {
-    return element("button", { type: "button", "aria-label": `choose policy ${this.front.numbers[k]}`,
-      onclick: () => this.explorer.update({ mode: "picked", picked: k }) }, "Choose");
+    return element("button", { type: "button", "data-pick": k, "aria-label": `choose policy ${this.front.numbers[k]}`,
+      onclick: (event) => this.updateFrom(event.target, `[data-pick="${k}"]`, { mode: "picked", picked: k }) }, "Choose");
   }
 
   compareBox(k) {
@@ -141,8 +147,8 @@ class Panels {
     return element("input", { type: "checkbox", checked: on, disabled: full || k === this.explorer.chosen(),
       "data-compare": k, "aria-label": `compare policy ${this.front.numbers[k]}`, onchange: (event) => {
         const others = this.state.compared.filter((each) => each !== k);
-        this.explorer.update({ compared: event.target.checked ? [...others, k] : others });
-        document.querySelector(`#${event.target.closest("table")?.id || "policies"} [data-compare="${k}"]`)?.focus();
+        const compared = event.target.checked ? [...others, k] : others;
+        this.updateFrom(event.target, `[data-compare="${k}"]`, { compared });
       } });
   }
 

@@ -11,12 +11,15 @@ function makeView(spec, element, label) {
   return view;
 }
 
+/** Whether there is room for upright axes next to each other. */
+const isUpright = (axes, width) => width >= 96 * axes.length;
+
 /**
  * Parallel coordinates of returns that are scaled to [0, 1]. Axes are upright if there is room, else on top of each
  * other. Signals: `chosen` (indices, the chosen policy first), `kept` (booleans), `brushing` (axis, from, to), `picked`.
  */
 function parallelSpec(axes, width) {
-  const upright = width >= 96 * axes.length;
+  const upright = isUpright(axes, width);
   const height = upright ? 400 : 62 * axes.length + 10;
   const padding = upright ? { left: 46, right: 46, top: 46, bottom: 24 } : { left: 12, right: 12, top: 30, bottom: 24 };
   const [across, along] = upright ? ["x", "y"] : ["y", "x"];

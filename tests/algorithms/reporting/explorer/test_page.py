@@ -86,8 +86,8 @@ def test_every_part_is_in_its_place(page: str) -> None:
     assert f"const FORMAT = {FORMAT};" in code
     assert f"--light-0: {COLOURS[0]};" in page
     assert "/* series */" not in page
-    assert re.search(r"Vega \d+\.\d+\.\d+\. Copyright", page)
-    assert not re.search(r"<!-- (title|style|data|notice|script) -->", page.replace(HOSTILE, ""))
+    assert re.search(r"<!--\nThis page contains Vega \d+\.\d+\.\d+ and", page)
+    assert not re.search(r"<!-- (title|style|data|licences|vega|script) -->", page.replace(HOSTILE, ""))
 
 
 def test_the_page_takes_less_than_a_megabyte_besides_its_data(page: str) -> None:
