@@ -541,4 +541,4 @@ def test_text_and_lines_stand_out_from_their_background(page: Page, zoo_page: Pa
 
     # WCAG 2.2, 1.4.3 for text and 1.4.11 for graphics
     assert min(contrast(ink, ground) for ink in ("ink", "dim") for ground in ("page", "panel")) >= 4.5
-    assert min(contrast(f"series-{place}", "panel") for place in range(4)) >= 2.7
+    assert min(contrast(f"series-{place}", "panel") for place in range(4)) >= 3

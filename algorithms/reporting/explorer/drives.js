@@ -88,8 +88,10 @@ class DriveMap {
     }
     this.tracks = drives.map(({ drive, label }, place) => {
       const points = drive.x.map((x, step) => `${x},${drive.y[step]}`).join(" ");
-      const path = svg("polyline", { points, fill: "none", stroke: series(place), "stroke-width": 0.2,
-        "stroke-dasharray": DASHES[place].map((part) => part / 8).join(" "), "stroke-opacity": 0.8 });
+      const line = { points, fill: "none", "stroke-linejoin": "round" };
+      const path = svg("g", {}, svg("polyline", { ...line, stroke: "var(--page)", "stroke-width": 0.45 }),
+        svg("polyline", { ...line, stroke: series(place), "stroke-width": 0.2,
+          "stroke-dasharray": DASHES[place].map((part) => part / 8).join(" ") }));
       const vehicle = car(scene.vehicle, { class: "vehicle", fill: series(place), "data-policy": label });
       return { drive, path, vehicle };
     });

@@ -210,6 +210,7 @@ class Explorer {
       label: String(front.numbers[k]), drive: front.drive(state.scenario, k) }));
     this.last = Math.max(...this.shown.map(({ drive }) => drive.decisions));
     byId("time").max = this.last;
+    byId("cars").hidden = this.shown[0].drive.cars.length === 0 || this.shown.length === 1;
     this.map.show(this.scene, this.shown);
     this.drawCharts();
     this.showStep(Math.min(this.step, this.last));

@@ -29,7 +29,7 @@ SOURCES = resources.files("algorithms.reporting.explorer")
 # In this order, as one module.
 SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")
 # Colours of COLOURS of the chosen policy and of those that it is compared with: on white, and on black.
-LIGHT_SERIES, DARK_SERIES = (0, 1, 2, 3), (5, 4, 2, 3)
+LIGHT_SERIES, DARK_SERIES = (0, 1, 2, 7), (5, 4, 2, 3)
 
 
 def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
