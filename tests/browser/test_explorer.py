@@ -67,6 +67,29 @@ def test_sliders_choose_what_the_rule_of_choose_puts_first(
     assert len(seen) > 1
 
 
+def test_equal_values_are_ordered_as_choose_orders_them(page: Page, tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    returns = rng.integers(-3, 1, (60, 20, 4)) * 0.1
+    returns[40:] = returns[:20]  # the same policies again
+    returns[:30] = returns[:30].round().mean(axis=1, keepdims=True)
+    front = ExplorableFront(
+        title="ties",
+        objectives=("a", "b", "c", "d"),
+        returns=returns,
+        scales=np.array([10.0, 1.0, 5.0, 500.0]),
+        signs=np.ones(4),
+        success=np.full(60, np.nan),
+        lengths=np.ones(60),
+        command="mo-deepdrive choose RUN {preference}",
+    )
+    write_page([front], tmp_path / "explore.html", "Explorer")
+    page.open(tmp_path / "explore.html")
+    for importance in ([0, 0, 0, 0], [0, 100, 0, 0], [100, 0, 0, 0], [10, 1, 5, 0], [50, 50, 50, 50], [3, 90, 17, 66]):
+        page.slide("#weights", importance)
+        weights = page.preference("--weights")
+        assert page.chosen() == first_by(weighted_sum(weights, front.objectives).values(returns), front)
+
+
 @pytest.mark.parametrize("which", ["zoo", "drawn"])
 def test_budgets_choose_the_greatest_expected_utility(page: Page, request: pytest.FixtureRequest, which: str) -> None:
     front: ExplorableFront = request.getfixturevalue(f"{which}_front")

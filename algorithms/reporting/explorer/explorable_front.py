@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 # Of the stored readings: whole multiples of this, as differences from decision to decision.
 RESOLUTION = {"x": 0.01, "y": 0.01, "heading": 0.001, "speed": 0.01, "g_force": 0.001, "jerk": 0.01}
 ABSENT = None  # position of an oncoming car that is not there
+MAX_DRIVES = 4_000_000  # characters of all drives of a front; further scenarios are left out
 MARGIN = 5.0  # m that the map shows around the drives
 
 
@@ -41,7 +43,8 @@ class ExplorableFront:
         numbers: (K,) numbers of the policies; from 0 on if empty.
         note: how the numbers were measured, one sentence.
         best_known: (k, d) best-known undiscounted returns; None where there are none.
-        scenes: scenarios, each with K drives; none for an environment whose drives cannot be recorded.
+        scenes: scenarios, each with K drives; none for an environment whose drives cannot be recorded. Those that do
+            not fit into MAX_DRIVES are not stored.
         budget_name: of the utility with a comfort budget for these objectives; "" for none.
         budget: its numbers; None for none.
     """
@@ -98,8 +101,20 @@ class ExplorableFront:
                 "jerk": budget.jerk,
                 "prices": dict(budget.prices),
             },
-            "scenes": [scene_to_json(scene) for scene in self.scenes],
+            "scenes": self._scenes_to_json(),
         }
+
+    def _scenes_to_json(self) -> list[dict[str, Any]]:
+        """The first scenario, and those after it that fit into MAX_DRIVES."""
+        stored: list[dict[str, Any]] = []
+        size = 0
+        for scene in self.scenes:
+            found = scene_to_json(scene)
+            size += len(json.dumps(found, separators=(",", ":")))
+            if stored and size > MAX_DRIVES:
+                break
+            stored.append(found)
+        return stored
 
 
 def rounded(values: ArrayLike, digits: int = 6) -> Any:

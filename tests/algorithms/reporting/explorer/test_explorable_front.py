@@ -82,8 +82,12 @@ def test_oncoming_cars_are_stored_where_they_are_present() -> None:
         np.testing.assert_allclose(track[:4], positions[:4, car], atol=0.0051)
 
 
-def test_two_hundred_long_drives_take_less_than_five_megabytes() -> None:
-    assert len(as_json(made_up_front(200, 600, episodes=20).to_json())) < 5e6
+def test_two_hundred_policies_take_less_than_five_megabytes() -> None:
+    long, short = made_up_front(200, 600, episodes=20), made_up_front(200, 150, episodes=20)
+    for front, scenes in ((long, 1), (short, 3)):  # of noise, which takes twice the space of real drives
+        stored = dataclasses.replace(front, scenes=front.scenes * 3).to_json()
+        assert len(stored["scenes"]) == scenes
+        assert len(as_json(stored)) < 5e6
 
 
 def test_what_is_not_known_is_left_out() -> None:
