@@ -5,11 +5,13 @@ const READINGS = ["x", "y", "heading", "speed", "g_force", "jerk"];
 
 /** A stored drive with its readings as numbers: each is the sum of the stored differences up to it. */
 function decodeDrive(stored, resolution) {
-  const drive = { end: stored.end, cars: stored.cars ?? [], decisions: stored.x.length - 1 };
-  for (const name of READINGS) {
+  const sums = (differences, name) => {
     let total = 0;
-    drive[name] = stored[name].map((difference) => (total += difference) * resolution[name]);
-  }
+    return differences.map((difference) => (difference === null ? null : (total += difference) * resolution[name]));
+  };
+  const drive = { end: stored.end, decisions: stored.x.length - 1 };
+  for (const name of READINGS) drive[name] = sums(stored[name], name);
+  drive.cars = (stored.cars ?? []).map((car) => ({ x: sums(car.x, "x"), y: sums(car.y, "y") }));
   return drive;
 }
 
@@ -96,8 +98,8 @@ class DriveMap {
       return { drive, path, vehicle };
     });
     // The cars around the chosen policy: they react to it, so those of other policies are elsewhere.
-    this.cars = (drives[0]?.drive.cars ?? []).map((positions) => ({
-      positions,
+    this.cars = drives[0].drive.cars.map((track) => ({
+      track,
       car: car(scene.vehicle, { class: "oncoming", fill: "var(--dim)" }),
     }));
     world.append(...this.tracks.map((track) => track.path), ...this.cars.map((each) => each.car));
@@ -126,10 +128,13 @@ class DriveMap {
         `translate(${drive.x[now].toFixed(2)} ${drive.y[now].toFixed(2)}) rotate(${degrees.toFixed(2)})`);
       vehicle.setAttribute("fill-opacity", step > drive.decisions ? 0.45 : 1);
     }
-    for (const { positions, car: element } of this.cars) {
-      const position = positions[Math.min(step, positions.length - 1)];
-      element.style.display = position ? "" : "none";
-      if (position) element.setAttribute("transform", `translate(${position[0]} ${position[1]}) rotate(180)`);
+    const now = Math.min(step, this.tracks[0].drive.decisions);
+    for (const { track, car: element } of this.cars) {
+      const present = Number.isFinite(track.x[now]);
+      element.style.display = present ? "" : "none";
+      if (present) {
+        element.setAttribute("transform", `translate(${track.x[now].toFixed(2)} ${track.y[now].toFixed(2)}) rotate(180)`);
+      }
     }
   }
 }

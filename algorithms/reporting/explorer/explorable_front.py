@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 # Of the stored readings: whole multiples of this, as differences from decision to decision.
 RESOLUTION = {"x": 0.01, "y": 0.01, "heading": 0.001, "speed": 0.01, "g_force": 0.001, "jerk": 0.01}
-ABSENT = None  # position of an oncoming car that is not there
 MAX_DRIVES = 4_000_000  # characters of all drives of a front; further scenarios are left out
 MARGIN = 5.0  # m that the map shows around the drives
 
@@ -144,11 +143,15 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
 def drive_to_json(drive: Drive) -> dict[str, Any]:
     """A drive as whole numbers: every reading in units of RESOLUTION, first itself and then its differences.
 
-    The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once.
+    The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Positions of
+    oncoming cars are stored alike, up to the last one; where a car is absent there is None.
     """
     series = {name: _differences(drive.readings[:, column] / RESOLUTION[name]) for column, name in enumerate(READINGS)}
     cars = [
-        [ABSENT if np.isnan(x) else [round(x, 2), round(y, 2)] for x, y in drive.cars[:, car].tolist()]
+        {
+            name: _differences_where_present(drive.cars[:, car, axis] / RESOLUTION[name])
+            for axis, name in enumerate("xy")
+        }
         for car in range(drive.cars.shape[1])
     ]
     return {**series, "end": drive.end, **({"cars": cars} if cars else {})}
@@ -157,3 +160,11 @@ def drive_to_json(drive: Drive) -> dict[str, Any]:
 def _differences(values: NDArray[np.float64]) -> list[int]:
     whole = np.rint(values).astype(np.int64)
     return [int(whole[0]), *np.diff(whole).tolist()]
+
+
+def _differences_where_present(values: NDArray[np.float64]) -> list[int | None]:
+    present = np.flatnonzero(np.isfinite(values))
+    stored: list[int | None] = [None] * (int(present[-1]) + 1 if len(present) else 0)
+    for place, difference in zip(present.tolist(), _differences(values[present]) if len(present) else [], strict=True):
+        stored[place] = difference
+    return stored

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from algorithms.evaluation.drives import READINGS, Drive, Scene
-from algorithms.reporting.explorer.explorable_front import RESOLUTION, ExplorableFront, rounded
+from algorithms.reporting.explorer.explorable_front import RESOLUTION, ExplorableFront, drive_to_json, rounded
 from algorithms.reporting.explorer.page import as_json
 from mo_deepdrive.utilities import COMFORT_BUDGETS
 
@@ -78,13 +78,20 @@ def test_oncoming_cars_are_stored_where_they_are_present() -> None:
     positions = front.scenes[0].drives[0].cars
     assert len(stored["cars"]) == 2
     for car, track in enumerate(stored["cars"]):
-        assert track[4:] == [None] * 5
-        np.testing.assert_allclose(track[:4], positions[:4, car], atol=0.0051)
+        for axis, name in enumerate("xy"):
+            np.testing.assert_allclose(decoded(track, name), positions[:4, car, axis], atol=0.0051)
+
+
+def test_a_car_may_be_absent_for_a_while_or_throughout() -> None:
+    positions = np.array([[np.nan, 1.0], [2.0, 3.0], [np.nan, 3.0], [5.004, 3.0], [np.nan, 3.0]])
+    cars = np.stack([np.stack([positions[:, 0]] * 2, axis=1), np.full((5, 2), np.nan)], axis=1)
+    stored = drive_to_json(Drive(np.zeros((5, len(READINGS))), cars, "arrived"))
+    assert stored["cars"] == [{name: [None, 200, None, 300] for name in "xy"}, {"x": [], "y": []}]
 
 
 def test_two_hundred_policies_take_less_than_five_megabytes() -> None:
     long, short = made_up_front(200, 600, episodes=20), made_up_front(200, 150, episodes=20)
-    for front, scenes in ((long, 1), (short, 3)):  # of noise, which takes twice the space of real drives
+    for front, scenes in ((long, 1), (short, 3)):  # of noise, which takes more space than real drives
         stored = dataclasses.replace(front, scenes=front.scenes * 3).to_json()
         assert len(stored["scenes"]) == scenes
         assert len(as_json(stored)) < 5e6
