@@ -18,10 +18,10 @@ MUTANTS_READY = $(MUTANTS_VENV)/.ready
 DOCS_READY = $(DOCS_VENV)/.ready
 SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTIONS)
 # The tests that need nothing but the development environment.
-HERE = --ignore tests/cluster --ignore tests/install --ignore tests/integrations
+HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
-.PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-install mutants lint \
-	benchmark docs docs-linkcheck clean
+.PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-browser test-install \
+	mutants lint benchmark docs docs-linkcheck clean
 
 install: $(READY)
 
@@ -90,11 +90,15 @@ test: lint
 # For the inner loop: no lint, nothing that takes longer than a second, and few examples per property.
 test-fast: $(READY)
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) \
-		-m "not slow and not cluster" --hypothesis-profile fast
+		-m "not slow and not cluster and not browser" --hypothesis-profile fast
 
 # Starts and stops a temporary Slurm (Debian's slurm-wlm and munge, as root) and temporary Ray clusters.
 test-cluster: $(READY)
 	$(VENV)/bin/python -m pytest tests/cluster --numprocesses 2 --dist loadfile
+
+# The explorer of fronts in an installed Chromium (Debian's chromium and chromium-driver); skipped where there is none.
+test-browser: $(READY)
+	$(VENV)/bin/python -m pytest tests/browser
 
 # Builds sdist and wheel, installs the wheel in a new environment, and runs every command there, outside the checkout.
 test-install: $(READY)
@@ -126,4 +130,5 @@ docs-linkcheck: $(DOCS_READY)
 	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures docs/_static/explore_one_waypoint.html \
+		.mypy_cache .ruff_cache .pytest_cache

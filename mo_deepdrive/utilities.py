@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -175,6 +175,8 @@ COMFORT_BUDGETS: dict[str, ComfortBudget] = {
     ),
 }
 
+BUDGETS = ("g_force", "jerk")  # the arguments of a comfort budget
+
 # Non-linear utilities: the objectives that each needs, and its formula in magnitudes. The first three are the paper's.
 NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = {
     "one_waypoint_nonlinear": (("distance", "destination", "g_force", "jerk"), _one_waypoint_nonlinear),
@@ -295,7 +297,7 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
             the signs of the environment's rewards, to (...).
         objectives: names of the components of the environment's reward, in order.
         cost_sign: the environment's setting: "maximise" or "paper".
-        **arguments: arguments of the utility, for example ``weights``.
+        **arguments: arguments of the utility, for example ``weights``; of a comfort budget ``g_force`` and ``jerk``.
 
     Raises:
         ValueError: for an unknown name, missing objectives or invalid arguments.
@@ -312,7 +314,8 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
             raise ValueError(f"utility {name!r}: {error}") from None
     if name not in LINEAR and name not in NONLINEAR:
         raise ValueError(f"utility {name!r} is unknown; {nearest(name, UTILITIES)}; or package.module:function")
-    if arguments:
+    budget = _with_budgets(name, arguments) if name in COMFORT_BUDGETS else None
+    if arguments and budget is None:
         raise ValueError(f"utility {name!r} takes no arguments; got {sorted(arguments)}")
     needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
     if sorted(needed) != sorted(objectives):
@@ -321,13 +324,27 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
     if name in LINEAR:
         weights = [LINEAR[name][objective] * sign for objective, sign in zip(objectives, signs, strict=True)]
         return Utility(name, objectives, lambda returns: (returns * _like(weights, returns)).sum(-1), weights)
-    formula = NONLINEAR[name][1]
+    formula = NONLINEAR[name][1] if budget is None else budget.utility
 
     def function(returns: Any) -> Any:
         magnitudes = {objective: returns[..., i] * signs[i] for i, objective in enumerate(objectives)}
         return formula(magnitudes)
 
     return Utility(name, objectives, function)
+
+
+def _with_budgets(name: str, budgets: Mapping[str, Any]) -> ComfortBudget:
+    """The comfort budget ``name``, with other numbers for the budgets that are given.
+
+    Raises:
+        ValueError: for an unknown budget, or one that is not a finite number of at least 0.
+    """
+    for each, value in budgets.items():
+        if each not in BUDGETS:
+            raise ValueError(f"utility {name!r} takes no arguments but {', '.join(BUDGETS)}; got {each!r}")
+        if isinstance(value, bool) or not (isinstance(value, (int, float)) and 0.0 <= value < math.inf):
+            raise ValueError(f"{each} = {value!r} of utility {name!r} must be finite and at least 0")
+    return replace(COMFORT_BUDGETS[name], **budgets)
 
 
 def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> None:

@@ -437,7 +437,7 @@ def commands_in_text(text: str) -> set[str]:
 
 
 def test_commands_named_in_prose_and_in_messages_exist() -> None:
-    found = set().union(*(commands_in_text("".join(quoted(document))) for document in WITH_NAMES))
+    found = set().union(*(commands_in_text("\n".join(quoted(document))) for document in WITH_NAMES))
     sources = [path for folder in ("algorithms", "mo_deepdrive") for path in (REPOSITORY / folder).rglob("*.py")]
     found |= set().union(*(commands_in_text(path.read_text(encoding="utf-8")) for path in sources))
     assert len(found) >= 8

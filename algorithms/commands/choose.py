@@ -19,6 +19,8 @@ import numpy as np
 from algorithms.common.yaml_io import read_value
 from algorithms.evaluation.choice import Preference, distance_to_target, expected_utility, rank_policies, weighted_sum
 from algorithms.experiments.cli import (
+    CHOICE_EPISODES,
+    CHOICE_SPLIT,
     INSTALLED,
     add_evaluation_arguments,
     add_trust_argument,
@@ -55,7 +57,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
         "--arguments", default="{}", metavar="YAML", help="arguments of the utility, such as '{weights: [1, 2]}'"
     )
     add_evaluation_arguments(
-        parser, default_episodes=20, default_split="validation", video="also film the chosen policy"
+        parser, default_episodes=CHOICE_EPISODES, default_split=CHOICE_SPLIT, video="also film the chosen policy"
     )
     add_trust_argument(parser)
     return parser.parse_args(arguments)

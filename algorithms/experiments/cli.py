@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 # Exit codes: an error while running, invalid input (as argparse), and Ctrl-C (as shells count it, 128 + SIGINT).
 FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
 SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
+# The episodes by which policies of a front are chosen, unless the user asks for others.
+CHOICE_EPISODES = 20
+CHOICE_SPLIT: Split = "validation"
 
 
 # How a command is called: "mo-deepdrive {}", "python -m algorithms {}" or "python scripts/{}.py".
@@ -114,15 +117,15 @@ def add_evaluation_arguments(
     *,
     default_episodes: int | None = None,
     default_split: Split | None = None,
-    video: str,
+    video: str | None = None,
 ) -> None:
-    """Add --episodes, --split, --seed and --video, which :func:`evaluation_arguments` checks.
+    """Add --episodes, --split, --seed and perhaps --video, which :func:`evaluation_arguments` checks.
 
     Args:
         parser: of the command.
         default_episodes: episodes without the option; the config's if None.
         default_split: split of scenario seeds without the option; the config's if None.
-        video: help text of --video.
+        video: help text of --video; None for a command that films nothing.
     """
     episodes, split = ("as in the config" if each is None else each for each in (default_episodes, default_split))
     help_text = f"episodes per policy (default: {episodes})"
@@ -131,7 +134,10 @@ def add_evaluation_arguments(
     help_text = f"split of scenario seeds (default: {split})"
     scenarios.add_argument("--split", choices=SPLITS, default=default_split, help=help_text)
     scenarios.add_argument("--seed", type=int, metavar="S", help="seed of the first episode, instead of a split")
-    parser.add_argument("--video", metavar="FILE", help=video)
+    if video is None:
+        parser.set_defaults(video=None)
+    else:
+        parser.add_argument("--video", metavar="FILE", help=video)
 
 
 def add_trust_argument(parser: argparse.ArgumentParser) -> None:

@@ -209,8 +209,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
 
     TensorBoard gets the hyperparameters with the final scores, and the video.
 
-    An agent that learnt a front has the front evaluated and drawn, and four of its policies filmed. Without
-    ``logging.save_figures`` there are neither curves nor videos.
+    An agent that learnt a front has the front evaluated and drawn, four of its policies filmed, and the page written on
+    which a person chooses a policy. Without ``logging.save_figures`` there are neither curves nor videos nor the page.
 
     Raises:
         Stopped: if the numbers or the curves could not be written; the trained policy is saved.
@@ -227,6 +227,10 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             directory=run.path,
             video=video,
         )
+        if figures and not run.experiment.known_utility:
+            from algorithms.experiments.front_explorer import write_explorer  # not earlier: only fronts need it
+
+            write_explorer(run, agent, console)
         if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
             from algorithms.reporting.learning_curves import load_groups, plot  # not earlier: it imports Matplotlib
 

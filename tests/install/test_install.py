@@ -230,6 +230,11 @@ def test_policies_of_the_zoo_come_with_the_wheel(everything: Installed) -> None:
     assert all(f" {name} " in listed for name in zoo.names())
     chosen = everything.command("choose", "one_waypoint_front-pcn", "--weights", "distance=1", "--episodes", "1").stdout
     assert "chosen" in chosen
+    everything.command("explore", "one_waypoint_front-pcn-printed", "--output", "explore.html")
+    page = (everything.folder / "explore.html").read_text(encoding="utf-8")
+    assert all(
+        part in page for part in ("class Explorer", "window.vega", "--series-0", '"one_waypoint_front-pcn-printed"')
+    )
 
 
 def test_other_libraries_and_the_reproduction_are_found_by_name(everything: Installed) -> None:

@@ -530,6 +530,29 @@ def test_a_named_utility_takes_no_arguments(name: str) -> None:
         make_utility(name, NAMED[name][0], weights=[1.0])
 
 
+def test_a_comfort_budget_takes_other_budgets() -> None:
+    name = "left_turn_comfort_budget"
+    returns = np.array([[30.0, 1.0, -14.0, 0.0, -195.0, -5.0, -20.0]])
+    objectives = NAMED[name][0]
+    values = [
+        make_utility(name, objectives, **budgets)(returns)[0]
+        for budgets in (
+            {},
+            {"g_force": 13, "jerk": 185},
+            {"g_force": 14.0},
+            {"jerk": 195.0},
+            {"g_force": 0.0, "jerk": 0},
+        )
+    ]
+    np.testing.assert_allclose(values, [8.2, 8.2, 10.2, 8.7, 8.2 + 2 * 1 + 0.05 * 10 - 2 * 14 - 0.05 * 195])
+
+
+@pytest.mark.parametrize("wrong", [-1.0, math.inf, math.nan, "5", True, None])
+def test_a_budget_is_a_finite_number_of_at_least_nought(wrong: object) -> None:
+    with pytest.raises(ValueError, match=r"jerk = .* must be finite and at least 0"):
+        make_utility("one_waypoint_comfort_budget", ONE_WAYPOINT, jerk=wrong)
+
+
 def test_an_unknown_cost_sign_is_refused() -> None:
     with pytest.raises(ValueError, match="cost_sign"):
         make_utility("one_waypoint_linear", ONE_WAYPOINT, cost_sign="Paper")

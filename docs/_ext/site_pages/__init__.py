@@ -50,10 +50,19 @@ def write_pictures(folder: Path) -> None:
                 write_front(scenario, kind, folder / f"{name}_front.png")
 
 
+def write_explorer(folder: Path) -> None:
+    """Write the example of the explorer if it is absent."""
+    from site_pages.explorer_example import EXAMPLE, write_example
+
+    if not (folder / EXAMPLE).is_file():
+        write_example(folder / EXAMPLE)
+
+
 def _on_start(app: Any) -> None:
     del app
     write_pages()
     write_pictures(DOCS / "_pictures")
+    write_explorer(DOCS / "_static")
 
 
 def _on_source(app: Any, page: str, content: list[str]) -> None:

@@ -1,0 +1,95 @@
+"""Write a page on which a person chooses a policy of a front by preferences and watches its drive.
+
+    mo-deepdrive explore RUN --output explore.html
+    mo-deepdrive explore RUN RUN best-known/one_waypoint_discrete --output explore.html
+
+RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo; or a best-known front, as
+best-known/SCENARIO_ACTIONS. All policies of a run are evaluated again, on the episodes of mo-deepdrive choose, which
+chooses the same policy for the same preference. The page is one file that needs no network.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from algorithms.experiments.cli import (
+    CHOICE_EPISODES,
+    CHOICE_SPLIT,
+    INSTALLED,
+    add_evaluation_arguments,
+    add_trust_argument,
+    as_called,
+    check_file,
+    evaluation_arguments,
+    exit_on_error,
+    make_parser,
+    warn_of_changes,
+)
+from algorithms.experiments.run_directory import Run
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "explore")
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="directory of a finished run, a name in the zoo, or a best-known front"
+    )
+    parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file")
+    add_evaluation_arguments(parser, default_episodes=CHOICE_EPISODES, default_split=CHOICE_SPLIT)
+    add_trust_argument(parser)
+    return parser.parse_args(arguments)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments``; returns the exit code."""
+    options = parse_arguments(arguments, program)
+
+    from algorithms.experiments.front_explorer import BEST_KNOWN, explorable_best_known
+    from algorithms.reporting.explorer.page import write_page
+
+    with exit_on_error(ValueError, OSError, program=program):
+        check_file("--output", options.output, ".html")
+        fronts = [
+            explorable_best_known(name.removeprefix(BEST_KNOWN))
+            if name.startswith(BEST_KNOWN)
+            else _explorable_run(name, options, program)
+            for name in options.runs
+        ]
+        write_page(fronts, options.output, f"Explorer of fronts: {', '.join(options.runs)}")
+    print(f"written: {options.output}")
+    return 0
+
+
+def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFront:
+    """The front of a run, with new episodes.
+
+    Raises:
+        ValueError: if it has no front, or its files do not fit this version.
+    """
+    from algorithms.evaluation.front import Front
+    from algorithms.experiments.build import load_policy
+    from algorithms.experiments.front_explorer import choose_command, explorable
+
+    run = Run.open(name, device="cpu", trust=options.trust)
+    if run.experiment.known_utility:
+        raise ValueError(f"{name!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
+    episodes, seed = evaluation_arguments(options, run.experiment)
+    warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
+    front = Front.read(run.path)
+    command = choose_command(
+        run, name, episodes=options.episodes, split=options.split or CHOICE_SPLIT, seed=options.seed
+    )
+    return explorable(
+        load_policy(run),
+        front,
+        run.experiment,
+        episodes=episodes,
+        seed=seed,
+        title=name,
+        command=as_called(command, program),
+    )

@@ -1,0 +1,214 @@
+"""The explorer's page of trained runs and of best-known fronts."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING, Any
+
+import moocore
+import numpy as np
+
+from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.evaluation.drives import PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from algorithms.evaluation.front import Front, best_known_front
+from algorithms.evaluation.splits import SPLITS
+from algorithms.experiments.cli import CHOICE_EPISODES, CHOICE_SPLIT
+from algorithms.experiments.config import find_environment
+from algorithms.experiments.policy_evaluation import evaluate_front_policies
+from algorithms.experiments.run_directory import imported_paths
+from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.page import EXPLORER_FILE, write_page
+from mo_deepdrive import reference_fronts
+from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
+from mo_deepdrive.objectives import signs
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from algorithms.agent import FrontAgent
+    from algorithms.evaluation.drives import Scene
+    from algorithms.experiments.config import Experiment
+    from algorithms.experiments.run_directory import Run
+
+SCENARIOS_SHOWN = 3  # of a front whose episodes differ
+BEST_KNOWN = "best-known/"  # before the name of a best-known front
+
+
+def choose_command(
+    run: Run, name: str, *, episodes: int = CHOICE_EPISODES, split: str = CHOICE_SPLIT, seed: int | None = None
+) -> str:
+    """The command that evaluates a choice on the same episodes, with ``{preference}`` for the preference.
+
+    Args:
+        run: a finished run.
+        name: how the user calls it.
+        episodes: of each policy.
+        split: of the scenario seeds.
+        seed: of the first episode, instead of a split.
+    """
+    words = ["mo-deepdrive choose", shlex.quote(name), "{preference}"]
+    if imported_paths(run.experiment.to_dict()):
+        words.append("--trust")
+    if episodes != CHOICE_EPISODES:
+        words.append(f"--episodes {episodes}")
+    if seed is not None:
+        words.append(f"--seed {seed}")
+    elif split != CHOICE_SPLIT:
+        words.append(f"--split {split}")
+    return " ".join(words)
+
+
+def explorable(
+    agent: FrontAgent,
+    front: Front,
+    experiment: Experiment,
+    *,
+    episodes: int,
+    seed: int,
+    title: str,
+    command: str,
+) -> ExplorableFront:
+    """The front of a trained agent with new episodes of all its policies, as ``mo-deepdrive choose`` drives them.
+
+    Args:
+        agent: has learnt the front.
+        front: its policies.
+        experiment: its environment.
+        episodes: of each policy; one is driven where all are the same.
+        seed: of the first episode, and of the first scenario that is shown.
+        title: of the front.
+        command: as of :class:`ExplorableFront`.
+
+    Raises:
+        ValueError: if the front has no policy.
+    """
+    if not len(front):
+        raise ValueError(f"the front of {title!r} has no policy")
+    evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
+    returns = np.stack([each.returns[:, 0] for each in evaluations])
+    env_id, arguments = experiment.environment.id, experiment.environment.arguments
+    env = make_env(env_id, 1, arguments)
+    try:
+        cost_signs = _signs(env, front.objectives)
+        best_known = best_known_front(env, 1.0)
+    finally:
+        env.close()
+    name, budget = _budget(find_environment(env_id).kwargs.get("scenario"), front.objectives)
+    arrived = np.array([each.succeeded[:, 0].mean() for each in evaluations])
+    driven = returns.shape[1]
+    how = f"{driven} episodes of each policy" if driven > 1 else "every episode is the same, so one is driven"
+    return ExplorableFront(
+        title=title,
+        objectives=front.objectives,
+        returns=returns,
+        scales=np.asarray(agent.scales, dtype=np.float64),
+        signs=cost_signs,
+        success=np.where(np.isfinite(front.success), arrived, np.nan),
+        lengths=np.array([each.lengths[:, 0].mean() for each in evaluations]),
+        command=command,
+        note=f"Undiscounted returns, {how}, from seed {seed} on.",
+        best_known=best_known,
+        scenes=tuple(_scenes(agent, front, experiment, range(seed, seed + min(driven, SCENARIOS_SHOWN)))),
+        budget_name=name,
+        budget=budget,
+    )
+
+
+def _scenes(agent: FrontAgent, front: Front, experiment: Experiment, seeds: range) -> list[Scene]:
+    """A drive of every policy in the scenario of every seed; nothing where drives cannot be recorded."""
+    env = experiment.environment
+    if not is_drivable(env.id):
+        return []
+    conditions = np.tile(np.asarray(front.conditions, dtype=np.float32), (len(seeds), 1))
+    driver = PoliciesDriver(agent.policies(conditions), len(conditions))
+    return record_scenes(driver, env.id, env.arguments, seeds=seeds, drives=len(front))
+
+
+def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
+    """Write the explorer of a run's front into its directory and print the file, or why there is none.
+
+    Args:
+        run: with the front of its final evaluation.
+        agent: has learnt it.
+        console: where to print.
+    """
+    path = run.path / EXPLORER_FILE
+    name = str(run.path)
+    try:
+        front = explorable(
+            agent,
+            Front.read(run.path),
+            run.experiment,
+            episodes=CHOICE_EPISODES,
+            seed=SPLITS[CHOICE_SPLIT].start,
+            title=name,
+            command=choose_command(run, name),
+        )
+        write_page([front], path, f"Explorer of fronts: {name}")
+    except Exception as error:  # as of videos: what is shown must not cost the numbers
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        console.print(f"no explorer: {reason}", markup=False, highlight=False, soft_wrap=True)
+        return
+    console.print(f"explorer: {path}: open it in a browser", markup=False, highlight=False, soft_wrap=True)
+
+
+def explorable_best_known(name: str) -> ExplorableFront:
+    """A best-known front with the drives of its action sequences.
+
+    Args:
+        name: SCENARIO_ACTIONS, such as "one_waypoint_discrete".
+
+    Raises:
+        ValueError: if no such front is shipped.
+    """
+    scenario_name, _, action_type = name.rpartition("_")
+    policies = reference_fronts.shipped(scenario_name, action_type)
+    config = reference_fronts.front_config(scenario_name, action_type)
+    plans = [decode(policy.actions, action_type) for policy in policies]
+    rewards = replay(config, plans)
+    returns = discounted_sum(rewards, 1.0)
+    kept = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))
+    kept = kept[np.argsort(returns[kept, 0], kind="stable")]
+    scenario = SCENARIOS[scenario_name]
+    arguments = {
+        "action_type": action_type,
+        "fixed_destination": config.fixed_destination,
+        "fixed_obstacle": config.fixed_obstacle,
+    }
+    driver = PlanDriver([plans[k] for k in kept], idle(action_type))
+    (scene,) = record_scenes(driver, scenario.id, arguments, seeds=[0], drives=len(kept))
+    budget_name, budget = _budget(scenario_name, scenario.objectives)
+    env = make_env(scenario.id, 1, arguments)
+    scales = EnvAdapter(env).objective_scales.astype(np.float64)
+    env.close()
+    return ExplorableFront(
+        title=f"best known: {scenario.title}, {action_type} actions",
+        objectives=scenario.objectives,
+        returns=returns[kept][:, None],
+        scales=scales,
+        signs=signs(scenario.objectives),
+        success=np.array([float(drive.end == "arrived") for drive in scene.drives]),
+        lengths=np.array([len(drive.readings) - 1.0 for drive in scene.drives]),
+        command=f"mo_deepdrive.reference_fronts.shipped({scenario_name!r}, {action_type!r})[{{policy}}]",
+        numbers=tuple(kept.tolist()),
+        note="Undiscounted returns of the stored action sequences; policies are not learnt, and nothing chooses them.",
+        scenes=(scene,),
+        budget_name=budget_name,
+        budget=budget,
+    )
+
+
+def _signs(env: Any, objectives: tuple[str, ...]) -> Any:
+    """The signs of the returns, for environments of this package; ones for others."""
+    adapter = EnvAdapter(env)
+    return signs(objectives) if adapter.native and adapter.cost_sign == "maximise" else np.ones(len(objectives))
+
+
+def _budget(scenario: str | None, objectives: tuple[str, ...]) -> tuple[str, ComfortBudget | None]:
+    """The utility with a comfort budget of a scenario and its numbers, if it is for these objectives."""
+    name = f"{scenario}_comfort_budget"
+    if name not in COMFORT_BUDGETS or sorted(NONLINEAR[name][0]) != sorted(objectives):
+        return "", None
+    return name, COMFORT_BUDGETS[name]

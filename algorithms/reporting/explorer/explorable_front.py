@@ -1,0 +1,170 @@
+"""What the explorer shows of a front, as compact JSON: numbers, drives and the command that evaluates a choice."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from algorithms.evaluation.drives import READINGS
+from algorithms.evaluation.metrics import name_and_unit
+from mo_deepdrive.scenarios import MAP_CENTRE
+from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from algorithms.evaluation.drives import Drive, Scene
+    from mo_deepdrive.utilities import ComfortBudget
+
+# Of the stored readings: whole multiples of this, as differences from decision to decision.
+RESOLUTION = {"x": 0.01, "y": 0.01, "heading": 0.001, "speed": 0.01, "g_force": 0.001, "jerk": 0.01}
+MAX_DRIVES = 4_000_000  # characters of all drives of a front; further scenarios are left out
+MARGIN = 5.0  # m that the map shows around the drives
+
+
+@dataclass(frozen=True)
+class ExplorableFront:
+    """A front of K policies with d objectives, all maximised, as the explorer shows it.
+
+    Attributes:
+        title: what the front belongs to.
+        objectives: d names.
+        returns: (K, E, d) undiscounted returns of E episodes of each policy.
+        scales: (d,) nominal magnitudes of the returns, for :func:`algorithms.evaluation.choice.rank_policies`.
+        signs: (d,) +1 or -1, by which a return is multiplied to get a magnitude.
+        success: (K,) share of the episodes that arrived; NaN where that is not known.
+        lengths: (K,) mean number of decisions.
+        command: what evaluates the choice, with ``{preference}`` for "--weights ..." and so on, or ``{policy}`` for the
+            number of the policy.
+        numbers: (K,) numbers of the policies; from 0 on if empty.
+        note: how the numbers were measured, one sentence.
+        best_known: (k, d) best-known undiscounted returns; None where there are none.
+        scenes: scenarios, each with K drives; none for an environment whose drives cannot be recorded. Those that do
+            not fit into MAX_DRIVES are not stored.
+        budget_name: of the utility with a comfort budget for these objectives; "" for none.
+        budget: its numbers; None for none.
+    """
+
+    title: str
+    objectives: tuple[str, ...]
+    returns: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    signs: NDArray[np.float64]
+    success: NDArray[np.float64]
+    lengths: NDArray[np.float64]
+    command: str
+    numbers: tuple[int, ...] = ()
+    note: str = ""
+    best_known: NDArray[np.float64] | None = None
+    scenes: tuple[Scene, ...] = ()
+    budget_name: str = ""
+    budget: ComfortBudget | None = None
+
+    def __post_init__(self) -> None:
+        k, d = len(self.success), len(self.objectives)
+        if self.returns.ndim != 3 or self.returns.shape[::2] != (k, d) or len(self.lengths) != k:
+            raise ValueError(f"returns have shape {self.returns.shape}; expected ({k}, episodes, {d})")
+        if not np.isfinite(self.returns).all():
+            raise ValueError("returns must be finite")
+        for scene in self.scenes:
+            if len(scene.drives) != k:
+                raise ValueError(f"scenario {scene.seed} has {len(scene.drives)} drives for {k} policies")
+
+    def to_json(self) -> dict[str, Any]:
+        """The front as plain lists and numbers; returns and scales are exact, drives rounded to RESOLUTION."""
+        named = [name_and_unit(name) for name in self.objectives]
+        budget = self.budget
+        return {
+            "title": self.title,
+            "objectives": [
+                {"key": key, "name": name, "unit": unit, "scale": scale, "sign": sign}
+                for key, (name, unit), scale, sign in zip(
+                    self.objectives, named, self.scales.tolist(), self.signs.tolist(), strict=True
+                )
+            ],
+            "returns": self.returns.tolist(),
+            "success": [None if np.isnan(share) else share for share in self.success.tolist()],
+            "lengths": self.lengths.tolist(),
+            "command": self.command,
+            "numbers": list(self.numbers or range(len(self.success))),
+            "note": self.note,
+            "bestKnown": [] if self.best_known is None else rounded(self.best_known),
+            "budget": None
+            if budget is None
+            else {
+                "name": self.budget_name,
+                "g_force": budget.g_force,
+                "jerk": budget.jerk,
+                "prices": dict(budget.prices),
+            },
+            "scenes": self._scenes_to_json(),
+        }
+
+    def _scenes_to_json(self) -> list[dict[str, Any]]:
+        """The first scenario, and those after it that fit into MAX_DRIVES."""
+        stored: list[dict[str, Any]] = []
+        size = 0
+        for scene in self.scenes:
+            found = scene_to_json(scene)
+            size += len(json.dumps(found, separators=(",", ":")))
+            if stored and size > MAX_DRIVES:
+                break
+            stored.append(found)
+        return stored
+
+
+def rounded(values: ArrayLike, digits: int = 6) -> Any:
+    """``values`` as nested lists of numbers with ``digits`` significant digits."""
+    numbers = np.asarray(values, dtype=np.float64)
+    return np.array([float(f"{value:.{digits}g}") for value in numbers.ravel()]).reshape(numbers.shape).tolist()
+
+
+def scene_to_json(scene: Scene) -> dict[str, Any]:
+    """A scenario and its drives as plain lists; lengths in metres."""
+    return {
+        "seed": scene.seed,
+        "frequency": scene.decision_frequency,
+        "lanes": scene.lanes,
+        "centre": MAP_CENTRE,
+        "box": rounded(scene.box(MARGIN)),
+        "laneWidth": LANE_WIDTH,
+        "arrivalRadius": ARRIVAL_RADIUS,
+        "vehicle": [LENGTH, WIDTH],
+        "route": rounded(scene.route),
+        "obstacles": rounded(scene.obstacles),
+        "resolution": RESOLUTION,
+        "drives": [drive_to_json(drive) for drive in scene.drives],
+    }
+
+
+def drive_to_json(drive: Drive) -> dict[str, Any]:
+    """A drive as whole numbers: every reading in units of RESOLUTION, first itself and then its differences.
+
+    The sum of the first n + 1 numbers times the resolution is the reading after n decisions, rounded once. Positions of
+    oncoming cars are stored alike, up to the last one; where a car is absent there is None.
+    """
+    series = {name: _differences(drive.readings[:, column] / RESOLUTION[name]) for column, name in enumerate(READINGS)}
+    cars = [
+        {
+            name: _differences_where_present(drive.cars[:, car, axis] / RESOLUTION[name])
+            for axis, name in enumerate("xy")
+        }
+        for car in range(drive.cars.shape[1])
+    ]
+    return {**series, "end": drive.end, **({"cars": cars} if cars else {})}
+
+
+def _differences(values: NDArray[np.float64]) -> list[int]:
+    whole = np.rint(values).astype(np.int64)
+    return [int(whole[0]), *np.diff(whole).tolist()]
+
+
+def _differences_where_present(values: NDArray[np.float64]) -> list[int | None]:
+    present = np.flatnonzero(np.isfinite(values))
+    stored: list[int | None] = [None] * (int(present[-1]) + 1 if len(present) else 0)
+    for place, difference in zip(present.tolist(), _differences(values[present]) if len(present) else [], strict=True):
+        stored[place] = difference
+    return stored

@@ -1,0 +1,112 @@
+"""The page of the explorer: one HTML file with its data, code and plotting library in it.
+
+The plots are drawn by Vega, which the package vl-convert-python contains as JavaScript. It takes an eighth of the
+space of plotly.js (0.6 MB instead of 4.8 MB), draws parallel coordinates as vectors, which needs no WebGL, and tells
+the page which range of an axis is brushed.
+"""
+
+from __future__ import annotations
+
+import functools
+import html
+import json
+import re
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from algorithms.common.atomic_io import atomic_write
+from algorithms.reporting.style import COLOURS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+
+EXPLORER_FILE = "explore.html"
+FORMAT = 1  # of the data, which the page checks
+SOURCES = resources.files("algorithms.reporting.explorer")
+# In this order, as one module.
+SCRIPTS = ("rules.js", "views.js", "drives.js", "model.js", "panels.js", "explorer.js")
+# Colours of COLOURS of the chosen policy and of those that it is compared with: on white, and on black.
+LIGHT_SERIES, DARK_SERIES = (0, 1, 2, 7), (5, 4, 2, 3)
+
+
+def explorer_page(fronts: Sequence[ExplorableFront], title: str) -> str:
+    """The HTML of the explorer for some fronts, the first of which is shown first.
+
+    It needs no network, which its content security policy forbids. Data are data: they are in a block of JSON that no
+    browser runs, and the page writes them as text.
+
+    Args:
+        fronts: what can be explored; the page says so if there are none.
+        title: of the page.
+    """
+    data = {"format": FORMAT, "fronts": [front.to_json() for front in fronts]}
+    parts = {
+        "title": html.escape(title),
+        "style": _read("explorer.css").replace("/* series */", _series()),
+        "data": as_json(data),
+        "licences": _read("licences.txt").replace("@version@", _vega_version()),
+        "vega": _vega(),
+        "script": "\n".join(map(_read, SCRIPTS)).replace("/* format */ 0", str(FORMAT)),
+    }
+    page = _read("page.html")
+    pieces = []
+    for name, text in parts.items():  # in the page's order, so that no part is searched for another's mark
+        before, _, page = page.partition(f"<!-- {name} -->")
+        pieces += [before, text]
+    return "".join([*pieces, page])
+
+
+def write_page(fronts: Sequence[ExplorableFront], path: str | Path, title: str) -> None:
+    """Write :func:`explorer_page` to a file.
+
+    Raises:
+        OSError: if it cannot be written; it is complete or unchanged.
+    """
+    atomic_write(path, explorer_page(fronts, title).encode())
+
+
+def as_json(data: Any) -> str:
+    """``data`` as JSON that can be inside a ``script`` element, whatever its strings hold.
+
+    Raises:
+        ValueError: for a number that is not finite.
+    """
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+@functools.cache
+def _vega() -> str:
+    """Vega's runtime as JavaScript that sets ``window.vega``."""
+    from vl_convert import javascript_bundle  # not earlier: it starts a JavaScript engine
+
+    # The name that Vega-Embed's modules import it by, a file in vl-convert-python; nothing is fetched.
+    module = f"https://cdn.jsdelivr.net/npm/vega@{_vega_version()}/+esm"
+    bundle: str = javascript_bundle(
+        f"import * as runtime from '{module}';"
+        "window.vega = {View: runtime.View, parse: runtime.parse, Error: runtime.Error};"
+    )
+    if re.search("</script|<!--", bundle, flags=re.IGNORECASE):
+        raise ValueError("Vega's code cannot be inside an HTML page: it holds the end of a script")
+    return bundle
+
+
+def _vega_version() -> str:
+    from vl_convert import get_vega_version
+
+    return str(get_vega_version())
+
+
+def _series() -> str:
+    """CSS variables with the colours of policies, for light and for dark pages."""
+    rules = []
+    for name, chosen in (("light", LIGHT_SERIES), ("dark", DARK_SERIES)):
+        rules += [f"--{name}-{number}: {COLOURS[colour]};" for number, colour in enumerate(chosen)]
+    return " ".join(rules)
+
+
+def _read(name: str) -> str:
+    return (SOURCES / name).read_text(encoding="utf-8")

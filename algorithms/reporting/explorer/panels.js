@@ -1,0 +1,213 @@
+// What is written beside the plots: sliders, the choice, what it would give up, and the table of all policies.
+
+const percent = (share) => `${(100 * share).toFixed(0)}%`;
+
+/** A piece of the line of the policy at a place: its colour and its dashes. */
+function swatch(place) {
+  const line = svg("line", { x1: 0, y1: 4, x2: 26, y2: 4, stroke: series(place), "stroke-width": 3.5,
+    "stroke-dasharray": DASHES[place].join(" ") });
+  return svg("svg", { width: 32, height: 8, "aria-hidden": "true" }, line);
+}
+
+class Panels {
+  /** `explorer` knows the front and its state, and takes changes by `update`. */
+  constructor(explorer) {
+    this.explorer = explorer;
+    this.sorting = null;
+  }
+
+  get front() {
+    return this.explorer.front;
+  }
+
+  get state() {
+    return this.explorer.state;
+  }
+
+  /** Bring everything but the choice up to date. */
+  show() {
+    this.showLegend();
+    this.showTrades();
+    this.showTable();
+  }
+
+  slider({ id, label, value, max, step, text, change }) {
+    const output = element("output", { for: id }, text(value));
+    const input = element("input", { type: "range", id, min: 0, max, step, value, "aria-valuetext": text(value),
+      oninput: () => {
+        output.textContent = text(Number(input.value));
+        input.setAttribute("aria-valuetext", output.textContent);
+        change(Number(input.value));
+      } });
+    return element("div", { class: "slider" }, element("label", { for: id }, label), output, input);
+  }
+
+  makeSliders() {
+    const { front, state } = this;
+    byId("weights").replaceChildren(...front.objectives.map((objective, i) => this.slider({
+      id: `weight-${i}`,
+      label: objective.name,
+      value: state.weights[i],
+      max: 100,
+      step: 1,
+      text: (importance) => `weight ${weightOf(importance, objective.scale)}`,
+      change: (importance) => this.explorer.update({ mode: "weights", weights: state.weights.with(i, importance) }),
+    })));
+    byId("budgets").replaceChildren(...(front.budget ? ["g_force", "jerk"] : []).map((key) => {
+      const i = front.objectives.findIndex((objective) => objective.key === key);
+      const objective = front.objectives[i];
+      const most = Math.max(2 * front.budget[key], ...front.means.map((row) => row[i] * objective.sign));
+      const step = 10 ** Math.floor(Math.log10(most / 50));
+      return this.slider({
+        id: `budget-${i}`,
+        label: `${objective.name} free up to`,
+        value: state.budget[key],
+        max: Math.ceil(most / step) * step,
+        step,
+        text: (limit) => withUnit(String(limit), objective.unit),
+        change: (limit) => this.explorer.update({ mode: "budget", budget: { ...this.state.budget, [key]: limit } }),
+      });
+    }));
+  }
+
+  makeRanges() {
+    const { front } = this;
+    byId("ranges").replaceChildren(...front.objectives.map((objective, i) => {
+      const limit = (end, name) => element("input", { type: "number", step: "any", "data-range": `${i}/${end}`,
+        "aria-label": `${name} ${titled(objective)}`, onchange: (event) => {
+          const range = [...(this.state.ranges[i] ?? [-Infinity, Infinity])];
+          range[end] = event.target.value === "" ? [-Infinity, Infinity][end] : Number(event.target.value);
+          this.explorer.setRange(i, range);
+        } });
+      return element("div", { class: "range", role: "group", "aria-label": titled(objective) },
+        element("span", {}, titled(objective)), limit(0, "least"), "to", limit(1, "most"));
+    }));
+  }
+
+  showChoice() {
+    const { front, state } = this;
+    const chosen = this.explorer.chosen();
+    byId("weights").hidden = state.mode === "budget";
+    byId("budgets").hidden = state.mode !== "budget";
+    for (const input of document.querySelectorAll("input[name=mode]")) input.checked = input.value === state.mode;
+    const heading = `Policy ${front.numbers[chosen]}`;
+    if (byId("chosen").textContent !== heading) byId("chosen").textContent = heading;
+    byId("chosen").dataset.policy = chosen;
+    const first = this.explorer.order()[0];
+    byId("why").textContent = {
+      weights: "It has the greatest weighted sum of mean returns. A weight counts per unit of the return.",
+      budget: "It has the greatest expected utility: arriving counts 10, a metre 0.1; g-force and jerk beyond the "
+        + "budgets cost 2 and 0.05 per unit.",
+      picked: first === chosen ? "Chosen by hand; a slider chooses by preference again."
+        : `Chosen by hand. Policy ${front.numbers[first]} is at least as good in every objective, so the command chooses it.`,
+    }[state.mode];
+    const success = front.success[chosen];
+    byId("values").replaceChildren(
+      ...front.objectives.flatMap((objective, i) => [element("dt", {}, objective.name),
+        element("dd", {}, withUnit(front.text(front.means[chosen][i], i), objective.unit))]),
+      ...(success === null ? [] : [element("dt", {}, "arrivals"), element("dd", {}, percent(success))]));
+    byId("command").value = this.explorer.command();
+    byId("command-label").textContent = front.command.includes("{preference}") ? "Evaluate it again" : "Its actions";
+    byId("copied").textContent = "";
+  }
+
+  showLegend() {
+    const { front } = this;
+    const entries = this.explorer.shownPolicies().map((k, place) =>
+      element("span", {}, swatch(place), `policy ${front.numbers[k]}${place ? "" : " (chosen)"}`));
+    if (front.bestKnown.length) entries.push(element("span", {}, element("span", { class: "swatch",
+      style: "border-color: var(--faint); border-top-width: 2px" }), `best known (${front.bestKnown.length} policies)`));
+    byId("parallel-legend").replaceChildren(...entries);
+    const kept = this.explorer.kept();
+    const count = kept.filter(Boolean).length;
+    const outside = kept[this.explorer.chosen()] ? "" : "; the chosen policy is outside of the ranges";
+    byId("kept").textContent = count === front.size ? "" : `${count} of ${front.size} policies are in the ranges${outside}.`;
+    for (const input of document.querySelectorAll("[data-range]")) {
+      const [i, end] = input.dataset.range.split("/").map(Number);
+      const value = this.state.ranges[i]?.[end];
+      input.value = Number.isFinite(value) ? value : "";
+    }
+  }
+
+  /** Change the state from a control in a table, which is made anew, and give the focus to the control's successor. */
+  updateFrom(control, selector, changes) {
+    const table = control.closest("table");
+    this.explorer.update(changes);
+    (table.querySelector(selector) ?? table.parentElement).focus();
+  }
+
+  pickButton(k) {
+    return element("button", { type: "button", "data-pick": k, "aria-label": `choose policy ${this.front.numbers[k]}`,
+      onclick: (event) => this.updateFrom(event.target, `[data-pick="${k}"]`, { mode: "picked", picked: k }) }, "Choose");
+  }
+
+  compareBox(k) {
+    const on = this.state.compared.includes(k);
+    const full = !on && this.state.compared.length >= MOST_COMPARED;
+    return element("input", { type: "checkbox", checked: on, disabled: full || k === this.explorer.chosen(),
+      "data-compare": k, "aria-label": `compare policy ${this.front.numbers[k]}`, onchange: (event) => {
+        const others = this.state.compared.filter((each) => each !== k);
+        const compared = event.target.checked ? [...others, k] : others;
+        this.updateFrom(event.target, `[data-compare="${k}"]`, { compared });
+      } });
+  }
+
+  showTrades() {
+    const { front } = this;
+    const chosen = this.explorer.chosen();
+    const found = alternatives(front.means, chosen);
+    byId("trades").closest("section").hidden = front.size < 2;
+    const difference = (k, i) => {
+      const step = front.means[k][i] - front.means[chosen][i];
+      const text = front.text(step, i, true);
+      if (Number(text.replace("−", "-")) === 0) return element("td", {}, "0");
+      const better = step > 0;
+      return element("td", { class: better ? "better" : "worse" }, `${better ? "▲" : "▼"} ${text}`);
+    };
+    byId("trades").replaceChildren(
+      element("thead", {}, element("tr", {}, ...["For", "Policy", ...front.objectives.map(titled), "", "Compare"].map(
+        (text) => element("th", { scope: "col" }, text)))),
+      element("tbody", {}, ...found.map(({ k, better }) => element("tr", {},
+        element("th", { scope: "row" }, better.length ? `better ${better.map((i) => front.objectives[i].name).join(", ")}`
+          : "a small change"),
+        element("td", {}, String(front.numbers[k])),
+        ...front.objectives.map((_, i) => difference(k, i)),
+        element("td", {}, this.pickButton(k)), element("td", {}, this.compareBox(k))))));
+  }
+
+  showTable() {
+    const { front } = this;
+    const kept = this.explorer.kept();
+    const chosen = this.explorer.chosen();
+    const arrivals = front.success.every((share) => share !== null);
+    const columns = [
+      { name: "Policy", of: (k) => front.numbers[k], text: (k) => String(front.numbers[k]) },
+      ...front.objectives.map((objective, i) => ({
+        name: titled(objective), of: (k) => front.means[k][i], text: (k) => front.text(front.means[k][i], i) })),
+      ...(arrivals ? [{ name: "arrivals", of: (k) => front.success[k], text: (k) => percent(front.success[k]) }] : []),
+      { name: "decisions", of: (k) => front.lengths[k], text: (k) => front.lengths[k].toFixed(0) },
+    ];
+    const order = front.means.map((_, k) => k);
+    if (this.sorting && columns[this.sorting.column]) {
+      const { of } = columns[this.sorting.column];
+      order.sort((a, b) => this.sorting.way * (of(a) - of(b)) || a - b);
+    }
+    const sort = (column) => {
+      this.sorting = { column, way: this.sorting?.column === column ? -this.sorting.way : -1 };
+      this.showTable();
+      byId("policies").querySelectorAll("thead button")[column].focus();
+    };
+    const heading = ({ name }, column) => {
+      const way = this.sorting?.column === column ? this.sorting.way : 0;
+      return element("th", { scope: "col", "aria-sort": ["descending", "none", "ascending"][way + 1] },
+        element("button", { type: "button", onclick: () => sort(column) }, `${name}${["\u00a0↓", "", "\u00a0↑"][way + 1]}`));
+    };
+    byId("policies").replaceChildren(
+      element("thead", {}, element("tr", {}, ...columns.map(heading), element("th", {}, ""),
+        element("th", { scope: "col" }, "Compare"))),
+      element("tbody", {}, ...order.filter((k) => kept[k] || k === chosen).map((k) => element("tr", {
+        "data-policy": k, class: [k === chosen ? "chosen" : "", kept[k] ? "" : "out"].join(" ").trim() },
+        ...columns.map(({ text }, i) => (i ? element("td", {}, text(k)) : element("th", { scope: "row" }, text(k)))),
+        element("td", {}, this.pickButton(k)), element("td", {}, this.compareBox(k))))));
+  }
+}

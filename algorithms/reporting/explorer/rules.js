@@ -1,0 +1,92 @@
+// The rules by which `mo-deepdrive choose` orders policies (algorithms/evaluation/choice.py), on the same numbers.
+
+const sum = (numbers) => numbers.reduce((total, each) => total + each, 0);
+const mean = (numbers) => sum(numbers) / numbers.length;
+
+/** Mean returns (d) of the episodes (E, d) of a policy. */
+function meanReturns(episodes) {
+  return episodes[0].map((_, i) => mean(episodes.map((episode) => episode[i])));
+}
+
+/** To the nearest integer, halves to the even one, as NumPy rounds. */
+function roundHalfEven(value) {
+  const low = Math.floor(value);
+  const rest = value - low;
+  if (rest !== 0.5) return Math.round(value);
+  return low % 2 === 0 ? low : low + 1;
+}
+
+/** Indices of policies, the greatest value first; of equal values, the greater sum of scaled mean returns. */
+function rankPolicies(values, means, scales) {
+  const largest = Math.max(...values.map(Math.abs));
+  const rounded = largest > 0 ? values.map((value) => roundHalfEven((value / largest) * 1e9) / 1e9) : values;
+  const overall = means.map((row) => sum(row.map((value, i) => value / scales[i])));
+  return values
+    .map((_, k) => k)
+    .sort((a, b) => rounded[b] - rounded[a] || overall[b] - overall[a] || a - b);
+}
+
+/** Weighted sums (K) of mean returns. */
+function weightedSums(returns, weights) {
+  return returns.map((episodes) => mean(episodes.map((episode) => sum(episode.map((value, i) => value * weights[i])))));
+}
+
+/** Expected utilities (K) of a comfort budget: ComfortBudget of mo_deepdrive/utilities.py, mean over episodes. */
+function budgetUtilities(returns, objectives, budget) {
+  const excess = (magnitude, limit) => (magnitude > limit ? magnitude - limit : 0);
+  const utility = (episode) => {
+    const m = {};
+    objectives.forEach((objective, i) => (m[objective.key] = episode[i] * objective.sign));
+    let value = 0.1 * m.distance + 10 * m.destination;
+    value = value - 2 * excess(m.g_force, budget.g_force) - 0.05 * excess(m.jerk, budget.jerk);
+    for (const [key, price] of Object.entries(budget.prices)) value = value - price * m[key];
+    return value;
+  };
+  return returns.map((episodes) => mean(episodes.map(utility)));
+}
+
+/** Minus the scaled distances (K) by which mean returns fall short of a target. */
+function targetCloseness(means, target, scales) {
+  return means.map((row) => -Math.hypot(...row.map((value, i) => Math.max(target[i] - value, 0) / scales[i])));
+}
+
+/** The weight of a return that counts with `importance` (0 to 100), relative to its nominal scale. */
+function weightOf(importance, scale) {
+  return Number((importance / 100 / scale).toPrecision(3));
+}
+
+/**
+ * What the policies next to `chosen` offer, as policies `k` with the objectives for which they are listed: for each objective the nearest policy that is better in it by at least a
+ * twentieth of the front's extent, and the nearest ones overall that differ by more than a hundredth. Distances are in
+ * extents of the front.
+ */
+function alternatives(means, chosen, nearest = 3) {
+  const d = means[chosen].length;
+  const extents = means[chosen].map((_, i) => {
+    const column = means.map((row) => row[i]);
+    return Math.max(...column) - Math.min(...column);
+  });
+  const scaled = (k) => means[k].map((value, i) => (extents[i] > 0 ? (value - means[chosen][i]) / extents[i] : 0));
+  const others = means
+    .map((_, k) => k)
+    .filter((k) => k !== chosen)
+    .map((k) => ({ k, step: scaled(k) }))
+    .map((each) => ({ ...each, distance: Math.hypot(...each.step) }))
+    .sort((a, b) => a.distance - b.distance || a.k - b.k);
+  const found = [];
+  for (let i = 0; i < d; i++) {
+    const best = others.find((each) => each.step[i] >= 0.05);
+    const same = found.find((each) => each.k === best?.k);
+    if (same) same.better.push(i);
+    else if (best) found.push({ k: best.k, better: [i] });
+  }
+  let count = 0;
+  for (const each of others) {
+    const apart = (k) => Math.hypot(...scaled(k).map((value, i) => value - each.step[i])) >= 0.01;
+    if (count === nearest) break;
+    if (each.distance < 0.01 || !found.every(({ k }) => apart(k))) continue;
+    found.push({ k: each.k, better: [] });
+    count += 1;
+  }
+  return found;
+}

@@ -1,0 +1,8 @@
+"""``mo-deepdrive explore`` from a checkout; the code is in algorithms/commands/explore.py."""
+
+import sys
+
+from algorithms.__main__ import run_script
+
+if __name__ == "__main__":
+    sys.exit(run_script("explore"))

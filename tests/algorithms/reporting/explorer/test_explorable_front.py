@@ -1,0 +1,122 @@
+"""The data of the explorer's page: exact returns, drives within their resolution, few bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from algorithms.evaluation.drives import READINGS, Drive, Scene
+from algorithms.reporting.explorer.explorable_front import RESOLUTION, ExplorableFront, drive_to_json, rounded
+from algorithms.reporting.explorer.page import as_json
+from mo_deepdrive.utilities import COMFORT_BUDGETS
+
+NAMES = ("distance", "destination", "g_force", "jerk")
+
+
+def made_up_drive(rng: np.random.Generator, decisions: int, cars: int = 0) -> Drive:
+    """A drive with motion in every reading."""
+    changes = rng.normal(0, [0.5, 0.5, 0.05, 0.3, 0.05, 5.0], (decisions + 1, len(READINGS)))
+    positions = rng.uniform(0, 40, (decisions + 1, cars, 2))
+    positions[decisions // 2 :] = np.nan
+    return Drive(changes.cumsum(axis=0), positions, "arrived")
+
+
+def made_up_front(policies: int, decisions: int, episodes: int = 1, cars: int = 0) -> ExplorableFront:
+    rng = np.random.default_rng(7)
+    drives = tuple(made_up_drive(rng, decisions, cars) for _ in range(policies))
+    scene = Scene(3, rng.uniform(0, 40, (2, 2)), rng.uniform(0, 40, (1, 2, 2)), True, 10, drives)
+    return ExplorableFront(
+        title="made up",
+        objectives=NAMES,
+        returns=rng.normal(size=(policies, episodes, 4)).astype(np.float32).astype(np.float64),
+        scales=np.array([10.0, 1.0, 5.0, 500.0]),
+        signs=np.array([1.0, 1.0, -1.0, -1.0]),
+        success=rng.uniform(size=policies),
+        lengths=np.full(policies, float(decisions)),
+        command="mo-deepdrive choose RUN {preference}",
+        best_known=rng.normal(size=(200, 4)),
+        scenes=(scene,),
+        budget_name="one_waypoint_comfort_budget",
+        budget=COMFORT_BUDGETS["one_waypoint_comfort_budget"],
+    )
+
+
+def decoded(stored: dict[str, Any], name: str) -> np.ndarray:
+    return np.cumsum(stored[name]) * RESOLUTION[name]
+
+
+def test_returns_and_scales_are_exact() -> None:
+    front = made_up_front(5, 3, episodes=4)
+    stored = front.to_json()
+    assert np.array_equal(stored["returns"], front.returns)
+    assert [each["scale"] for each in stored["objectives"]] == front.scales.tolist()
+    assert [(each["key"], each["unit"], each["sign"]) for each in stored["objectives"]] == [
+        ("distance", "m", 1.0),
+        ("destination", "", 1.0),
+        ("g_force", "g", -1.0),
+        ("jerk", "m/s³", -1.0),
+    ]
+    assert stored["budget"] == {"name": "one_waypoint_comfort_budget", "g_force": 5.0, "jerk": 40.0, "prices": {}}
+
+
+def test_readings_are_rounded_once_however_long_the_drive_is() -> None:
+    front = made_up_front(2, 600)
+    for drive, stored in zip(front.scenes[0].drives, front.to_json()["scenes"][0]["drives"], strict=True):
+        for column, name in enumerate(READINGS):
+            worst = np.abs(decoded(stored, name) - drive.readings[:, column]).max()
+            assert worst <= 0.5 * RESOLUTION[name] * (1 + 1e-6)
+        assert stored["end"] == "arrived"
+        assert "cars" not in stored
+
+
+def test_oncoming_cars_are_stored_where_they_are_present() -> None:
+    front = made_up_front(1, 8, cars=2)
+    (stored,) = front.to_json()["scenes"][0]["drives"]
+    positions = front.scenes[0].drives[0].cars
+    assert len(stored["cars"]) == 2
+    for car, track in enumerate(stored["cars"]):
+        for axis, name in enumerate("xy"):
+            np.testing.assert_allclose(decoded(track, name), positions[:4, car, axis], atol=0.0051)
+
+
+def test_a_car_may_be_absent_for_a_while_or_throughout() -> None:
+    positions = np.array([[np.nan, 1.0], [2.0, 3.0], [np.nan, 3.0], [5.004, 3.0], [np.nan, 3.0]])
+    cars = np.stack([np.stack([positions[:, 0]] * 2, axis=1), np.full((5, 2), np.nan)], axis=1)
+    stored = drive_to_json(Drive(np.zeros((5, len(READINGS))), cars, "arrived"))
+    assert stored["cars"] == [{name: [None, 200, None, 300] for name in "xy"}, {"x": [], "y": []}]
+
+
+def test_two_hundred_policies_take_less_than_five_megabytes() -> None:
+    long, short = made_up_front(200, 600, episodes=20), made_up_front(200, 150, episodes=20)
+    for front, scenes in ((long, 1), (short, 3)):  # of noise, which takes more space than real drives
+        stored = dataclasses.replace(front, scenes=front.scenes * 3).to_json()
+        assert len(stored["scenes"]) == scenes
+        assert len(as_json(stored)) < 5e6
+
+
+def test_what_is_not_known_is_left_out() -> None:
+    front = made_up_front(2, 3)
+    bare = dataclasses.replace(
+        front, success=np.full(2, np.nan), best_known=None, scenes=(), budget=None, numbers=(40, 7)
+    ).to_json()
+    assert (bare["success"], bare["bestKnown"], bare["scenes"], bare["budget"]) == ([None, None], [], [], None)
+    assert bare["numbers"] == [40, 7]
+    assert front.to_json()["numbers"] == [0, 1]
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    front = made_up_front(3, 4)
+    with pytest.raises(ValueError, match=r"returns have shape \(2, 1, 4\); expected \(3, episodes, 4\)"):
+        dataclasses.replace(front, returns=front.returns[:2])
+    with pytest.raises(ValueError, match="returns must be finite"):
+        dataclasses.replace(front, returns=front.returns * np.nan)
+    scene = dataclasses.replace(front.scenes[0], drives=front.scenes[0].drives[:1])
+    with pytest.raises(ValueError, match="scenario 3 has 1 drives for 3 policies"):
+        dataclasses.replace(front, scenes=(scene,))
+
+
+def test_numbers_are_rounded_to_significant_digits() -> None:
+    assert rounded([[1234567.0, 0.000123456789], [0.0, -9.999999]]) == [[1234570.0, 0.000123457], [0.0, -10.0]]

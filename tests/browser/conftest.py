@@ -1,0 +1,136 @@
+"""The installed Chromium, driven by its own driver, and pages to open in it."""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from algorithms.evaluation.front import Front
+from algorithms.experiments.build import build, load_policy
+from algorithms.experiments.config import load_experiment
+from algorithms.experiments.front_explorer import choose_command, explorable, explorable_best_known
+from algorithms.experiments.policy_evaluation import evaluate_front
+from algorithms.experiments.run_directory import Run
+from algorithms.reporting.explorer.page import write_page
+from tests.browser.explorer_page import EPISODES, SEED, Page
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from algorithms.reporting.explorer.explorable_front import ExplorableFront
+
+ZOO = "one_waypoint_front-pcn"
+# A short training on drawn destinations, so that the episodes of a policy differ.
+DRAWN = """
+environment: {id: mo-deepdrive-one-waypoint-v0, arguments: {time_limit: 3}}
+algorithm:
+  name: pcn
+  learning_rate: 1e-2
+  hidden: [32, 32]
+  batch_size: 128
+  gradient_steps: 100
+  warmup_episodes: 64
+  persistence: 0.95
+  buffer_size: 100
+  horizon_reduction: 0
+  horizon_scale: 20.0
+training: {total_timesteps: 3000, num_envs: 16, seed: 3}
+evaluation: {episodes: 1, final_episodes: 2}
+"""
+SWITCHES = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """The installed Chromium; nothing is downloaded."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    chrome = shutil.which("chromium") or shutil.which("google-chrome")
+    chromedriver = shutil.which("chromedriver")
+    if chrome is None or chromedriver is None:
+        pytest.skip("Chromium or its driver is not installed (Debian: chromium, chromium-driver)")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chrome
+    for switch in SWITCHES:
+        options.add_argument(switch)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Page]:
+    """Opens pages; at the end of the test the browser has reported no error."""
+    opened = Page(browser)
+    yield opened
+    assert opened.errors() == []
+
+
+@pytest.fixture(scope="session")
+def zoo_front() -> ExplorableFront:
+    """A front of the zoo: 91 policies, every episode of which is the same."""
+    run = Run.open(ZOO)
+    front = Front.read(run.path)
+    command = choose_command(run, ZOO)
+    return explorable(load_policy(run), front, run.experiment, episodes=20, seed=2_000_000, title=ZOO, command=command)
+
+
+@pytest.fixture(scope="session")
+def zoo_page(zoo_front: ExplorableFront, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a front of the zoo and of a best-known one."""
+    path = tmp_path_factory.mktemp("zoo") / "explore.html"
+    write_page([zoo_front, explorable_best_known("one_waypoint_discrete")], path, "Explorer")
+    return path
+
+
+@pytest.fixture(scope="session")
+def drawn_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that learnt a front on drawn scenarios."""
+    folder = tmp_path_factory.mktemp("drawn")
+    (folder / "drawn.yaml").write_text(DRAWN)
+    experiment = load_experiment(folder / "drawn.yaml")
+    run = Run.create(experiment, folder / "run")
+    run.unlock()
+    agent = build(experiment)
+    agent.train(experiment.training.total_timesteps)
+    agent.save(run.checkpoint)
+    front = evaluate_front(agent, experiment, episodes=2, seed=SEED)
+    assert len(front) > 3
+    front.write(run.path, {"step": agent.step})
+    return run.path
+
+
+@pytest.fixture(scope="session")
+def drawn_front(drawn_run: Path) -> ExplorableFront:
+    """The front of that run."""
+    run = Run.open(drawn_run)
+    command = choose_command(run, str(drawn_run), episodes=EPISODES, seed=SEED)
+    return explorable(
+        load_policy(run),
+        Front.read(drawn_run),
+        run.experiment,
+        episodes=EPISODES,
+        seed=SEED,
+        title="drawn",
+        command=command,
+    )
+
+
+@pytest.fixture(scope="session")
+def drawn_page(drawn_front: ExplorableFront, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of that front."""
+    path = tmp_path_factory.mktemp("drawn_page") / "explore.html"
+    write_page([drawn_front], path, "Explorer")
+    return path
