@@ -59,7 +59,7 @@ def test_sliders_choose_what_the_rule_of_choose_puts_first(
     page.open(request.getfixturevalue(f"{which}_page"))
     rng = np.random.default_rng(0)
     seen = set()
-    for _ in range(10):
+    for _ in range(12):
         page.slide("#weights", (rng.dirichlet(np.full(4, 0.6)) * 100).round().tolist())
         weights = page.preference("--weights")
         seen.add(first_by(weighted_sum(weights, front.objectives).values(front.returns), front))
