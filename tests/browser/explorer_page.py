@@ -49,7 +49,7 @@ class Page:
         return self.browser.execute_script(script, *arguments)
 
     def wait_for(self, script: str) -> None:
-        WebDriverWait(self.browser, 10, 0.05).until(lambda browser: browser.execute_script(script))
+        WebDriverWait(self.browser, 30, 0.05).until(lambda browser: browser.execute_script(script))
 
     def find(self, selector: str) -> Any:
         return self.browser.find_element(By.CSS_SELECTOR, selector)
@@ -72,12 +72,14 @@ class Page:
         """Set the sliders below ``selector``, as moving them does."""
         sliders = self.all(f"{selector} input[type=range]")
         assert len(sliders) == len(values)
-        for slider, value in zip(sliders, values, strict=True):
-            self.run(
-                "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input', {bubbles: true}))",
-                slider,
-                value,
-            )
+        self.run(
+            """arguments[0].forEach((slider, i) => {
+                slider.value = arguments[1][i];
+                slider.dispatchEvent(new Event("input", { bubbles: true }));
+            })""",
+            sliders,
+            list(values),
+        )
 
     def mode(self, name: str) -> None:
         self.find(f"input[name=mode][value={name}]").click()
