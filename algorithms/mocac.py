@@ -9,39 +9,42 @@ vector return, not its mean, so that the expected utility of the whole return is
     Z(S) ~ sum_{k>=0} g^k r_{t+k} from S_t = S,    Z(S) = 0 after termination                          (2)
     V(S) = E_Z[u(R_t + g^t Z(S))]                                                                      (3)
     A_t  = V(S_{t+1}) - V(S_t) + lambda A_{t+1}                                                        (4)
-    Y_t  = sum_{k<e-t} g^k r_{t+k} + g^{e-t} Z(S_e)    targets of the critic                           (5)
+    Y_t  = sum_{k<e-t} g^k r_{t+k} + g^{e-t} Z'(S_e)    targets of the critic                          (5)
     L    = E[-A_t log pi(a_t | S_t)] + c_v E[D(Y_t, Z(S_t))] - c_e E[H(pi)]                            (6)
 
 e is the end of the episode or of the rollout, whichever comes first: every target carries the rewards of the whole
-rest of the rollout, so that an outcome that comes n decisions later arrives after about n / T updates. After
-termination V is u(R_e); what a truncated episode would still have gained is Z of its true final state. The sum of eq. 4
-ends with the episode or the rollout; the means of eq. 6 are over the samples in which the vehicle acted, with A_t
-normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
+rest of the rollout, so that an outcome n decisions later arrives after about n / T updates. Z' is Z with slowly moving
+weights w' <- w' + tau (w - w') (``target_rate``; 1 for Z itself), because a critic of particles that learns from itself
+can diverge. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final state.
+The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the vehicle
+acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
 Objective. E[u(R_T)], the expected utility of the return discounted with g (ESR), at any lambda and T: V(S_t) is the
 expected final utility, and A_t sums its increases. For lambda = 1 eq. 4 is V(S_e) - V(S_t). g = ``gamma`` is the one
-discount; with 1 the utility is that of the undiscounted return. Departures from the paper: lambda, the normalisation of
-advantages, and g^t in the state.
+discount; with 1 the utility is that of the undiscounted return. Added here: lambda, w', the normalisation of advantages,
+g^t in the state, and particles.
 
-Critic. ``categorical``, the paper's: masses p on a grid of A atoms per objective; D is the cross entropy of p and Y_t
-projected onto the grid by multilinear interpolation m (joint form of Bellemare et al. 2017),
+Critic. ``categorical``, as published: masses p on a grid of A atoms per objective; D is the cross entropy of p and m,
+which is Y_t projected onto the grid by multilinear interpolation (Bellemare et al. 2017 for one objective),
 
     D(Y, Z) = -sum_j m_j log p_j                                                                       (7)
 
-Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a quarter of
-the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited to
-4096. ``particles``, for more objectives: K equally likely returns x_i, and D is the energy distance (Székely and Rizzo
-2013) between returns divided by their nominal scales, up to a term without x. Zhang et al. (2021) train joint returns in
-this way, by maximum mean discrepancy.
+Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a quarter
+of the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited
+to 4096. ``particles``, for more objectives: K equally likely returns x_i, and D is the energy distance (Székely and
+Rizzo 2013) between returns divided by their nominal scales, up to a term without x. Zhang et al. (2021) learn joint
+returns by particles too, with the maximum mean discrepancy.
 
     D(Y, Z) = 2 E|x - y| - E|x - x'|                                                                   (8)
 
-Bias: K points stand for the distribution. In both, Z follows the policy with a delay, and as far as it is wrong where
-a rollout ends (lambda = 1) or at the next steps (lambda < 1) the advantages are biased.
+Bias: K points stand for the distribution, and targets are clipped to [v_min, v_max], which is wide by default. Whatever
+the critic, Z follows the policy with a delay, and as far as it is wrong where a rollout ends (lambda = 1) or at the next
+steps (lambda < 1) the advantages are biased.
 """
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -51,6 +54,7 @@ from pydantic import model_validator
 from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
+from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -75,6 +79,9 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
+WIDE = 10.0  # bound of particles, in nominal scales
+
+
 class MOCACConfig(NetworkSettings):
     """Hyperparameters of MOCAC; those of actor and critic are described in NetworkSettings.
 
@@ -85,9 +92,11 @@ class MOCACConfig(NetworkSettings):
         gae_lambda: lambda of eq. 4; 0 gives one-step advantages, 1 uses the whole rollout.
         critic: "particles" for any number of objectives, or "categorical" for few.
         atoms: A, atoms per objective of a categorical critic; A^d is at most 4096.
-        v_min: smallest rest of a return on the grid, per objective; None for minus the nominal scales.
-        v_max: largest rest of a return on the grid, per objective; None for the nominal scales.
+        v_min: smallest rest of a return, per objective: the first atom of a grid, or the bound of the particles' targets;
+            None for minus the nominal scale on a grid, minus ten times the nominal scale with particles.
+        v_max: largest rest of a return, per objective; None for minus the default of v_min.
         particles: K, of a critic of particles.
+        target_rate: tau of the weights of Z'.
         observe_discount: include g^t in the state, on which V depends where gamma < 1.
         steps: T, time steps per environment and update.
         entropy_start: c_e at the start of training.
@@ -109,6 +118,7 @@ class MOCACConfig(NetworkSettings):
     v_min: list[float] | None = None
     v_max: list[float] | None = None
     particles: Count = 32
+    target_rate: PositiveFraction = 0.05
     observe_discount: bool = True
     steps: Count = 16
     entropy_start: NonNegative = 0.01
@@ -125,10 +135,6 @@ class MOCACConfig(NetworkSettings):
         check_entropy_schedule(self.entropy_start, self.entropy_end)
         if self.critic == "categorical" and self.atoms < 2:
             raise ValueError(f"atoms = {self.atoms} must be at least 2")
-        bounds = {"v_min": self.v_min, "v_max": self.v_max}
-        given = [name for name, bound in bounds.items() if bound is not None]
-        if self.critic == "particles" and given:
-            raise ValueError(f"{given[0]} = {bounds[given[0]]} needs critic: categorical")
         return self
 
 
@@ -152,19 +158,20 @@ class MOCACLearner(Learner):
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         width = self.input_size + self.others_size
         self.critic = make_network(config, width, self.distribution.outputs, generator).to(device)
+        self.target_critic = copy.deepcopy(self.critic).requires_grad_(requires_grad=False)  # Z'
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
 
     def _distribution(self, objectives: tuple[str, ...]) -> ReturnDistribution:
         """What the outputs of the critic stand for."""
         config = self.config
-        if config.critic == "particles":
-            return Particles(config.particles, self.objective_scales)
         for name, bound in (("v_min", config.v_min), ("v_max", config.v_max)):
             if bound is not None and len(bound) != len(objectives):
                 raise ValueError(f"{name} = {bound} needs {len(objectives)} numbers: {objectives}")
-        scales = self.objective_scales.tolist()
-        low = [-scale for scale in scales] if config.v_min is None else config.v_min
-        high = scales if config.v_max is None else config.v_max
+        reach = self.objective_scales * (WIDE if config.critic == "particles" else 1.0)
+        low = (-reach).tolist() if config.v_min is None else config.v_min
+        high = reach.tolist() if config.v_max is None else config.v_max
+        if config.critic == "particles":
+            return Particles(config.particles, self.objective_scales, low, high)
         return CategoricalGrid(low, high, config.atoms, self.device)
 
     # ------------------------------------------------------------------------------------------- what the networks see
@@ -187,6 +194,9 @@ class MOCACLearner(Learner):
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
         self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)
+        with torch.no_grad():
+            for slow, weight in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
+                slow.lerp_(weight, self.config.target_rate)
         return {name: float(loss) for name, loss in losses.items() if name != "total"}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
@@ -195,7 +205,9 @@ class MOCACLearner(Learner):
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         critic_inputs = self.critic_inputs(inputs, rollout.others)
         outputs: torch.Tensor = self.critic(critic_inputs[:-1].flatten(0, 1))
-        ends, end_outputs = self.ends(rollout, critic_inputs)
+        ends, end_inputs = self.ends(rollout, critic_inputs)
+        with torch.no_grad():
+            end_outputs, target_outputs = self.critic(end_inputs), self.target_critic(end_inputs)
 
         weights = rollout.acted.to(inputs.dtype)
         weights = weights / weights.sum().clamp(min=1.0)
@@ -204,16 +216,15 @@ class MOCACLearner(Learner):
             advantages = normalise(advantages, weights)
 
         shifts, discounts, source = self.targets(rollout, ends)
-        value_loss = self.distribution.loss(outputs, shifts, discounts, end_outputs[source], weights.flatten())
+        value_loss = self.distribution.loss(outputs, shifts, discounts, target_outputs[source], weights.flatten())
         log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
         policy_loss = -_weighted_sum(weights * advantages, log_prob)
         entropy = _weighted_sum(weights, entropies)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
         return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
 
-    @torch.no_grad()
     def ends(self, rollout: VehicleRollout, critic_inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The states S_e of eq. 5 behind which something may follow: their numbers, and the critic's outputs there.
+        """The states S_e of eq. 5 behind which something may follow: their numbers, and what the critic sees there.
 
         Args:
             rollout: T steps of this vehicle.
@@ -221,19 +232,17 @@ class MOCACLearner(Learner):
 
         Returns:
             (T, N) number of the true state after each step that ends a truncated episode or the rollout, else -1; and
-            (E, outputs) of the critic by number. The first N are those of S_T.
+            (E, ...) critic inputs by number. The first N are those of S_T.
         """
         steps, n = rollout.acted.shape
         truncated = rollout.truncated & ~rollout.terminated
         numbers = torch.full((steps, n), -1, device=self.device)
         numbers[-1] = torch.arange(n, device=self.device)
         numbers[truncated] = n + torch.arange(int(truncated.sum()), device=self.device)
-        states = critic_inputs[-1]
-        if truncated.any():
-            final = self.inputs(*rollout.final_states(truncated, self.config.gamma))
-            states = torch.cat([states, self.critic_inputs(final, rollout.final_others[truncated])])
-        outputs: torch.Tensor = self.critic(states)
-        return numbers, outputs
+        if not truncated.any():
+            return numbers, critic_inputs[-1]
+        final = self.inputs(*rollout.final_states(truncated, self.config.gamma))
+        return numbers, torch.cat([critic_inputs[-1], self.critic_inputs(final, rollout.final_others[truncated])])
 
     def targets(self, rollout: VehicleRollout, ends: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Equation 5 for M = T N samples, time-major: the sum of rewards (M, d), g^{e-t} (M,) and the number of S_e (M,).
@@ -257,7 +266,7 @@ class MOCACLearner(Learner):
     def advantages(
         self, rollout: VehicleRollout, outputs: torch.Tensor, ends: torch.Tensor, end_outputs: torch.Tensor
     ) -> torch.Tensor:
-        """A_t (T, N) of eq. 4, from the critic's outputs (T N, outputs) at S_t, and those of :meth:`ends`."""
+        """A_t (T, N) of eq. 4, from the critic's outputs (T N, outputs) at S_t and (E, outputs) at the ends."""
         expected = self.distribution.expected_utility
         accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1]
         # V(S_t) of eq. 3, and V(S_{t+1}): at first V(S_t) a step later.
@@ -273,6 +282,18 @@ class MOCACLearner(Learner):
         not_done = (~(rollout.terminated | rollout.truncated)).to(values.dtype)
         return generalised_advantages(next_values - values, not_done, self.config.gae_lambda)
 
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights, those of Z' too, and the optimiser's state."""
+        slow = {f"target_critic.{name}": tensor for name, tensor in self.target_critic.state_dict().items()}
+        return {**super().get_state(), **slow}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        super().set_state(state)
+        self.target_critic.load_state_dict(strip_prefix(state, "target_critic."))
+
 
 def _weighted_sum(weights: torch.Tensor, outputs: torch.Tensor) -> Loss:
     """The sum of w x over the outputs x of a network."""
@@ -281,10 +302,7 @@ def _weighted_sum(weights: torch.Tensor, outputs: torch.Tensor) -> Loss:
 
 
 class MOCAC(ActorCritic):
-    """Multi-objective actor-critic with a distributional critic for a known utility, one independent learner per vehicle.
-
-    The critic is a categorical grid or a set of particles.
-    """
+    """Multi-objective categorical actor-critic for a known utility, one independent learner per vehicle."""
 
     name = "mocac"
     Config = MOCACConfig
@@ -293,5 +311,5 @@ class MOCAC(ActorCritic):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
         config = self.config
-        grid = [config.atoms, config.v_min, config.v_max] if config.critic == "categorical" else [config.particles]
-        return {**super().identity(), "critic": [config.critic, *grid], "observe_discount": config.observe_discount}
+        size = config.atoms if config.critic == "categorical" else config.particles
+        return {**super().identity(), "critic": [config.critic, size, config.v_min, config.v_max]}

@@ -27,6 +27,11 @@ MAX_RETURNS = 2**20  # whose utilities are computed at a time
 SMOOTHING = 0.01  # of distances between scaled returns, at 0
 
 
+def _check_bounds(minimum: Sequence[float], maximum: Sequence[float]) -> None:
+    if any(low >= high for low, high in zip(minimum, maximum, strict=True)):
+        raise ValueError(f"v_min = {list(minimum)} must be below v_max = {list(maximum)} in every objective")
+
+
 class ReturnDistribution(ABC):
     """A family of joint distributions of d returns, parametrised by the outputs of a network.
 
@@ -101,8 +106,7 @@ class CategoricalGrid(ReturnDistribution):
                 f"atoms = {atoms} for {self.objectives} objectives makes a grid of {atoms}^{self.objectives} = "
                 f"{self.outputs:,} cells; at most {MAX_CELLS:,} are allowed: choose fewer atoms, or critic: particles"
             )
-        if any(low >= high for low, high in zip(minimum, maximum, strict=True)):
-            raise ValueError(f"v_min = {list(minimum)} must be below v_max = {list(maximum)} in every objective")
+        _check_bounds(minimum, maximum)
         # (A, d): one column of atoms per objective, and all their combinations (1, A^d, d).
         columns = [torch.linspace(low, high, atoms) for low, high in zip(minimum, maximum, strict=True)]
         self.values = torch.stack(columns, dim=1).to(device)
@@ -161,10 +165,16 @@ class Particles(ReturnDistribution):
     Args:
         number: K.
         scales: (d,) nominal size of each objective's return, by which distances are measured.
+        minimum, maximum: (d,) bounds to which targets are clipped.
+
+    Raises:
+        ValueError: if the bounds of an objective do not increase.
     """
 
-    def __init__(self, number: int, scales: torch.Tensor):
+    def __init__(self, number: int, scales: torch.Tensor, minimum: Sequence[float], maximum: Sequence[float]):
+        _check_bounds(minimum, maximum)
         self.number, self.scales = number, scales
+        self.minimum, self.maximum = (scales.new_tensor(bound) / scales for bound in (minimum, maximum))
         self.outputs = number * len(scales)
 
     def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -182,7 +192,7 @@ class Particles(ReturnDistribution):
     ) -> Loss:
         """The sum of w times :func:`energy_score`, between returns divided by their scales."""
         moved = discounts[:, None, None] * following.detach().unflatten(-1, (self.number, -1))
-        targets = (shifts / self.scales).unsqueeze(1) + moved
+        targets = ((shifts / self.scales).unsqueeze(1) + moved).clamp(self.minimum, self.maximum)
         particles = outputs.detach().reshape(targets.shape)
         value, gradient = energy_score(particles.cpu().numpy(), targets.cpu().numpy(), weights.cpu().numpy())
         return Loss(value, [(outputs, gradient.reshape(outputs.shape))])
