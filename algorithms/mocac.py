@@ -15,8 +15,8 @@ vector return, not its mean, so that the expected utility of the whole return is
 e is the end of the episode or of the rollout, whichever comes first: every target carries the rewards of the whole
 rest of the rollout, so that an outcome n decisions later arrives after about n / T updates. Z' is Z with slowly moving
 weights w' <- w' + tau (w - w') (``target_rate``; 1 for Z itself), because a critic of particles that learns from itself
-can diverge. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final state.
-The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the vehicle
+can diverge. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final
+state. The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the vehicle
 acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
 Objective. E[u(R_T)], the expected utility of the return discounted with g (ESR), at any lambda and T: V(S_t) is the
@@ -29,8 +29,8 @@ which is Y_t projected onto the grid by multilinear interpolation (Bellemare et 
 
     D(Y, Z) = -sum_j m_j log p_j                                                                       (7)
 
-Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a quarter
-of the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited
+Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a
+quarter of the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited
 to 4096. ``particles``, for more objectives: K equally likely returns x_i, and D is the energy distance (Székely and
 Rizzo 2013) between returns divided by their nominal scales, up to a term without x. Zhang et al. (2021) learn joint
 returns by particles too, with the maximum mean discrepancy.
@@ -92,8 +92,8 @@ class MOCACConfig(NetworkSettings):
         gae_lambda: lambda of eq. 4; 0 gives one-step advantages, 1 uses the whole rollout.
         critic: "particles" for any number of objectives, or "categorical" for few.
         atoms: A, atoms per objective of a categorical critic; A^d is at most 4096.
-        v_min: smallest rest of a return, per objective: the first atom of a grid, or the bound of the particles' targets;
-            None for minus the nominal scale on a grid, minus ten times the nominal scale with particles.
+        v_min: smallest rest of a return, per objective: the first atom of a grid, or the bound of the particles'
+            targets; None for minus the nominal scale on a grid, minus ten times the nominal scale with particles.
         v_max: largest rest of a return, per objective; None for minus the default of v_min.
         particles: K, of a critic of particles.
         target_rate: tau of the weights of Z'.
@@ -245,7 +245,7 @@ class MOCACLearner(Learner):
         return numbers, torch.cat([critic_inputs[-1], self.critic_inputs(final, rollout.final_others[truncated])])
 
     def targets(self, rollout: VehicleRollout, ends: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Equation 5 for M = T N samples, time-major: the sum of rewards (M, d), g^{e-t} (M,) and the number of S_e (M,).
+        """Equation 5 for M = T N samples: the sum of rewards (M, d), g^{e-t} (M,) and the number of S_e (M,).
 
         The discount is 0 where the episode terminates at e; the number is then any.
         """
