@@ -12,25 +12,25 @@ vector return, not its mean, so that the expected utility of the whole return is
     Y_t  = sum_{k<e-t} g^k r_{t+k} + g^{e-t} Z'(S_e)    targets of the critic                          (5)
     L    = E[-A_t log pi(a_t | S_t)] + c_v E[D(Y_t, Z(S_t))] - c_e E[H(pi)]                            (6)
 
-e is the end of the episode or of the rollout, whichever comes first: every target carries the rewards of the whole
-rest of the rollout, so that an outcome n decisions later arrives after about n / T updates. Z' is Z with slowly moving
+e is the end of the episode or of the rollout, whichever comes first: every target carries the rewards of the whole rest
+of the rollout, so that an outcome n decisions later arrives after about n / T updates. Z' is Z with slowly moving
 weights w' <- w' + tau (w - w') (``target_rate``; 1 for Z itself), because a critic of particles that learns from itself
 can diverge. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final
-state. The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the vehicle
-acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
+state. The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the
+vehicle acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
 Objective. E[u(R_T)], the expected utility of the return discounted with g (ESR), at any lambda and T: V(S_t) is the
 expected final utility, and A_t sums its increases. For lambda = 1 eq. 4 is V(S_e) - V(S_t). g = ``gamma`` is the one
-discount; with 1 the utility is that of the undiscounted return. Added here: lambda, w', the normalisation of advantages,
-g^t in the state, and particles.
+discount; with 1 the utility is that of the undiscounted return. Not taken from the paper: lambda, w', the
+normalisation of advantages, g^t in the state, and particles.
 
 Critic. ``categorical``, as published: masses p on a grid of A atoms per objective; D is the cross entropy of p and m,
 which is Y_t projected onto the grid by multilinear interpolation (Bellemare et al. 2017 for one objective),
 
     D(Y, Z) = -sum_j m_j log p_j                                                                       (7)
 
-Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a
-quarter of the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited
+Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a quarter
+of the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited
 to 4096. ``particles``, for more objectives: K equally likely returns x_i, and D is the energy distance (Székely and
 Rizzo 2013) between returns divided by their nominal scales, up to a term without x. Zhang et al. (2021) learn joint
 returns by particles too, with the maximum mean discrepancy.
@@ -38,8 +38,8 @@ returns by particles too, with the maximum mean discrepancy.
     D(Y, Z) = 2 E|x - y| - E|x - x'|                                                                   (8)
 
 Bias: K points stand for the distribution, and targets are clipped to [v_min, v_max], which is wide by default. Whatever
-the critic, Z follows the policy with a delay, and as far as it is wrong where a rollout ends (lambda = 1) or at the next
-steps (lambda < 1) the advantages are biased.
+the critic, Z follows the policy with a delay, and as far as it is wrong where a rollout ends (lambda = 1) or at the
+next steps (lambda < 1) the advantages are biased.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def test_the_loss_of_a_grid_is_the_cross_entropy_of_the_projected_target() -> No
     loss = grid().loss(outputs, shifts, discounts, following, weights)
     targets = project(following.softmax(-1), shifts, discounts, grid().values)
     expected = (weights * torch.nn.functional.cross_entropy(outputs, targets, reduction="none")).sum()
-    assert float(loss) == pytest.approx(float(expected), rel=1e-5)
+    assert float(loss) == pytest.approx(float(expected.detach()), rel=1e-5)
     ((by, gradient),) = loss.gradients
     assert by is outputs
     torch.testing.assert_close(torch.from_numpy(gradient), torch.autograd.grad(expected, outputs)[0])
@@ -92,7 +92,7 @@ def test_the_energy_score_and_its_gradient_are_those_of_plain_sums() -> None:
         to_each_other = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in x[m]) / 25
         total = total + weights[m] * (2 * to_targets - to_each_other)
     value, gradient = energy_score(x.detach().numpy(), y.numpy(), weights.numpy())
-    assert value == pytest.approx(float(total), rel=1e-5)
+    assert value == pytest.approx(float(total.detach()), rel=1e-5)
     torch.testing.assert_close(torch.from_numpy(gradient), torch.autograd.grad(total, x)[0], rtol=1e-4, atol=1e-6)
 
 
