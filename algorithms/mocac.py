@@ -14,8 +14,8 @@ vector return, not its mean, so that the expected utility of the whole return is
 
 e is the end of the episode or of the rollout, whichever comes first: every target carries the rewards of the whole rest
 of the rollout, so that an outcome n decisions later arrives after about n / T updates. Z' is Z with slowly moving
-weights w' <- w' + tau (w - w') (``target_rate``; 1 for Z itself), because a critic of particles that learns from itself
-can diverge. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final
+weights w' <- w' + tau (w - w') (``target_rate``; 1 for Z itself): particles that learn from themselves can diverge, a
+grid, which is bounded, cannot. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final
 state. The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the
 vehicle acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
@@ -96,7 +96,7 @@ class MOCACConfig(NetworkSettings):
             targets; None for minus the nominal scale on a grid, minus ten times the nominal scale with particles.
         v_max: largest rest of a return, per objective; None for minus the default of v_min.
         particles: K, of a critic of particles.
-        target_rate: tau of the weights of Z'.
+        target_rate: tau of the weights of Z'; None for 1 (Z itself) with a grid, 0.05 with particles.
         observe_discount: include g^t in the state, on which V depends where gamma < 1.
         steps: T, time steps per environment and update.
         entropy_start: c_e at the start of training.
@@ -118,7 +118,7 @@ class MOCACConfig(NetworkSettings):
     v_min: list[float] | None = None
     v_max: list[float] | None = None
     particles: Count = 32
-    target_rate: PositiveFraction = 0.05
+    target_rate: PositiveFraction | None = None
     observe_discount: bool = True
     steps: Count = 16
     entropy_start: NonNegative = 0.01
@@ -129,6 +129,12 @@ class MOCACConfig(NetworkSettings):
     normalise_advantages: bool = True
     objective_scales: Scales | None = None
     centralised_critic: bool = False
+
+    @property
+    def tau(self) -> float:
+        """``target_rate``, or its default for the critic where that is None."""
+        default = 1.0 if self.critic == "categorical" else 0.05
+        return default if self.target_rate is None else self.target_rate
 
     @model_validator(mode="after")
     def _consistent(self) -> MOCACConfig:
@@ -196,7 +202,7 @@ class MOCACLearner(Learner):
         self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)
         with torch.no_grad():
             for slow, weight in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
-                slow.lerp_(weight, self.config.target_rate)
+                slow.lerp_(weight, self.config.tau)
         return {name: float(loss) for name, loss in losses.items() if name != "total"}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
