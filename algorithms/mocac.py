@@ -15,9 +15,9 @@ vector return, not its mean, so that the expected utility of the whole return is
 e is the end of the episode or of the rollout, whichever comes first: every target carries the rewards of the whole rest
 of the rollout, so that an outcome n decisions later arrives after about n / T updates. Z' is Z with slowly moving
 weights w' <- w' + tau (w - w') (``target_rate``; 1 for Z itself): particles that learn from themselves can diverge, a
-grid, which is bounded, cannot. After termination V is u(R_e); what a truncated episode would still have gained is Z of its true final
-state. The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in which the
-vehicle acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
+grid, which is bounded, cannot. After termination V is u(R_e); what a truncated episode would still have gained is Z of
+its true final state. The sum of eq. 4 ends with the episode or the rollout; the means of eq. 6 are over the samples in
+which the vehicle acted, with A_t normalised to mean 0 and standard deviation 1 (``normalise_advantages``).
 
 Objective. E[u(R_T)], the expected utility of the return discounted with g (ESR), at any lambda and T: V(S_t) is the
 expected final utility, and A_t sums its increases. For lambda = 1 eq. 4 is V(S_e) - V(S_t). g = ``gamma`` is the one
