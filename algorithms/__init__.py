@@ -15,15 +15,17 @@ if TYPE_CHECKING:
     from algorithms.agent import Agent, FrontAgent
     from algorithms.mo_a2c import MOA2C
     from algorithms.mo_ppo import MOPPO
+    from algorithms.mocac import MOCAC
     from algorithms.pcn import PCN
     from algorithms.ppo import PPO
 
-__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent", "FrontAgent"]
+__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOCAC", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent", "FrontAgent"]
 
 # The module of every class that can be imported from here.
 _MODULES = {
     "A2C": "algorithms.a2c",
     "MOA2C": "algorithms.mo_a2c",
+    "MOCAC": "algorithms.mocac",
     "MOPPO": "algorithms.mo_ppo",
     "PCN": "algorithms.pcn",
     "PPO": "algorithms.ppo",
@@ -74,5 +76,5 @@ class _LazyClasses(Mapping[str, type[Any]]):
 
 
 ALGORITHMS: Mapping[str, type[Any]] = _LazyClasses(
-    {"a2c": "A2C", "ppo": "PPO", "mo_a2c": "MOA2C", "mo_ppo": "MOPPO", "pcn": "PCN"}
+    {"a2c": "A2C", "ppo": "PPO", "mo_a2c": "MOA2C", "mo_ppo": "MOPPO", "mocac": "MOCAC", "pcn": "PCN"}
 )

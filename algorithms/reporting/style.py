@@ -21,6 +21,7 @@ ALGORITHM_COLOURS = {
     "mo_a2c": "#0072B2",
     "ppo": "#E69F00",
     "mo_ppo": "#56B4E9",
+    "mocac": "#7F7F7F",
     "pcn": "#009E73",
 }
 # Of all other algorithms, chosen by their names; from the muted scheme of Paul Tol.

@@ -1,0 +1,256 @@
+"""Distributions of a vector return as outputs of a network: a categorical grid, and a set of particles.
+
+Both describe the joint distribution of all objectives. Rows are samples: M of them, with d objectives.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from algorithms.common.losses import Loss
+from mo_deepdrive.simulation.jit import jit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.utilities import Utility
+
+MAX_CELLS = 4096  # of a grid
+MAX_RETURNS = 2**20  # whose utilities are computed at a time
+SMOOTHING = 0.01  # of distances between scaled returns, at 0
+
+
+def _check_bounds(minimum: Sequence[float], maximum: Sequence[float]) -> None:
+    if any(low >= high for low, high in zip(minimum, maximum, strict=True)):
+        raise ValueError(f"v_min = {list(minimum)} must be below v_max = {list(maximum)} in every objective")
+
+
+class ReturnDistribution(ABC):
+    """A family of joint distributions of d returns, parametrised by the outputs of a network.
+
+    Attributes:
+        outputs: width of the network's output.
+    """
+
+    outputs: int
+
+    @abstractmethod
+    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The returns that have mass, (M, n, d) or (1, n, d) where all rows share them, and their masses (M, n).
+
+        Args:
+            outputs: (M, outputs) of the network.
+        """
+
+    @abstractmethod
+    def loss(
+        self,
+        outputs: torch.Tensor,
+        shifts: torch.Tensor,
+        discounts: torch.Tensor,
+        following: torch.Tensor,
+        weights: torch.Tensor,
+    ) -> Loss:
+        """Sum over the rows of w D(target, prediction), where the target is the distribution of shift + discount Z.
+
+        Args:
+            outputs: (M, outputs) of the network: the predictions, by which the loss has a gradient.
+            shifts: (M, d).
+            discounts: (M,); 0 gives the point ``shift`` for a target.
+            following: (M, outputs) of the network: Z.
+            weights: (M,) w.
+        """
+
+    def expected_utility(
+        self, utility: Utility, outputs: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor
+    ) -> torch.Tensor:
+        """E[u(R + D Z)] (M,), from the outputs (M, outputs) for Z, R (M, d) and D (M,)."""
+        returns, masses = self.support(outputs)
+        rows = max(1, MAX_RETURNS // returns[0].numel())
+        found = []
+        for first in range(0, len(outputs), rows):
+            part = slice(first, first + rows)
+            rest = returns if len(returns) == 1 else returns[part]
+            final = accrued[part].unsqueeze(1) + discounts[part, None, None] * rest
+            found.append((masses[part] * utility(final)).sum(-1))
+        return torch.cat(found)
+
+
+class CategoricalGrid(ReturnDistribution):
+    """Masses on a regular grid of A atoms per objective, softmax of A^d logits (Reymond et al. 2023, section 4).
+
+    The joint form of Bellemare, Dabney and Munos (2017). The loss is the cross entropy between the target, projected
+    onto the grid by :func:`project`, and the prediction.
+
+    Args:
+        minimum, maximum: (d,) first and last atom of each objective.
+        atoms: A.
+        device: of the tensors.
+
+    Raises:
+        ValueError: if the grid has more than 4096 cells, or an objective's atoms do not increase.
+    """
+
+    def __init__(self, minimum: Sequence[float], maximum: Sequence[float], atoms: int, device: torch.device):
+        self.objectives, self.atoms = len(minimum), atoms
+        self.outputs = atoms**self.objectives
+        if self.outputs > MAX_CELLS:
+            raise ValueError(
+                f"atoms = {atoms} for {self.objectives} objectives makes a grid of {atoms}^{self.objectives} = "
+                f"{self.outputs:,} cells; at most {MAX_CELLS:,} are allowed: choose fewer atoms, or critic: particles"
+            )
+        _check_bounds(minimum, maximum)
+        # (A, d): one column of atoms per objective, and all their combinations (1, A^d, d).
+        columns = [torch.linspace(low, high, atoms) for low, high in zip(minimum, maximum, strict=True)]
+        self.values = torch.stack(columns, dim=1).to(device)
+        points = torch.stack(torch.meshgrid(*columns, indexing="ij"), dim=-1)
+        self.points = points.reshape(1, self.outputs, self.objectives).to(device)
+
+    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The grid's points (1, A^d, d), and softmax of the logits."""
+        return self.points, outputs.softmax(-1)
+
+    def loss(
+        self,
+        outputs: torch.Tensor,
+        shifts: torch.Tensor,
+        discounts: torch.Tensor,
+        following: torch.Tensor,
+        weights: torch.Tensor,
+    ) -> Loss:
+        """-sum w m . log p for the projected targets m; its gradient by the logits is w (p - m)."""
+        targets = project(following.detach().softmax(-1), shifts, discounts, self.values)
+        log_prob = outputs.detach().log_softmax(-1)
+        weights = weights.unsqueeze(-1)
+        gradient = weights * (log_prob.exp() - targets)
+        return Loss(-float((weights * targets * log_prob).sum()), [(outputs, gradient.cpu().numpy())])
+
+
+def project(masses: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """The distribution of shift + discount Z, with Z on a grid, back onto that grid: (M, A^d).
+
+    Every atom is clipped to the grid, and its mass shared among the 2^d corners of its cell by multilinear
+    interpolation: for an atom b of an objective, in units of the spacing from its first atom, atom i receives the
+    factor max(0, 1 - |b - i|). The means of atoms inside the grid are kept, and variances never become smaller.
+
+    Args:
+        masses: (M, A^d) of Z, the last objective varying fastest.
+        shifts: (M, d).
+        discounts: (M,).
+        values: (A, d) atoms of each objective, evenly spaced.
+    """
+    atoms, d = values.shape
+    number = torch.arange(atoms, dtype=values.dtype, device=values.device)
+    spacing = (values[-1] - values[0]) / (atoms - 1)
+    result = masses.reshape(len(masses), atoms, -1)
+    for k in range(d):
+        moved = shifts[:, k, None] + discounts.unsqueeze(-1) * values[:, k]
+        position = ((moved - values[0, k]) / spacing[k]).clamp(0.0, atoms - 1.0)
+        factors = (1.0 - (position.unsqueeze(1) - number.unsqueeze(-1)).abs()).clamp(min=0.0)  # (M, A to, A from)
+        # The first objective's axis is contracted and becomes the last, so that after d rounds the order is as before.
+        result = (factors @ result).transpose(1, 2).reshape(len(masses), atoms, -1)
+    return result.reshape(len(masses), -1)
+
+
+class Particles(ReturnDistribution):
+    """K equally likely joint returns, trained by the energy distance to the target's (Székely and Rizzo 2013).
+
+    Args:
+        number: K.
+        scales: (d,) nominal size of each objective's return, by which distances are measured.
+        minimum, maximum: (d,) bounds to which targets are clipped.
+
+    Raises:
+        ValueError: if the bounds of an objective do not increase.
+    """
+
+    def __init__(self, number: int, scales: torch.Tensor, minimum: Sequence[float], maximum: Sequence[float]):
+        _check_bounds(minimum, maximum)
+        self.number, self.scales = number, scales
+        self.minimum, self.maximum = (scales.new_tensor(bound) / scales for bound in (minimum, maximum))
+        self.outputs = number * len(scales)
+
+    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The particles (M, K, d), each of mass 1 / K."""
+        particles = outputs.unflatten(-1, (self.number, -1))
+        return self.scales * particles, torch.full_like(particles[..., 0], 1.0 / self.number)
+
+    def loss(
+        self,
+        outputs: torch.Tensor,
+        shifts: torch.Tensor,
+        discounts: torch.Tensor,
+        following: torch.Tensor,
+        weights: torch.Tensor,
+    ) -> Loss:
+        """The sum of w times :func:`energy_score`, between returns divided by their scales."""
+        moved = discounts[:, None, None] * following.detach().unflatten(-1, (self.number, -1))
+        targets = ((shifts / self.scales).unsqueeze(1) + moved).clamp(self.minimum, self.maximum)
+        particles = outputs.detach().reshape(targets.shape)
+        value, gradient = energy_score(particles.cpu().numpy(), targets.cpu().numpy(), weights.cpu().numpy())
+        return Loss(value, [(outputs, gradient.reshape(outputs.shape))])
+
+
+def energy_score(
+    particles: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
+) -> tuple[float, NDArray[np.float32]]:
+    """Sum over the rows of w (2 E|X - Y| - E|X - X'|), and its gradient (M, K, d) by the particles.
+
+    This is the energy distance between particles and targets but for E|Y - Y'|, which does not depend on the particles.
+    It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest where X and Y
+    have the same distribution (Gneiting and Raftery 2007, section 4.3). With |z| = sqrt(z . z + 0.01^2), which has a
+    gradient at 0, it is a maximum mean discrepancy with a multiquadric kernel, as in Zhang et al. (2021).
+
+    Args:
+        particles: (M, K, d) X, equally likely.
+        targets: (M, J, d) Y, equally likely.
+        weights: (M,) w.
+    """
+    gradient = np.zeros_like(particles)
+    return _energy_score(particles, targets, weights, gradient), gradient
+
+
+@jit
+def _energy_score(
+    particles: NDArray[np.float32],
+    targets: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+) -> float:
+    """Add the gradient to ``gradient``; the derivative of |z| by z is z / |z|."""
+    rows, number, d = particles.shape
+    total = 0.0
+    for m in range(rows):
+        if weights[m] == 0.0:
+            continue
+        to_targets = 2.0 * weights[m] / (number * targets.shape[1])
+        to_each_other = 2.0 * weights[m] / number**2  # every pair once
+        x, y, by_x = particles[m], targets[m], gradient[m]
+        for i in range(number):
+            for j in range(len(y)):
+                square = SMOOTHING**2
+                for k in range(d):
+                    square += (x[i, k] - y[j, k]) ** 2
+                distance = math.sqrt(square)
+                total += to_targets * distance
+                for k in range(d):
+                    by_x[i, k] += to_targets * (x[i, k] - y[j, k]) / distance
+            total -= 0.5 * to_each_other * SMOOTHING  # of a particle to itself
+            for j in range(i):
+                square = SMOOTHING**2
+                for k in range(d):
+                    square += (x[i, k] - x[j, k]) ** 2
+                distance = math.sqrt(square)
+                total -= to_each_other * distance
+                for k in range(d):
+                    slope = to_each_other * (x[i, k] - x[j, k]) / distance
+                    by_x[i, k] -= slope
+                    by_x[j, k] += slope
+    return total

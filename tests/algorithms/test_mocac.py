@@ -1,0 +1,230 @@
+"""MOCAC: the optimum of ESR, targets and advantages against plain loops, resumed runs, and what it refuses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+
+from algorithms import MOCAC
+from tests.helpers.agents import (
+    INTERSECTION,
+    NONLINEAR,
+    ONE_WAYPOINT,
+    SEA,
+    handmade,
+    make_agent,
+    recorded,
+    same,
+    state,
+)
+from tests.helpers.safe_or_risky import probability_of_risky
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DELAYS = pytest.mark.parametrize(("delay", "total"), [(0, 40_000), (20, 80_000), (80, 150_000)])
+SHORT_ROLLOUTS: dict[str, Any] = {"steps": 32, "num_envs": 32}  # at a delay of 80 an episode takes three
+GRID: dict[str, Any] = {"critic": "categorical", "v_min": [0.0, 0.0], "v_max": [1.5, 1.5]}
+PARTICLES: dict[str, Any] = {"particles": 16, "hidden": [32, 32], "v_min": [0.0, 0.0], "v_max": [1.5, 1.5]}
+FORMS: dict[str, dict[str, Any]] = {"categorical": {"critic": "categorical", "atoms": 3}, "particles": {"particles": 5}}
+ALL_FORMS = pytest.mark.parametrize("form", FORMS)
+
+
+@pytest.mark.slow
+@DELAYS
+def test_a_grid_learns_the_optimum_of_esr(delay: int, total: int) -> None:
+    assert probability_of_risky(MOCAC, delay, 0, total, **SHORT_ROLLOUTS, **GRID) < 0.1
+
+
+@pytest.mark.slow
+@DELAYS
+def test_particles_learn_the_optimum_of_esr(delay: int, total: int) -> None:
+    assert probability_of_risky(MOCAC, delay, 0, total, **SHORT_ROLLOUTS, **PARTICLES) < 0.1
+
+
+def learner_of(form: str, **arguments: Any) -> tuple[Any, Any]:
+    """An agent on OneWaypoint, four objectives, and its learner."""
+    agent = make_agent(MOCAC, num_envs=3, utility=NONLINEAR, gamma=0.9, **FORMS[form], **arguments)
+    return agent, agent.learners[0]
+
+
+def plain_ends(learner: Any, rollout: Any) -> list[list[Any]]:
+    """For each sample the state that follows its step, as the networks see it; None after termination."""
+    steps, n = rollout.acted.shape
+    found: list[list[Any]] = [[None] * n for _ in range(steps)]
+    for t in range(steps):
+        for i in range(n):
+            if rollout.terminated[t, i]:
+                continue
+            if rollout.truncated[t, i]:
+                accrued = rollout.accrued[t, i] + rollout.discounts[t, i] * rollout.rewards[t, i]
+                found[t][i] = (rollout.final[t, i], accrued, 0.9 * rollout.discounts[t, i])
+            else:
+                found[t][i] = tuple(
+                    tensor[t + 1, i] for tensor in (rollout.observations, rollout.accrued, rollout.discounts)
+                )
+    return found
+
+
+@ALL_FORMS
+def test_targets_are_the_rewards_to_the_end_of_the_rollout_and_what_follows(form: str) -> None:
+    agent, learner = learner_of(form)
+    r = handmade(agent)
+    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
+    numbers, end_inputs = learner.ends(r, inputs)
+    shifts, discounts, source = learner.targets(r, numbers)
+    following = plain_ends(learner, r)
+    steps, n = r.acted.shape
+    kinds = set()
+    for t in range(steps):
+        for i in range(n):
+            total, discount, e = torch.zeros(4), 1.0, t
+            while True:
+                total = total + discount * r.rewards[e, i]
+                discount *= 0.9
+                if e == steps - 1 or r.terminated[e, i] or r.truncated[e, i]:
+                    break
+                e += 1
+            row = t * n + i
+            torch.testing.assert_close(shifts[row], total, rtol=1e-4, atol=1e-4)
+            kinds.add((bool(r.terminated[e, i]), bool(r.truncated[e, i])))
+            if r.terminated[e, i]:
+                assert float(discounts[row]) == 0.0
+            else:
+                assert float(discounts[row]) == pytest.approx(discount, rel=1e-5)
+                torch.testing.assert_close(end_inputs[source[row]], learner.inputs(*following[e][i]))
+    assert len(kinds) == 4
+
+
+@ALL_FORMS
+def test_advantages_sum_the_increases_of_the_expected_final_utility(form: str) -> None:
+    agent, learner = learner_of(form, gae_lambda=0.7)
+    r = handmade(agent)
+
+    def value(observation: Any, accrued: Any, discount: Any) -> float:
+        with torch.no_grad():
+            outputs = learner.critic(learner.inputs(observation, accrued, discount).unsqueeze(0))
+        returns, masses = learner.distribution.support(outputs)
+        found = sum(
+            float(mass) * float(NONLINEAR(accrued + discount * rest))
+            for rest, mass in zip(returns[0], masses[0], strict=True)
+        )
+        return found
+
+    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
+    numbers, end_inputs = learner.ends(r, inputs)
+    with torch.no_grad():
+        outputs, end_outputs = learner.critic(inputs[:-1].flatten(0, 1)), learner.critic(end_inputs)
+    found = learner.advantages(r, outputs, numbers, end_outputs)
+    following = plain_ends(learner, r)
+    steps, n = r.acted.shape
+    for i in range(n):
+        later = 0.0
+        for t in range(steps - 1, -1, -1):
+            final = r.accrued[t, i] + r.discounts[t, i] * r.rewards[t, i]
+            after = float(NONLINEAR(final)) if following[t][i] is None else value(*following[t][i])
+            over = bool(r.terminated[t, i] or r.truncated[t, i])
+            later = after - value(r.observations[t, i], r.accrued[t, i], r.discounts[t, i]) + 0.7 * later * (not over)
+            assert float(found[t, i]) == pytest.approx(later, rel=1e-3, abs=1e-2)
+
+
+@ALL_FORMS
+def test_the_gradient_is_that_of_equation_6_by_autograd(form: str) -> None:
+    agent, learner = learner_of(form, max_grad_norm=1e9)
+    r = handmade(agent, masked=True)
+    inputs = learner.inputs(r.observations, r.accrued, r.discounts)
+    weights = r.acted / r.acted.sum()
+    numbers, end_inputs = learner.ends(r, inputs)
+    outputs = learner.critic(inputs[:-1].flatten(0, 1))
+    with torch.no_grad():
+        end_outputs, targets = learner.critic(end_inputs), learner.target_critic(end_inputs)
+        advantages = learner.advantages(r, outputs.detach(), numbers, end_outputs)
+    chosen = advantages[r.acted]
+    advantages = (advantages - chosen.mean()) / chosen.std(correction=0)
+    shifts, discounts, source = learner.targets(r, numbers)
+    if form == "categorical":
+        from algorithms.common.return_distributions import project
+
+        masses = project(targets[source].softmax(-1), shifts, discounts, learner.distribution.values)
+        distances = -(masses * outputs.log_softmax(-1)).sum(-1)
+    else:
+        x = outputs.unflatten(-1, (5, 4))
+        y = (shifts / learner.objective_scales).unsqueeze(1) + discounts[:, None, None] * targets[source].view_as(x)
+        norm = [((x[:, :, None] - z[:, None]).square().sum(-1) + 0.01**2).sqrt().mean((1, 2)) for z in (y, x)]
+        distances = 2 * norm[0] - norm[1]
+    log_prob, entropies = learner.actor.log_prob_and_entropy(inputs[:-1], r.actions)
+    loss = (weights * (-advantages * log_prob - 0.02 * entropies)).sum() + 0.5 * (weights.flatten() * distances).sum()
+    parameters = [*learner.actor.parameters(), *learner.critic.parameters()]
+    expected = torch.autograd.grad(loss, parameters)
+    learner.update(r, 1e-3, 0.02)
+    for parameter, gradient in zip(parameters, expected, strict=True):
+        torch.testing.assert_close(learner.optimiser.gradients[parameter], gradient, rtol=1e-3, atol=1e-5)
+
+
+def test_the_slow_critic_moves_by_its_rate() -> None:
+    agent, learner = learner_of("particles", target_rate=0.25)
+    before = [weight.clone() for weight in learner.target_critic.parameters()]
+    learner.update(handmade(agent), 1e-2, 0.0)
+    pairs = zip(before, learner.critic.parameters(), learner.target_critic.parameters(), strict=True)
+    for old, weight, slow in pairs:
+        assert not torch.equal(old, weight)
+        torch.testing.assert_close(slow, 0.75 * old + 0.25 * weight)
+
+
+@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, INTERSECTION, SEA])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(form: str, env_id: str, tmp_path: Path) -> None:
+    def agent(seed: int) -> Any:
+        settings = {**FORMS[form], "centralised_critic": True} if env_id == INTERSECTION else FORMS[form]
+        return make_agent(MOCAC, env_id, seed=seed, steps=6, **settings)
+
+    total = 6 * 24
+    whole, first, second = agent(3), agent(3), agent(99)
+    lines = recorded(whole, total, log_interval=1)
+    start = recorded(first, total, log_interval=1, after_update=lambda each: each.updates == 3)
+    first.save(tmp_path / "checkpoint.safetensors")
+    second.load(tmp_path / "checkpoint.safetensors")
+    assert same(state(second), state(first))
+    if env_id == SEA:  # its environments cannot be saved
+        return
+    rest = recorded(second, total, log_interval=1)
+    assert same(state(second), state(whole))
+    assert start + rest == lines
+
+
+def test_a_checkpoint_of_another_critic_is_refused(tmp_path: Path) -> None:
+    make_agent(MOCAC, SEA, critic="categorical", v_max=[20.0, 1.0]).save(tmp_path / "checkpoint.safetensors")
+    with pytest.raises(ValueError, match="critic"):
+        make_agent(MOCAC, SEA, critic="categorical", v_max=[30.0, 1.0]).load(tmp_path / "checkpoint.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("env_id", "settings", "message"),
+    [
+        (ONE_WAYPOINT, {"critic": "categorical"}, r"11\^4 = 14,641 cells; at most 4,096"),
+        (SEA, {"critic": "categorical", "atoms": 65}, r"65\^2 = 4,225 cells"),
+        (SEA, {"critic": "categorical", "atoms": 1}, "atoms = 1 must be at least 2"),
+        (SEA, {"v_min": [0.0]}, r"v_min = \[0.0\] needs 2 numbers"),
+        (SEA, {"v_max": []}, r"v_max = \[\] needs 2 numbers"),
+        (SEA, {"v_min": [0.0, 5.0], "v_max": [1.0, 5.0]}, "must be below v_max"),
+        (SEA, {"critic": "gaussian"}, "critic"),
+        (SEA, {"gamma": 0.0}, "gamma"),
+        (SEA, {"target_rate": 0.0}, "target_rate"),
+        (SEA, {"entropy_start": 0.0}, "entropy_start"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(env_id: str, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_agent(MOCAC, env_id, **settings)
+
+
+def test_bounds_default_to_nominal_scales() -> None:
+    scales = make_agent(MOCAC).learners[0].objective_scales.numpy()
+    learner = make_agent(MOCAC, critic="categorical", atoms=3).learners[0]
+    np.testing.assert_allclose(learner.distribution.values.numpy(), [-scales, 0 * scales, scales])
+    particles = make_agent(MOCAC).learners[0].distribution
+    np.testing.assert_allclose(particles.maximum.numpy(), 10.0)
+    np.testing.assert_allclose(particles.minimum.numpy(), -10.0)
