@@ -38,6 +38,11 @@ replace R_t and gamma^t in the state:
 
 both clipped; for linear utilities there is none, because the past does not matter to them.
 
+With ``switching`` the preference also changes within episodes. The reward of eq. 5 then goes on under the new one, and
+v(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
+by one preference then learn under another what moving on is worth. Without it, a network that has once found standing
+still under costly preferences stays with that.
+
 The front consists of the greedy policies under a fixed sample of preferences, from the distribution of training.
 
 A. Abels, D. M. Roijers, T. Lenaerts, A. Nowé, D. Steckelmacher, "Dynamic weights in multi-objective deep reinforcement
@@ -97,6 +102,7 @@ if TYPE_CHECKING:
     from algorithms.common.accrued_reward import AccruedReward
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import VehicleRollout
+    from algorithms.evaluation.front import Front
     from mo_deepdrive.utilities import Utility
 
 
@@ -439,6 +445,19 @@ class ConditionedMOPPO(FrontAgent):
         count, vehicles = self.config.max_policies, self.env.vehicles
         rows = self.preferences.draw(count * vehicles, np.random.default_rng(0))
         return rows.reshape(count, -1)
+
+    def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
+        """The front of one vehicle, as :meth:`FrontAgent.front`.
+
+        Raises:
+            ValueError: if there are several vehicles, each of which has returns of its own.
+        """
+        if self.env.vehicles > 1:
+            raise ValueError(
+                f"algorithm {self.name!r} has no front of {self.env.vehicles} vehicles; "
+                "evaluate_policies(conditions, ...) gives the returns of each"
+            )
+        return super().front(env, episodes=episodes, seed=seed, gamma=gamma)
 
     def policies(self, conditions: NDArray[np.float32]) -> PreferencePolicy:
         """What acts under preferences (N, V m), one per environment, or under one (1, V m) in all.

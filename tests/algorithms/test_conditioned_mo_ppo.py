@@ -100,8 +100,10 @@ def test_chebyshev_weights_find_the_arm_of_a_concave_front_that_linear_weights_d
 
 
 def test_a_larger_budget_buys_a_better_arm() -> None:
-    arms = [[0.0, 0.0], [2.0, -1.0], [4.0, -3.0]]
-    agent = trained_on(arms, families={"comfort_budget": 1.0}, budgets={"cost": 4.0}, price=2.0, entropy_start=0.1)
+    arms = [[0.0, 0.0], [1.0, -1.0], [3.0, -3.0]]
+    entropy = {"entropy_start": 0.3, "entropy_end": 0.01}
+    agent = trained_on(arms, 20_000, families={"comfort_budget": 1.0}, budgets={"cost": 4.0}, price=2.0, **entropy)
+    # An arm is worth its gain minus 2 per unit of cost above the budget: the best one changes at 0.5 and at 2.
     assert [chosen_arm(agent, "comfort_budget", budgets={"cost": b}) for b in (0.2, 1.8, 3.8)] == [0, 1, 2]
 
 
@@ -461,6 +463,18 @@ def test_invalid_hyperparameters_are_refused_by_name(changed: dict[str, Any], me
 def test_invalid_preferences_are_refused(family: str, numbers: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         make_agent(**MIXTURE).preferences.condition(family, **numbers)
+
+
+def test_several_vehicles_are_evaluated_under_preferences_of_their_own_but_have_no_front() -> None:
+    agent = make_agent(INTERSECTION)
+    env = make_env(INTERSECTION, 4, SHORT)
+    conditions = agent.conditions()
+    assert conditions.shape == (6, 12)
+    assert agent.condition_names[6] == "vehicle_1/weight/distance"
+    found = agent.evaluate_policies(conditions, env, episodes=2, seed=0, gamma=0.99)
+    assert [each.returns.shape for each in found] == [(2, 2, 6)] * 6
+    with pytest.raises(ValueError, match="has no front of 2 vehicles"):
+        agent.front(env, episodes=1, seed=0, gamma=0.99)
 
 
 def test_conditions_of_the_wrong_shape_or_not_finite_are_refused() -> None:
