@@ -13,13 +13,26 @@ if TYPE_CHECKING:
     from algorithms.a2c import A2C
     from algorithms.actor_critic import ActorCritic
     from algorithms.agent import Agent, FrontAgent
+    from algorithms.conditioned_mo_ppo import ConditionedMOPPO
     from algorithms.mo_a2c import MOA2C
     from algorithms.mo_ppo import MOPPO
     from algorithms.mocac import MOCAC
     from algorithms.pcn import PCN
     from algorithms.ppo import PPO
 
-__all__ = ["A2C", "ALGORITHMS", "MOA2C", "MOCAC", "MOPPO", "PCN", "PPO", "ActorCritic", "Agent", "FrontAgent"]
+__all__ = [
+    "A2C",
+    "ALGORITHMS",
+    "MOA2C",
+    "MOCAC",
+    "MOPPO",
+    "PCN",
+    "PPO",
+    "ActorCritic",
+    "Agent",
+    "ConditionedMOPPO",
+    "FrontAgent",
+]
 
 # The module of every class that can be imported from here.
 _MODULES = {
@@ -31,6 +44,7 @@ _MODULES = {
     "PPO": "algorithms.ppo",
     "ActorCritic": "algorithms.actor_critic",
     "Agent": "algorithms.agent",
+    "ConditionedMOPPO": "algorithms.conditioned_mo_ppo",
     "FrontAgent": "algorithms.agent",
 }
 
@@ -76,5 +90,13 @@ class _LazyClasses(Mapping[str, type[Any]]):
 
 
 ALGORITHMS: Mapping[str, type[Any]] = _LazyClasses(
-    {"a2c": "A2C", "ppo": "PPO", "mo_a2c": "MOA2C", "mo_ppo": "MOPPO", "mocac": "MOCAC", "pcn": "PCN"}
+    {
+        "a2c": "A2C",
+        "ppo": "PPO",
+        "mo_a2c": "MOA2C",
+        "mo_ppo": "MOPPO",
+        "mocac": "MOCAC",
+        "pcn": "PCN",
+        "conditioned_mo_ppo": "ConditionedMOPPO",
+    }
 )

@@ -23,9 +23,10 @@ ALGORITHM_COLOURS = {
     "mo_ppo": "#56B4E9",
     "mocac": "#7F7F7F",
     "pcn": "#009E73",
+    "conditioned_mo_ppo": "#332288",
 }
 # Of all other algorithms, chosen by their names; from the muted scheme of Paul Tol.
-OTHER_COLOURS = ("#CC79A7", "#332288", "#882255", "#999933", "#44AA99", "#000000", "#661100", "#AA4499")
+OTHER_COLOURS = ("#CC79A7", "#882255", "#999933", "#44AA99", "#000000", "#661100", "#AA4499")
 TRAINING_COLOUR = "#9AA3AD"
 MARKERS = ("", "o", "s", "^", "D", "v", "P", "X")  # of several curves of one algorithm
 INK, DIM, FAINT = "#23282F", "#5B6470", "#B4BBC4"  # of text, of notes and axes, of what is in the background

@@ -1,0 +1,227 @@
+"""Preferences: the families of utilities that one network serves.
+
+:mod:`algorithms.conditioned_mo_ppo` has the equations, to which the numbers here refer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+from pydantic import model_validator
+
+from algorithms.common.hyperparameters import NonNegative, Positive
+from mo_deepdrive.config import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+Family = Literal["linear", "chebyshev", "comfort_budget"]
+FAMILIES: tuple[Family, ...] = ("linear", "chebyshev", "comfort_budget")
+LINEAR, CHEBYSHEV, COMFORT_BUDGET = range(3)  # indices of FAMILIES
+FURTHEST = 2.0  # a gap behind the largest one, or a budget left, counts for no more than this (eqs. 10 and 11)
+SMALLEST_DISCOUNT = 1e-6  # a gamma^t below it counts as this
+
+
+class PreferenceSettings(Settings):
+    """What preferences are drawn from.
+
+    Attributes:
+        families: share of the episodes by family of utilities: "linear", "chebyshev", "comfort_budget".
+        concentration: of the Dirichlet distribution from which weights are drawn; below 1 favours few objectives.
+        rho: of the Chebyshev function (eq. 2).
+        budgets: largest budget by objective (a cost), for "comfort_budget"; budgets are drawn evenly from 0 to it.
+        price: of what exceeds a budget, in units of a scale (eq. 3).
+    """
+
+    families: dict[Family, NonNegative] = {"linear": 1.0}
+    concentration: Positive = 0.5
+    rho: NonNegative = 0.05
+    budgets: dict[str, Positive] = {}
+    price: Positive = 5.0
+
+    @model_validator(mode="after")
+    def _one_family_at_least(self) -> PreferenceSettings:
+        if not any(self.families.values()):
+            raise ValueError(f"families = {self.families} must have a positive share of one of {', '.join(FAMILIES)}")
+        if bool(self.families.get("comfort_budget")) != bool(self.budgets):
+            raise ValueError(
+                f"budgets = {self.budgets} must name the largest budget of at least one objective if and only if "
+                f"families = {self.families} has a share of comfort_budget"
+            )
+        return self
+
+
+class Preferences:
+    """The preferences that one network serves: how they are drawn, what they are worth, what it sees of them.
+
+    A preference is a row (m,) of numbers: an indicator of each family of the mixture if there are several, d weights
+    unless all are budgets, and a budget for each budgeted objective. What a family does not use is 0.
+
+    Args:
+        config: families and what they are drawn from.
+        objectives: names of the d objectives.
+        scales: (d,) s.
+
+    Attributes:
+        names: of the m components.
+        ideal: (d,) z; written by the agent.
+
+    Raises:
+        ValueError: if a budget is for an unknown objective.
+    """
+
+    def __init__(self, config: PreferenceSettings, objectives: Sequence[str], scales: NDArray[np.float32]):
+        shares = np.array([config.families.get(family, 0.0) for family in FAMILIES])
+        for name in config.budgets:
+            if name not in objectives:
+                raise ValueError(f"budgets has {name!r}; the objectives are {tuple(objectives)}")
+        self.objectives = tuple(objectives)
+        self.config = config
+        self.scales = torch.from_numpy(scales)
+        self.shares = shares / shares.sum()
+        self.used = np.flatnonzero(shares).tolist()
+        self.budgeted = [self.objectives.index(name) for name in config.budgets]
+        self.largest = torch.tensor([*config.budgets.values()], dtype=torch.float32)
+        self.ideal = torch.zeros(len(objectives))
+        weighted = self.used != [COMFORT_BUDGET]
+        d, first = len(objectives), len(self.used) if len(self.used) > 1 else 0
+        self._weights = slice(first, first + d * weighted)
+        self._budgets = slice(self._weights.stop, self._weights.stop + len(self.budgeted))
+        self.names = (
+            *((FAMILIES[family] for family in self.used) if first else ()),
+            *((f"weight/{name}" for name in objectives) if weighted else ()),
+            *(f"budget/{name}" for name in config.budgets),
+        )
+
+    def draw(self, count: int, rng: np.random.Generator, cost_share: float = 1.0) -> NDArray[np.float32]:
+        """(count, m) preferences from the distribution of training.
+
+        Args:
+            count: number of preferences.
+            rng: draws them.
+            cost_share: by which weights of costs are multiplied before weights are divided by their sum. Costs are the
+                objectives of which no episode so far has returned more than 0.
+        """
+        rows = np.zeros((count, len(self.names)), dtype=np.float32)
+        family = rng.choice(len(FAMILIES), size=count, p=self.shares)
+        if len(self.used) > 1:
+            rows[np.arange(count), np.searchsorted(self.used, family)] = 1.0
+        weighted = family != COMFORT_BUDGET
+        if weighted.any():
+            alpha = np.full(len(self.objectives), self.config.concentration)
+            weights = rng.dirichlet(alpha, int(weighted.sum()))
+            if cost_share < 1.0:
+                weights = weights * np.where(self.ideal.numpy() > 0.0, 1.0, cost_share) + 1e-9
+                weights /= weights.sum(axis=1, keepdims=True)
+            rows[weighted, self._weights] = weights
+        if not weighted.all():
+            highest = self.largest.numpy()
+            rows[~weighted, self._budgets] = highest * rng.random((int((~weighted).sum()), len(highest)))
+        return rows
+
+    def condition(
+        self, family: str, weights: Mapping[str, float] | None = None, budgets: Mapping[str, float] | None = None
+    ) -> NDArray[np.float32]:
+        """The row (m,) of a preference.
+
+        Args:
+            family: of the mixture that was trained.
+            weights: by objective, in units of its scale, for "linear" and "chebyshev"; 0 for those that are not named,
+                and divided by their sum.
+            budgets: by objective, for "comfort_budget"; 0 for those that are not named.
+
+        Raises:
+            ValueError: for a family that was not trained, or numbers that are not valid.
+        """
+        families = [FAMILIES[each] for each in self.used]
+        if family not in families:
+            raise ValueError(f"family = {family!r} was not trained; it must be one of {', '.join(families)}")
+        chosen = FAMILIES.index(family)
+        row = np.zeros(len(self.names), dtype=np.float32)
+        if len(self.used) > 1:
+            row[self.used.index(chosen)] = 1.0
+        what, given, other, allowed, part = (
+            ("budgets", budgets, weights, [self.objectives[i] for i in self.budgeted], self._budgets)
+            if chosen == COMFORT_BUDGET
+            else ("weights", weights, budgets, list(self.objectives), self._weights)
+        )
+        if given is None or other is not None:
+            raise ValueError(f"family {family!r} needs {what} and nothing else")
+        for name, value in given.items():
+            if name not in allowed:
+                raise ValueError(f"{what} has {name!r}; it must be one of {', '.join(allowed)}")
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{what} of {name!r} = {value} must be finite and not negative")
+        numbers = np.array([given.get(name, 0.0) for name in allowed])
+        if chosen != COMFORT_BUDGET:
+            if not numbers.any():
+                raise ValueError(f"weights = {dict(given)} must have a positive number")
+            numbers = numbers / numbers.sum()
+        row[part] = numbers
+        return row
+
+    def is_family(self, preferences: torch.Tensor, family: int) -> torch.Tensor:
+        """Mask (...) of the preferences (..., m) of a family."""
+        if family not in self.used:
+            return torch.zeros(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
+        if len(self.used) == 1:
+            return torch.ones(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
+        return preferences[..., self.used.index(family)] > 0.5
+
+    def gaps(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
+        """The gaps q of eq. 2 (..., d)."""
+        weights = preferences[..., self._weights]
+        return weights * (self.ideal.to(returns) - returns) / self.scales.to(returns)
+
+    def utility(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
+        """u(R; p) (...) of eqs. 1 to 3, for returns (..., d) and preferences (..., m)."""
+        scaled = returns / self.scales.to(returns)
+        value = torch.zeros(returns.shape[:-1], device=returns.device, dtype=returns.dtype)
+        if LINEAR in self.used:
+            linear = (preferences[..., self._weights] * scaled).sum(-1)
+            value = torch.where(self.is_family(preferences, LINEAR), linear, value)
+        if CHEBYSHEV in self.used:
+            gaps = self.gaps(returns, preferences)
+            chebyshev = -(gaps.amax(-1) + self.config.rho * gaps.sum(-1))
+            value = torch.where(self.is_family(preferences, CHEBYSHEV), chebyshev, value)
+        if COMFORT_BUDGET in self.used:
+            free = [i for i in range(len(self.objectives)) if i not in self.budgeted]
+            excess = (-returns[..., self.budgeted] - preferences[..., self._budgets]).clamp(min=0.0)
+            price = self.config.price / self.scales.to(returns)[self.budgeted]
+            budget = scaled[..., free].sum(-1) - (price * excess).sum(-1)
+            value = torch.where(self.is_family(preferences, COMFORT_BUDGET), budget, value)
+        return value
+
+    @property
+    def width(self) -> int:
+        """Number of columns of :meth:`features`."""
+        d = len(self.objectives)
+        return len(self.names) + d * (CHEBYSHEV in self.used) + len(self.budgeted)
+
+    def features(self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """(p, c_t) of eq. 6, scaled: (..., width).
+
+        Args:
+            preferences: (..., m).
+            accrued: (..., d) R_t.
+            discounts: (...) gamma^t.
+        """
+        left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
+        largest = self.largest.to(accrued)
+        parts = [preferences.clone()]
+        # Of mean 1, whatever the number of objectives.
+        parts[0][..., self._weights] *= len(self.objectives)
+        parts[0][..., self._budgets] /= largest
+        if CHEBYSHEV in self.used:
+            gaps = self.gaps(accrued, preferences)
+            behind = ((gaps - gaps.amax(-1, keepdim=True)) / left).clamp(min=-FURTHEST)
+            parts.append(behind * self.is_family(preferences, CHEBYSHEV).unsqueeze(-1))
+        if COMFORT_BUDGET in self.used:
+            unspent = (accrued[..., self.budgeted] + preferences[..., self._budgets]) / left / largest
+            is_budget = self.is_family(preferences, COMFORT_BUDGET).unsqueeze(-1)
+            parts.append(unspent.clamp(-FURTHEST, FURTHEST) * is_budget)
+        return torch.cat(parts, dim=-1)

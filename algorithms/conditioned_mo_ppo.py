@@ -1,0 +1,590 @@
+"""Conditioned MO-PPO: one network for a family of utilities, for a utility that is not known yet.
+
+A preference p, the family and parameters of a utility u(.; p), is drawn at the start of every episode and is part of
+the state, as the weights of Abels et al. (2019) and Yang et al. (2019); one actor and one critic per vehicle serve
+all of them. With returns R in R^d, scales s, weights w of the simplex, budgets b and an ideal point z the families are
+
+    linear           u(R) = sum_i w_i R_i / s_i                                                                      (1)
+    chebyshev        u(R) = -(max_i q_i + rho sum_i q_i),    q_i = w_i (z_i - R_i) / s_i                             (2)
+    comfort_budget   u(R) = sum_{i not in B} R_i / s_i - price sum_{i in B} max(0, -R_i - b_i) / s_i                 (3)
+
+Eq. 2 is the augmented Chebyshev function (Steuer and Choo 1983), which has optima that no weights of eq. 1 have where a
+front is not convex (Van Moffaert et al. 2013). Eq. 3 lets a passenger bear so much of some costs (g-force, jerk) and
+charges what exceeds it: the constraint method of Haimes et al. (1971) with a penalty. z is the best discounted return
+of each objective in any episode so far.
+
+The objective is the expected utility of the discounted return (ESR), in the mean over preferences,
+
+    J = E_p E[u(R_T; p)],    R_t = sum_{i<t} gamma^i r_i.                                                            (4)
+
+The increases of the utility, in units of what the rest of the episode is worth, are a scalar reward:
+
+    x_t = (u(R_{t+1}; p) - u(R_t; p)) / gamma^t,    sum_t gamma^t x_t = u(R_T; p) - u(0; p)                          (5)
+
+which is w . r_t / s for a linear utility. It is learnt from as in PPO (Schulman et al. 2017), with a critic v(S) of
+E[sum_k gamma^k x_{t+k}] that is 0 after termination:
+
+    S_t     = (s_t, p, c_t)                                                                                          (6)
+    delta_t = x_t + gamma v(S_{t+1}) - v(S_t)                                                                        (7)
+    A_t     = delta_t + gamma lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                         (8)
+    L       = -E[min(f_t A_t, clip(f_t, 1 - epsilon, 1 + epsilon) A_t)] + c_v E[(y_t - v(S_t))^2] - c_e E[H(pi)]     (9)
+
+with the ratio f_t = pi(a_t | S_t) / pi_old(a_t | S_t). c_t is what the past means for the rest of the episode. Since
+u(R_t + gamma^t X) / gamma^t depends on R_t only through differences of gaps, and through budgets that are left, these
+replace R_t and gamma^t in the state:
+
+    chebyshev        c_i = (q_i(R_t) - max_j q_j(R_t)) / gamma^t                                                    (10)
+    comfort_budget   c_i = (R_{t,i} + b_i) / gamma^t / (largest budget)                                             (11)
+
+both clipped; for linear utilities there is none, because the past does not matter to them.
+
+With ``switching`` the preference also changes within episodes. The reward of eq. 5 then goes on under the new one, and
+v(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
+by one preference then learn under another what moving on is worth. Without it, a network that has once found standing
+still under costly preferences stays with that.
+
+The front consists of the greedy policies under a fixed sample of preferences, from the distribution of training.
+
+A. Abels, D. M. Roijers, T. Lenaerts, A. Nowé, D. Steckelmacher, "Dynamic weights in multi-objective deep reinforcement
+learning", ICML 2019. R. Yang, X. Sun, K. Narasimhan, "A generalized algorithm for multi-objective reinforcement
+learning and policy adaptation", NeurIPS 2019. K. Van Moffaert, M. M. Drugan, A. Nowé, "Scalarized multi-objective
+reinforcement learning: novel design techniques", ADPRL 2013. Y. Y. Haimes, L. S. Lasdon, D. A. Wismer, "On a
+bicriterion formulation of the problems of integrated system identification and system optimization", IEEE Transactions
+on Systems, Man, and Cybernetics 1, 1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import fmean
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+
+from algorithms.agent import FrontAgent
+from algorithms.common.actors import GaussianActor, make_actor
+from algorithms.common.advantages import generalised_advantages, normalise
+from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.hyperparameters import (
+    Count,
+    FinalLearningRate,
+    Fraction,
+    LearningRate,
+    NetworkSettings,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+    check_entropy_schedule,
+)
+from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.common.networks import make_network
+from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
+from algorithms.common.preferences import SMALLEST_DISCOUNT, Preferences, PreferenceSettings
+from algorithms.common.rollout import Collector, Samples
+from algorithms.evaluation.metrics import (
+    APPROX_KL,
+    CLIP_FRACTION,
+    ENTROPY,
+    ENTROPY_COEFFICIENT,
+    LEARNING_RATE,
+    POLICY_LOSS,
+    VALUE_LOSS,
+    vehicle_prefix,
+)
+
+if TYPE_CHECKING:
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import NDArray
+
+    from algorithms.common.accrued_reward import AccruedReward
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.rollout import VehicleRollout
+    from algorithms.evaluation.front import Front
+    from mo_deepdrive.utilities import Utility
+
+
+class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
+    """Hyperparameters of conditioned MO-PPO; the others are described in PreferenceSettings and NetworkSettings.
+
+    Attributes:
+        objective_scales: s, nominal size of each objective's return; None for the environment's own.
+        switching: probability per decision that the preference changes in the middle of an episode.
+        cost_growth: fraction of the training in which the weights of costs grow from 0 to what is drawn; 0 for none.
+        max_policies: preferences under which the front is evaluated.
+        learning_rate: Adam's step size at the start of training.
+        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
+        gamma: discount of the return of which the utility is taken.
+        gae_lambda: lambda of eq. 8.
+        steps: T, time steps per environment and update.
+        epochs: passes over every rollout.
+        minibatches: gradient steps per pass.
+        clip: epsilon of eq. 9.
+        entropy_start: c_e at the start of training.
+        entropy_end: c_e at the end, to which it moves geometrically.
+        entropy_until: fraction of the training after which c_e is ``entropy_end``.
+        value_coefficient: c_v.
+        max_grad_norm: maximum norm of the gradient.
+    """
+
+    objective_scales: Scales | None = None
+    switching: Fraction = 0.01
+    cost_growth: Fraction = 0.0
+    max_policies: Annotated[int, Field(ge=1)] = 200
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: PositiveFraction = 0.99
+    gae_lambda: Fraction = 0.95
+    steps: Count = 32
+    epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    minibatches: Count = 4
+    clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    entropy_start: NonNegative = 0.01
+    entropy_end: NonNegative = 0.001
+    entropy_until: PositiveFraction = 1.0
+    value_coefficient: Positive = 0.5
+    max_grad_norm: Positive = 0.5
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ConditionedMOPPOConfig:
+        check_entropy_schedule(self.entropy_start, self.entropy_end)
+        return self
+
+
+class ConditionedLearner:
+    """The networks of one vehicle, and how they learn.
+
+    Args:
+        env: where the vehicle drives.
+        preferences: of the agent.
+        config: hyperparameters.
+        generator: draws the initial weights.
+        device: of the networks.
+    """
+
+    def __init__(
+        self,
+        env: EnvAdapter,
+        preferences: Preferences,
+        config: ConditionedMOPPOConfig,
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        self.config = config
+        self.preferences = preferences
+        self.observation_scales = torch.tensor(env.observation_scales, device=device)
+        self.input_size = env.observation_size + preferences.width
+        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = make_network(config, self.input_size, 1, generator).to(device)
+        self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
+        # Shuffles the minibatches.
+        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
+
+    def inputs(
+        self,
+        observations: torch.Tensor,
+        preferences: torch.Tensor,
+        accrued: torch.Tensor,
+        discounts: torch.Tensor,
+    ) -> torch.Tensor:
+        """S_t of eq. 6, scaled: (..., input_size) from s_t (..., o), p (..., m), R_t (..., d) and gamma^t (...)."""
+        features = self.preferences.features(preferences, accrued, discounts)
+        return torch.cat([observations / self.observation_scales, features], dim=-1)
+
+    def update(
+        self, rollout: VehicleRollout, preferences: torch.Tensor, learning_rate: float, entropy_coefficient: float
+    ) -> dict[str, float]:
+        """Epochs of minibatch steps of eq. 9 on a rollout of T steps in N environments; mean losses by name.
+
+        Args:
+            rollout: of this vehicle.
+            preferences: (T, N, m) under which it acted.
+            learning_rate: of Adam.
+            entropy_coefficient: c_e.
+        """
+        samples = self.samples(rollout, preferences)
+        if len(samples.actions) == 0:
+            return {}
+        losses, log_ratios = zip(
+            *(
+                self.gradient_step(minibatch, learning_rate, entropy_coefficient)
+                for _ in range(self.config.epochs)
+                for minibatch in samples.shuffled(self.shuffle).split(self.config.minibatches)
+            ),
+            strict=True,
+        )
+        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
+        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
+        return means
+
+    @torch.no_grad()
+    def samples(self, rollout: VehicleRollout, preferences: torch.Tensor) -> Samples:
+        """The samples in which the vehicle acted, with A_t, y_t and log pi_old of the networks as they are now."""
+        # After an episode that ends with the rollout v(S_T) is not used, and one that runs on keeps its preference.
+        followed = torch.cat([preferences, preferences[-1:]])
+        inputs = self.inputs(rollout.observations, followed, rollout.accrued, rollout.discounts)
+        values = self.critic(inputs).squeeze(-1)
+        switched = (followed[1:] != followed[:-1]).any(-1) & ~(rollout.terminated | rollout.truncated)
+        next_values = self.next_values(rollout, preferences, values, switched)
+        advantages = self.advantages(rollout, preferences, values[:-1], next_values, switched)
+        targets = advantages + values[:-1]
+        weights = rollout.acted.to(advantages.dtype)
+        normalised = normalise(advantages, weights / weights.sum().clamp(min=1.0))
+        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        all_samples = Samples(inputs[:-1], inputs[:-1], rollout.actions, log_prob, normalised, targets.unsqueeze(-1))
+        return all_samples.at(rollout.acted)
+
+    def next_values(
+        self, rollout: VehicleRollout, preferences: torch.Tensor, values: torch.Tensor, switched: torch.Tensor
+    ) -> torch.Tensor:
+        """v(S_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            preferences: (T, N, m) under which it acted.
+            values: (T + 1, N) v of the states in which it acted.
+            switched: (T, N) whether another preference follows in the same episode; S_{t+1} has the one of S_t.
+        """
+        next_values = values[1:].clone()
+        next_values[rollout.terminated] = 0.0
+        truncated = rollout.truncated & ~rollout.terminated
+        if truncated.any():
+            observations, accrued, discounts = rollout.final_states(truncated, self.config.gamma)
+            final = self.inputs(observations, preferences[truncated], accrued, discounts)
+            next_values[truncated] = self.critic(final).squeeze(-1)
+        if switched.any():
+            after = (each[1:][switched] for each in (rollout.accrued, rollout.discounts))
+            states = self.inputs(rollout.observations[1:][switched], preferences[switched], *after)
+            next_values[switched] = self.critic(states).squeeze(-1)
+        return next_values
+
+    def advantages(
+        self,
+        rollout: VehicleRollout,
+        preferences: torch.Tensor,
+        values: torch.Tensor,
+        next_values: torch.Tensor,
+        switched: torch.Tensor,
+    ) -> torch.Tensor:
+        """A_t (T, N) of eqs. 5, 7 and 8 from v(S_t) and v(S_{t+1}); the sum ends where the preference switches."""
+        config, u = self.config, self.preferences.utility
+        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
+        # Equation 5, in double precision because gamma^t becomes small.
+        before = accrued.double()
+        after = before + discounts.unsqueeze(-1) * rollout.rewards
+        rewards = ((u(after, preferences) - u(before, preferences)) / discounts).to(values.dtype)
+        # Equations 7 and 8.
+        not_done = (~(rollout.terminated | rollout.truncated | switched)).to(values.dtype)
+        deltas = rewards + config.gamma * next_values - values
+        return generalised_advantages(deltas, not_done, config.gamma * config.gae_lambda)
+
+    def gradient_step(
+        self, samples: Samples, learning_rate: float, entropy_coefficient: float
+    ) -> tuple[dict[str, float], torch.Tensor]:
+        """One gradient step of eq. 9; its losses, and log f of the samples before it."""
+        config = self.config
+        with self.optimiser.recording():
+            log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+            values = self.critic(samples.inputs)
+        policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
+        value_loss = squared_error(values, samples.targets)
+        entropy = mean(entropies)
+        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
+        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        return losses, log_prob.detach() - samples.log_prob
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights, the optimiser's state and the generator of the minibatches."""
+        state = self.get_policy()
+        state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
+        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
+        return {**state, "generator": self.shuffle.get_state()}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        self.set_policy(state)
+        self.critic.load_state_dict(strip_prefix(state, "critic."))
+        self.optimiser.set_state(strip_prefix(state, "optimiser."))
+        self.shuffle.set_state(state["generator"])
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The actor's weights."""
+        return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Take the actor's weights.
+
+        Raises:
+            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
+        """
+        weights = strip_prefix(state, "actor.")
+        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
+            raise ValueError("an actor has weights that are not finite")
+        self.actor.load_state_dict(weights)
+
+
+class ConditionedMOPPO(FrontAgent):
+    """MO-PPO conditioned on preferences, one independent learner per vehicle, each with a preference of its own.
+
+    Args:
+        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        seed: determines the run, bit for bit on one machine.
+        device: of the networks.
+        **hyperparameters: fields of ConditionedMOPPOConfig.
+
+    Attributes:
+        preferences: what a condition means; ``agent.policy(agent.preferences.condition("linear", {"distance": 1}))``
+            drives one vehicle under weights.
+
+    Raises:
+        ValueError: for unknown or invalid hyperparameters or spaces, or an environment that emits magnitudes.
+    """
+
+    name = "conditioned_mo_ppo"
+    Config = ConditionedMOPPOConfig
+
+    def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
+        super().__init__(env, seed=seed, device=device, **hyperparameters)
+        if self.env.cost_sign != "maximise":
+            raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
+        config = self.config
+        self.scales = self.env.chosen_objective_scales(config.objective_scales)
+        self.preferences = Preferences(config, self.env.objectives, self.scales)
+        self.learners = [
+            ConditionedLearner(self.env, self.preferences, config, self.initial, self.device)
+            for _ in range(self.env.vehicles)
+        ]
+        self.collector = Collector(self.env, self.gamma, config.steps)
+        # Draws the preferences of episodes.
+        self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
+        m = len(self.preferences.names)
+        self._current = np.zeros((self.env.num_envs, self.env.vehicles, m), dtype=np.float32)
+        self._seen_any = False  # an episode that ended, from which z is known
+
+    # ------------------------------------------------------------------------------------------------------ the update
+
+    def begin(self) -> None:
+        """Reset the environments."""
+        self.collector.reset(self.env_seed)
+
+    def update(self, progress: float) -> dict[str, float]:
+        """Collect one rollout; each learner learns from its vehicle's part."""
+        config = self.config
+        rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=self.draws)))
+        preferences: list[NDArray[np.float32]] = []
+        cost_share = min(1.0, progress / config.cost_growth) if config.cost_growth else 1.0
+
+        def explore(observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
+            drawn = (accrued_reward.decisions == 0) | (rng.random(accrued_reward.decisions.shape) < config.switching)
+            if drawn.any():
+                self._current[drawn] = self.preferences.draw(int(drawn.sum()), rng, cost_share)
+            preferences.append(self._current.copy())
+            return self.choose_actions(observations, self._current, accrued_reward, self.generator)
+
+        rollout, episodes = self.collector.collect(explore)
+        self.episodes.append(episodes)
+        self.step += config.steps * self.env.num_envs
+        self.updates += 1
+
+        learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
+        entropy_coefficient = geometric_schedule(
+            config.entropy_start, config.entropy_end, progress / config.entropy_until
+        )
+        metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
+        followed = torch.from_numpy(np.stack(preferences)).to(self.device)
+        for v, learner in enumerate(self.learners):
+            own = rollout.of_vehicle(v, self.device, others=False)
+            losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient)
+            prefix = vehicle_prefix(v, len(self.learners))
+            metrics |= {prefix + name: value for name, value in losses.items()}
+        if len(episodes.discounted):
+            best = torch.from_numpy(episodes.discounted.max(axis=0)).float()
+            self.preferences.ideal = torch.maximum(self.preferences.ideal, best) if self._seen_any else best
+            self._seen_any = True
+        return metrics
+
+    # ---------------------------------------------------------------------------------------------------------- acting
+
+    @torch.inference_mode()
+    def choose_actions(
+        self,
+        observations: NDArray[np.float32],
+        preferences: NDArray[np.float32],
+        accrued_reward: AccruedReward,
+        generator: torch.Generator | None,
+    ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o) under preferences (N, V, m); greedy without generator.
+
+        Args:
+            observations: (N, V, o).
+            preferences: (N, V, m).
+            accrued_reward: of the running episodes.
+            generator: samples actions; None acts greedily.
+        """
+        arrays = (observations, preferences, accrued_reward.value, accrued_reward.discounts)
+        chosen = []
+        for v, learner in enumerate(self.learners):
+            x = learner.inputs(*(torch.from_numpy(array[:, v]).to(self.device) for array in arrays))
+            action = learner.actor.greedy(x) if generator is None else learner.actor.sample(x, generator)
+            chosen.append(action.cpu().numpy())
+        return np.stack(chosen, axis=1)
+
+    # ------------------------------------------------------------------------------------------------------- the front
+
+    @property
+    def condition_names(self) -> tuple[str, ...]:
+        """The components of a preference, of each vehicle in turn."""
+        vehicles = self.env.vehicles
+        return tuple(vehicle_prefix(v, vehicles) + name for v in range(vehicles) for name in self.preferences.names)
+
+    def conditions(self) -> NDArray[np.float32]:
+        """(K, V m) preferences from the distribution of training, the same ones every time."""
+        count, vehicles = self.config.max_policies, self.env.vehicles
+        rows = self.preferences.draw(count * vehicles, np.random.default_rng(0))
+        return rows.reshape(count, -1)
+
+    def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
+        """The front of one vehicle, as :meth:`FrontAgent.front`.
+
+        Raises:
+            ValueError: if there are several vehicles, each of which has returns of its own.
+        """
+        if self.env.vehicles > 1:
+            raise ValueError(
+                f"algorithm {self.name!r} has no front of {self.env.vehicles} vehicles; "
+                "evaluate_policies(conditions, ...) gives the returns of each"
+            )
+        return super().front(env, episodes=episodes, seed=seed, gamma=gamma)
+
+    def policies(self, conditions: NDArray[np.float32]) -> PreferencePolicy:
+        """What acts under preferences (N, V m), one per environment, or under one (1, V m) in all.
+
+        Raises:
+            ValueError: for another width, or numbers that are not finite.
+        """
+        rows = np.atleast_2d(np.asarray(conditions, dtype=np.float32))
+        if rows.shape[1:] != (len(self.condition_names),) or not np.isfinite(rows).all():
+            raise ValueError(
+                f"conditions of shape {rows.shape} must be finite numbers (n, {len(self.condition_names)}): "
+                f"{', '.join(self.condition_names)}"
+            )
+        return PreferencePolicy(self, rows.reshape(len(rows), self.env.vehicles, -1))
+
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
+    def identity(self) -> dict[str, Any]:
+        """What a checkpoint must share; with other scales or families a preference means something else."""
+        config = self.config
+        return {
+            **super().identity(),
+            "hidden": list(config.hidden),
+            "activation": config.activation,
+            "network": config.network,
+            "preferences": list(self.preferences.names),
+            "objective_scales": self.scales.tolist(),
+            "budgets": dict(config.budgets),
+            "gamma": self.gamma,
+        }
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Learners, generators, the preferences of running episodes, environments and the ideal point."""
+        state = {
+            "generator": self.generator.get_state(),
+            "draws": self.draws.get_state(),
+            "preferences": torch.from_numpy(self._current.copy()),
+            "seen_any": torch.tensor(self._seen_any),
+            **self._ideal_tensor(),
+        }
+        for v, learner in enumerate(self.learners):
+            state |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
+        for name, array in self.collector.get_state().items():
+            state[f"collector.{name}"] = torch.from_numpy(np.ascontiguousarray(array))
+        return state
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for values from which training cannot continue.
+        """
+        for v, learner in enumerate(self.learners):
+            learner.set_state(strip_prefix(state, f"vehicle_{v}."))
+        self._set_ideal(state["ideal"])
+        if not bool(state["preferences"].isfinite().all()):
+            raise ValueError("preferences of running episodes are not finite")
+        self._current[...] = state["preferences"].numpy()
+        self._seen_any = bool(state["seen_any"])
+        self.generator.set_state(state["generator"])
+        self.draws.set_state(state["draws"])
+        self.collector.set_state({name: t.numpy() for name, t in strip_prefix(state, "collector.").items()})
+        self.updates = self.step // (self.config.steps * self.env.num_envs)
+        worlds = self.env.get_state()
+        if self.step and worlds and (worlds["over"].any() or not worlds["begun"].all()):
+            raise ValueError(f"step = {self.step}, but environments have not been reset")
+        if not self.env.native:
+            # Other libraries' environments cannot be saved, so new episodes start with different seeds.
+            self.collector.reset(self.env_seed + self.step)
+
+    def _ideal_tensor(self) -> dict[str, torch.Tensor]:
+        return {"ideal": self.preferences.ideal}
+
+    def _set_ideal(self, ideal: torch.Tensor) -> None:
+        if not bool(ideal.isfinite().all()):
+            raise ValueError(f"the ideal point {ideal.tolist()} is not finite")
+        self.preferences.ideal = ideal.clone()
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The actors' weights and the ideal point, on which they depend."""
+        policy = self._ideal_tensor()
+        for v, learner in enumerate(self.learners):
+            policy |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_policy().items()}
+        return policy
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
+        for v, learner in enumerate(self.learners):
+            learner.set_policy(strip_prefix(state, f"vehicle_{v}."))
+        self._set_ideal(state["ideal"])
+
+
+@dataclass(frozen=True)
+class PreferencePolicy:
+    """The network under fixed preferences: a policy in the sense of `algorithms.evaluation.episodes.Policy`.
+
+    Attributes:
+        agent: whose networks act.
+        preferences: (N, V, m), one row per environment, or (1, V, m) for all.
+    """
+
+    agent: ConditionedMOPPO
+    preferences: NDArray[np.float32]
+
+    @property
+    def env(self) -> EnvAdapter:
+        """The agent's training environment."""
+        return self.agent.env
+
+    @property
+    def gamma(self) -> float:
+        """Discount of the accrued reward."""
+        return self.agent.gamma
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the networks."""
+        return self.agent.device
+
+    @property
+    def utilities(self) -> tuple[Utility, ...]:
+        """None is known."""
+        return ()
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
+        rows = np.broadcast_to(self.preferences, (len(observations), *self.preferences.shape[1:])).copy()
+        return self.agent.choose_actions(observations, rows, accrued_reward, generator)

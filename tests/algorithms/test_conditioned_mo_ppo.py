@@ -1,0 +1,493 @@
+"""Conditioned MO-PPO: utilities, rewards and advantages against plain loops; each preference finds its best arm."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+from safetensors.torch import load_file
+
+from algorithms import ConditionedMOPPO
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import make_env
+from algorithms.common.pareto import non_dominated
+from mo_deepdrive.utilities import make_utility
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, recorded, same
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from gymnasium.vector import VectorEnv
+
+SMALL: dict[str, Any] = {"hidden": [16], "steps": 8, "minibatches": 2, "epochs": 2, "max_policies": 6}
+MIXTURE: dict[str, Any] = {
+    "families": {"linear": 0.4, "chebyshev": 0.3, "comfort_budget": 0.3},
+    "budgets": {"g_force": 8.0, "jerk": 150.0},
+}
+SHORT = {"time_limit": 0.8}
+
+
+def make_agent(
+    env_id: str = ONE_WAYPOINT, *, num_envs: int = 4, env: dict[str, Any] | None = None, seed: int = 0, **changed: Any
+) -> ConditionedMOPPO:
+    return ConditionedMOPPO(make_env(env_id, num_envs, env or SHORT), seed=seed, **{**SMALL, **changed})
+
+
+class Arms(gymnasium.Env[Any, Any]):
+    """One decision, which earns the vector of an arm."""
+
+    def __init__(self, arms: list[list[float]]):
+        self.arms = np.asarray(arms, dtype=np.float32)
+        self.observation_space = spaces.Box(0.0, 1.0, (1,), dtype=np.float32)
+        self.action_space = spaces.Discrete(len(arms))
+        self.reward_space = spaces.Box(-5.0, 5.0, (self.arms.shape[1],), dtype=np.float32)
+        self.objectives = ("gain", "cost")
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        return np.zeros(1, dtype=np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
+        return np.zeros(1, dtype=np.float32), self.arms[int(action)].copy(), True, False, {}
+
+
+def arms_env(arms: list[list[float]], num_envs: int = 16) -> VectorEnv:
+    return MOSyncVectorEnv(lambda: Arms(arms) for _ in range(num_envs))
+
+
+def chosen_arm(agent: ConditionedMOPPO, family: str, **numbers: Any) -> int:
+    """The greedy first action under a preference."""
+    policy = agent.policy(agent.preferences.condition(family, **numbers))
+    start = AccruedReward.begin(1, 1, 2)
+    return int(policy.act(np.zeros((1, 1, 1), dtype=np.float32), start, None)[0, 0])
+
+
+def trained_on(arms: list[list[float]], steps: int = 12_000, **changed: Any) -> ConditionedMOPPO:
+    hyper = {"hidden": [32, 32], "steps": 16, "learning_rate": 3e-3, "learning_rate_end": 1e-4, "entropy_start": 0.02}
+    agent = ConditionedMOPPO(arms_env(arms), seed=1, **{**hyper, **changed})
+    agent.train(steps)
+    return agent
+
+
+# ---------------------------------------------------------------------------------------- each preference its best arm
+
+CONVEX = [[1.0, 0.0], [0.8, 0.8], [0.0, 1.0]]
+CONCAVE = [[1.0, 0.0], [0.4, 0.4], [0.0, 1.0]]
+WEIGHTS = [(0.95, 0.05), (0.5, 0.5), (0.05, 0.95)]
+
+
+def test_linear_weights_find_each_arm_of_a_convex_front() -> None:
+    agent = trained_on(CONVEX, concentration=1.0)
+    arms = [chosen_arm(agent, "linear", weights={"gain": a, "cost": b}) for a, b in WEIGHTS]
+    assert arms == [0, 1, 2]
+
+
+def test_chebyshev_weights_find_the_arm_of_a_concave_front_that_linear_weights_do_not() -> None:
+    linear = trained_on(CONCAVE, concentration=1.0)
+    grid = np.linspace(0.02, 0.98, 25).tolist()
+    assert {chosen_arm(linear, "linear", weights={"gain": w, "cost": 1.0 - w}) for w in grid} == {0, 2}
+    chebyshev = trained_on(CONCAVE, concentration=1.0, families={"chebyshev": 1.0})
+    np.testing.assert_allclose(chebyshev.preferences.ideal, [1.0, 1.0])
+    arms = [chosen_arm(chebyshev, "chebyshev", weights={"gain": a, "cost": b}) for a, b in WEIGHTS]
+    assert arms == [0, 1, 2]
+
+
+def test_a_larger_budget_buys_a_better_arm() -> None:
+    arms = [[0.0, 0.0], [1.0, -1.0], [3.0, -3.0]]
+    entropy = {"entropy_start": 0.3, "entropy_end": 0.01}
+    agent = trained_on(arms, 20_000, families={"comfort_budget": 1.0}, budgets={"cost": 4.0}, price=2.0, **entropy)
+    # An arm is worth its gain minus 2 per unit of cost above the budget: the best one changes at 0.5 and at 2.
+    assert [chosen_arm(agent, "comfort_budget", budgets={"cost": b}) for b in (0.2, 1.8, 3.8)] == [0, 1, 2]
+
+
+def test_one_network_serves_a_mixture_and_its_front_is_the_concave_one() -> None:
+    mixture = {"linear": 0.5, "chebyshev": 0.5}
+    agent = trained_on(CONCAVE, 16_000, families=mixture, concentration=1.0, max_policies=40)
+    env = arms_env(CONCAVE, 4)
+    front = agent.front(env, episodes=1, seed=0, gamma=0.99)
+    np.testing.assert_allclose(front.discounted, sorted(CONCAVE), atol=1e-6)
+    assert front.condition_names == ("linear", "chebyshev", "weight/gain", "weight/cost")
+    assert non_dominated(front.discounted).all()
+
+
+# --------------------------------------------------------------------------------------------- utilities and advantages
+
+
+def test_utilities_are_those_of_plain_loops() -> None:
+    agent = make_agent(**MIXTURE, rho=0.1, price=3.0)
+    preferences, rng = agent.preferences, np.random.default_rng(0)
+    preferences.ideal = torch.tensor([12.0, 0.8, 0.0, 0.0])
+    rows = preferences.draw(60, rng)
+    returns = rng.uniform(0.0, 1.0, (60, 4)) * [12.0, 1.0, -9.0, -200.0]
+    values = preferences.utility(torch.from_numpy(returns), torch.from_numpy(rows)).numpy()
+    s, z = agent.scales.astype(float), preferences.ideal.numpy().astype(float)
+    seen = set()
+    for row, r, value in zip(rows.astype(float), returns, values, strict=True):
+        family, w, b = int(row[:3].argmax()), row[3:7], row[7:]
+        seen.add(family)
+        if family == 0:
+            expected = sum(w[i] * r[i] / s[i] for i in range(4))
+        elif family == 1:
+            names = agent.env.objectives
+            expected = make_utility("augmented_chebyshev", names, weights=w / s, ideal=z, rho=0.1)(r)
+        else:
+            excess = [max(0.0, -r[2] - b[0]) / s[2], max(0.0, -r[3] - b[1]) / s[3]]
+            expected = r[0] / s[0] + r[1] / s[1] - 3.0 * sum(excess)
+        assert value == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert seen == {0, 1, 2}
+
+
+def test_the_discounted_sum_of_the_scalar_rewards_is_the_increase_of_the_utility() -> None:
+    agent = make_agent(num_envs=3, env={"time_limit": 20}, steps=40, gae_lambda=1.0, gamma=0.9, **MIXTURE)
+    agent.preferences.ideal = torch.tensor([12.0, 0.8, 0.0, 0.0])
+    agent.begin()
+    rows = np.repeat(agent.preferences.draw(3, np.random.default_rng(3))[:, None], 1, axis=1)
+    rollout, _ = agent.collector.collect(
+        lambda observations, accrued: agent.choose_actions(observations, rows, accrued, agent.generator)
+    )
+    own = rollout.of_vehicle(0, torch.device("cpu"))
+    assert not (own.terminated | own.truncated).any()
+    followed = torch.from_numpy(rows[:, 0]).expand(40, 3, -1)
+    zeros, never = torch.zeros(40, 3), torch.zeros(40, 3, dtype=torch.bool)
+    found = agent.learners[0].advantages(own, followed, zeros, zeros, never)[0]
+    utility = agent.preferences.utility
+    increase = utility(own.accrued[-1], followed[0]) - utility(torch.zeros(3, 4), followed[0])
+    torch.testing.assert_close(found, increase, rtol=1e-4, atol=1e-5)
+
+
+def test_advantages_are_those_of_a_plain_loop_and_linear_ones_need_no_past() -> None:
+    agent = make_agent(num_envs=3, env={"time_limit": 0.5}, steps=7, gamma=0.9, gae_lambda=0.8)
+    agent.begin()
+    agent.update(0.0)
+    rows = agent.preferences.draw(3, np.random.default_rng(1))[:, None]
+    rollout, _ = agent.collector.collect(
+        lambda observations, accrued: agent.choose_actions(observations, rows, accrued, agent.generator)
+    )
+    own = rollout.of_vehicle(0, torch.device("cpu"))
+    generator = torch.Generator().manual_seed(0)
+    values, next_values = torch.randn(2, 7, 3, generator=generator)
+    followed = torch.from_numpy(rows[:, 0]).expand(7, 3, -1)
+    switched = torch.rand(7, 3, generator=generator) < 0.2
+    found = agent.learners[0].advantages(own, followed, values, next_values, switched)
+    ends = (own.terminated | own.truncated | switched).numpy()
+    assert switched.any()
+    assert (own.terminated | own.truncated).any()
+    for n in range(3):
+        later = 0.0
+        for t in range(6, -1, -1):
+            reward = float((own.rewards[t, n].numpy() / agent.scales) @ rows[n, 0])
+            delta = reward + 0.9 * float(next_values[t, n]) - float(values[t, n])
+            later = delta + (0.0 if ends[t, n] else 0.9 * 0.8 * later)
+            assert float(found[t, n]) == pytest.approx(later, abs=2e-5)
+
+
+def test_the_state_knows_of_the_past_what_the_rest_of_the_utility_depends_on() -> None:
+    agent = make_agent(**MIXTURE)
+    preferences = agent.preferences
+    preferences.ideal = torch.tensor([12.0, 0.8, 0.0, 0.0])
+    weights = dict(zip(agent.env.objectives, (0.4, 0.3, 0.2, 0.1), strict=True))
+    rows = torch.from_numpy(
+        np.stack(
+            [
+                preferences.condition("linear", weights),
+                preferences.condition("chebyshev", weights),
+                preferences.condition("comfort_budget", budgets={"g_force": 4.0, "jerk": 75.0}),
+            ]
+        )
+    )
+    accrued = torch.tensor([2.0, 0.0, -1.0, -15.0]).expand(3, -1)
+    past = preferences.features(rows, accrued, torch.full((3,), 0.5))[:, rows.shape[1] :]
+    assert not past[0].any()
+    gaps = [0.4 * (12 - 2) / 10, 0.3 * 0.8, 0.2 * 1.0 / 5, 0.1 * 15 / 500]
+    np.testing.assert_allclose(past[1], [*(max((q - gaps[0]) / 0.5, -2.0) for q in gaps), 0, 0], rtol=1e-5)
+    np.testing.assert_allclose(past[2], [0, 0, 0, 0, (4 - 1) / 0.5 / 8, (75 - 15) / 0.5 / 150], rtol=1e-5)
+
+
+def test_values_are_bootstrapped_after_truncation_and_not_after_termination() -> None:
+    agent = make_agent(num_envs=3, env={"time_limit": 0.5}, steps=7)
+    agent.begin()
+    rows = agent.preferences.draw(3, np.random.default_rng(1))[:, None]
+    rollout, _ = agent.collector.collect(
+        lambda observations, accrued: agent.choose_actions(observations, rows, accrued, agent.generator)
+    )
+    own = rollout.of_vehicle(0, torch.device("cpu"))
+    followed = torch.from_numpy(rows[:, 0]).expand(7, 3, -1).contiguous()
+    values = torch.randn(8, 3, generator=torch.Generator().manual_seed(0))
+    learner = agent.learners[0]
+    with torch.no_grad():
+        never = torch.zeros(7, 3, dtype=torch.bool)
+        found = learner.next_values(own, followed, values, never)
+        final = learner.inputs(own.final, followed, own.accrued[:-1], own.discounts[:-1])  # linear: no past
+        at_end = learner.critic(final).squeeze(-1)
+    assert own.truncated.any()
+    expected = torch.where(own.truncated, at_end, values[1:])
+    torch.testing.assert_close(found, expected)
+    own.terminated[:] = own.truncated
+    with torch.no_grad():
+        assert not learner.next_values(own, followed, values, never)[own.truncated].any()
+
+
+def test_where_the_preference_switches_the_next_value_is_that_of_the_old_one() -> None:
+    agent = make_agent(num_envs=3, env={"time_limit": 20}, steps=7, **MIXTURE)
+    agent.begin()
+    rows = agent.preferences.draw(21, np.random.default_rng(1)).reshape(7, 3, 1, -1)
+    step = iter(rows)
+    rollout, _ = agent.collector.collect(
+        lambda observations, accrued: agent.choose_actions(observations, next(step), accrued, agent.generator)
+    )
+    own, learner = rollout.of_vehicle(0, torch.device("cpu")), agent.learners[0]
+    followed = torch.from_numpy(rows[:, :, 0])
+    always = torch.ones(7, 3, dtype=torch.bool)
+    with torch.no_grad():
+        found = learner.next_values(own, followed, torch.zeros(8, 3), always)
+        under_old = learner.inputs(own.observations[1:], followed, own.accrued[1:], own.discounts[1:])
+        torch.testing.assert_close(found, learner.critic(under_old).squeeze(-1))
+        samples = learner.samples(own, followed)
+        before = learner.critic(learner.inputs(own.observations[:-1], followed, own.accrued[:-1], own.discounts[:-1]))
+        one_step = learner.advantages(own, followed, before.squeeze(-1), found, always)
+    # The last decision of the rollout keeps its preference, so all of its advantages are one-step ones.
+    torch.testing.assert_close(samples.targets.squeeze(-1).reshape(7, 3), one_step + before.squeeze(-1))
+
+
+# ---------------------------------------------------------------------------------------------- preferences of episodes
+
+
+def test_every_episode_has_one_preference_and_vehicles_have_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_agent(INTERSECTION, num_envs=3, switching=0.0)
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+    act = agent.choose_actions
+
+    def spy(observations: Any, preferences: Any, accrued_reward: Any, generator: Any) -> Any:
+        seen.append((preferences.copy(), accrued_reward.decisions.copy()))
+        return act(observations, preferences, accrued_reward, generator)
+
+    monkeypatch.setattr(agent, "choose_actions", spy)
+    agent.begin()
+    for _ in range(4):
+        agent.update(0.0)
+    changes = 0
+    for (before, _), (after, decisions) in pairwise(seen):
+        changed = (before != after).any(axis=-1)
+        np.testing.assert_array_equal(changed, decisions == 0)
+        changes += int(changed.sum())
+    assert changes > 3
+    assert (seen[0][0][:, 0] != seen[0][0][:, 1]).any()
+    np.testing.assert_allclose(np.concatenate([rows for rows, _ in seen]).sum(axis=-1), 1.0, rtol=1e-5)
+
+
+def test_preferences_switch_at_the_given_rate() -> None:
+    agent = make_agent(num_envs=16, env={"time_limit": 60}, steps=100, switching=0.1)
+    agent.begin()
+    changes, before = 0, agent._current.copy()
+    for _ in range(3):
+        agent.update(0.0)
+        changes += int((agent._current != before).any(axis=-1).sum())
+        before = agent._current.copy()
+    assert changes == 48  # 16 environments, of which none keeps its preference for 100 decisions (0.9^100 = 3e-5)
+    still = make_agent(num_envs=16, env={"time_limit": 60}, switching=0.0)
+    still.begin()
+    still.update(0.0)
+    before = still._current.copy()
+    still.update(0.0)
+    np.testing.assert_array_equal(still._current, before)
+
+
+def test_the_weights_of_costs_grow() -> None:
+    preferences = make_agent(concentration=1.0).preferences
+    preferences.ideal = torch.tensor([12.0, 0.8, 0.0, -0.1])
+    whole, half, none = (preferences.draw(500, np.random.default_rng(0), share) for share in (1.0, 0.5, 0.0))
+    expected = whole * [1.0, 1.0, 0.5, 0.5]
+    np.testing.assert_allclose(half, expected / expected.sum(axis=1, keepdims=True), rtol=1e-4, atol=1e-6)
+    assert none[:, 2:].max() < 1e-4
+    np.testing.assert_allclose(none.sum(axis=1), 1.0, rtol=1e-5)
+
+
+def test_the_shares_of_families_are_those_of_the_episodes() -> None:
+    rows = make_agent(**MIXTURE).preferences.draw(4000, np.random.default_rng(0))
+    np.testing.assert_allclose(rows[:, :3].mean(axis=0), [0.4, 0.3, 0.3], atol=0.03)
+    budget = rows[:, 2] == 1.0
+    np.testing.assert_allclose(rows[~budget, 3:7].sum(axis=1), 1.0, rtol=1e-5)
+    assert not rows[budget, 3:7].any()
+    assert not rows[~budget, 7:].any()
+    np.testing.assert_allclose(rows[budget, 7:].mean(axis=0), [4.0, 75.0], rtol=0.05)
+
+
+def test_a_policy_under_one_condition_acts_in_any_number_of_environments() -> None:
+    agent = make_agent(**MIXTURE)
+    conditions = agent.conditions()
+    assert conditions.shape == (6, 9)
+    np.testing.assert_array_equal(conditions, agent.conditions())
+    observations = np.random.default_rng(0).normal(size=(5, 1, agent.env.observation_size)).astype(np.float32)
+    start = AccruedReward.begin(5, 1, 4)
+    one = agent.policy(conditions[2]).act(observations, start, None)
+    many = agent.policies(np.repeat(conditions[2:3], 5, axis=0)).act(observations, start, None)
+    np.testing.assert_array_equal(one, many)
+
+
+# ---------------------------------------------------------------------------------------------------------- checkpoints
+
+PLACES: dict[str, dict[str, Any]] = {
+    "discrete": {},
+    "continuous": {"env": {**SHORT, **CONTINUOUS}},
+    "mixture": MIXTURE,
+    "chebyshev": {"families": {"chebyshev": 1.0}},
+    "left turn": {"env_id": LEFT_TURN},
+    "two vehicles": {"env_id": INTERSECTION},
+}
+
+
+def everything(agent: ConditionedMOPPO, path: Path) -> dict[str, torch.Tensor]:
+    agent.save(path / "saved.safetensors")
+    return load_file(path / "saved.safetensors")
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(place: str, tmp_path: Path) -> None:
+    schedule = {"learning_rate_end": 1e-5, "entropy_start": 0.05}
+    whole, first, second = (make_agent(seed=seed, **schedule, **PLACES[place]) for seed in (3, 3, 99))
+    whole.train(32 * 6)
+    first.train(32 * 6, after_update=lambda agent: agent.updates == 3)
+    first.save(tmp_path / "half.safetensors")
+    second.load(tmp_path / "half.safetensors")
+    second.train(32 * 6)
+    assert same(everything(whole, tmp_path), everything(second, tmp_path))
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_saved_policy_acts_as_its_agent(place: str, tmp_path: Path) -> None:
+    agent, other = make_agent(**PLACES[place]), make_agent(seed=9, num_envs=2, **PLACES[place])
+    agent.train(32 * 4)
+    agent.save_policy(tmp_path / "policy.safetensors")
+    other.load(tmp_path / "policy.safetensors", policy_only=True)
+    vehicles, rng = agent.env.vehicles, np.random.default_rng(0)
+    observations = rng.normal(size=(50, vehicles, agent.env.observation_size)).astype(np.float32)
+    start = AccruedReward.begin(50, vehicles, len(agent.env.objectives))
+    start.value -= rng.uniform(0, 5, start.value.shape).astype(np.float32)
+    for condition in agent.conditions():
+        np.testing.assert_array_equal(
+            agent.policy(condition).act(observations, start, None),
+            other.policy(condition).act(observations, start, None),
+        )
+
+
+def test_a_checkpoint_of_other_preferences_is_refused(tmp_path: Path) -> None:
+    make_agent(**MIXTURE).save(tmp_path / "mixture.safetensors")
+    with pytest.raises(ValueError, match="has preferences = "):
+        make_agent().load(tmp_path / "mixture.safetensors")
+    with pytest.raises(ValueError, match="has budgets = "):
+        make_agent(**{**MIXTURE, "budgets": {"g_force": 9.0, "jerk": 150.0}}).load(tmp_path / "mixture.safetensors")
+
+
+@pytest.mark.parametrize("broken", ["ideal", "preferences"])
+def test_a_checkpoint_with_numbers_that_are_not_finite_is_refused(broken: str, tmp_path: Path) -> None:
+    agent = make_agent(families={"chebyshev": 1.0})
+    agent.train(32)
+    before = everything(agent, tmp_path)
+    state = agent.get_state()
+    state[broken] = torch.full_like(state[broken], torch.nan)
+    with pytest.raises(ValueError, match="not finite"):
+        agent.set_state(state)
+    agent.load(tmp_path / "saved.safetensors")
+    assert same(before, everything(agent, tmp_path))
+
+
+def test_a_seed_determines_every_weight(tmp_path: Path) -> None:
+    states = []
+    for seed in (5, 5, 6):
+        agent = make_agent(seed=seed, **MIXTURE)
+        agent.train(32 * 3)
+        states.append(everything(agent, tmp_path))
+    assert same(states[0], states[1])
+    assert not torch.equal(states[0]["vehicle_0.actor.body.0.weight"], states[2]["vehicle_0.actor.body.0.weight"])
+
+
+def test_metrics_and_fronts_are_logged() -> None:
+    agent = make_agent(env={**SHORT, "fixed_destination": True})
+    eval_env = make_env(ONE_WAYPOINT, 4, {**SHORT, "fixed_destination": True})
+    fronts: list[Any] = []
+    lines = recorded(
+        agent, 64, eval_env=eval_env, eval_interval=64, eval_episodes=1, log_front=lambda _, front: fronts.append(front)
+    )
+    names = set().union(*(metrics.keys() for _, metrics in lines))
+    assert {"loss/policy", "loss/value", "policy/entropy", "eval/front/expected_utility", "train/length"} <= names
+    assert len(fronts) == 2
+    assert fronts[-1].condition_names == tuple(f"weight/{name}" for name in agent.env.objectives)
+
+
+# --------------------------------------------------------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"families": {"quadratic": 1.0}}, "quadratic"),
+        ({"families": {"linear": 0.0}}, "must have a positive share of one of linear, chebyshev, comfort_budget"),
+        ({"families": {"linear": -1.0}}, "-1.0"),
+        ({"families": {"comfort_budget": 1.0}}, "budgets = {} must name the largest budget"),
+        ({"budgets": {"g_force": 5.0}}, "must name the largest budget of at least one objective if and only if"),
+        ({**MIXTURE, "budgets": {"time": 5.0}}, "budgets has 'time'; the objectives are ('distance', "),
+        ({**MIXTURE, "budgets": {"jerk": 0.0}}, "0.0"),
+        ({"concentration": 0.0}, "'concentration' = 0.0"),
+        ({"entropy_start": 0.0}, "must both be positive or both be 0"),
+        ({"objective_scales": [1.0]}, "needs 4 numbers"),
+        ({"max_policies": 0}, "'max_policies' = 0"),
+        ({"learning_rat": 1.0}, "did you mean 'learning_rate'?"),
+        ({"env": {"cost_sign": "paper"}}, "cost_sign = 'paper'"),
+    ],
+)
+def test_invalid_hyperparameters_are_refused_by_name(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make_agent(**changed)
+
+
+@pytest.mark.parametrize(
+    ("family", "numbers", "message"),
+    [
+        ("gini", {"weights": {"jerk": 1.0}}, "family = 'gini' was not trained; it must be one of linear, chebyshev"),
+        ("linear", {}, "family 'linear' needs weights and nothing else"),
+        ("linear", {"weights": {"jerk": 1.0}, "budgets": {"jerk": 1.0}}, "needs weights and nothing else"),
+        ("comfort_budget", {"weights": {"jerk": 1.0}}, "needs budgets and nothing else"),
+        ("comfort_budget", {"budgets": {"distance": 1.0}}, "budgets has 'distance'; it must be one of g_force, jerk"),
+        ("linear", {"weights": {"comfort": 1.0}}, "weights has 'comfort'; it must be one of distance, "),
+        ("linear", {"weights": {"jerk": -1.0}}, "weights of 'jerk' = -1.0 must be finite and not negative"),
+        ("chebyshev", {"weights": {"jerk": 0.0}}, "must have a positive number"),
+    ],
+)
+def test_invalid_preferences_are_refused(family: str, numbers: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make_agent(**MIXTURE).preferences.condition(family, **numbers)
+
+
+def test_several_vehicles_are_evaluated_under_preferences_of_their_own_but_have_no_front() -> None:
+    agent = make_agent(INTERSECTION)
+    env = make_env(INTERSECTION, 4, SHORT)
+    conditions = agent.conditions()
+    assert conditions.shape == (6, 12)
+    assert agent.condition_names[6] == "vehicle_1/weight/distance"
+    found = agent.evaluate_policies(conditions, env, episodes=2, seed=0, gamma=0.99)
+    assert [each.returns.shape for each in found] == [(2, 2, 6)] * 6
+    with pytest.raises(ValueError, match="has no front of 2 vehicles"):
+        agent.front(env, episodes=1, seed=0, gamma=0.99)
+
+
+def test_conditions_of_the_wrong_shape_or_not_finite_are_refused() -> None:
+    agent = make_agent()
+    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be finite numbers (n, 4)")):
+        agent.policy([1.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="must be finite"):
+        agent.policy([1.0, np.nan, 0.0, 0.0])
+
+
+def test_an_actor_with_weights_that_are_not_finite_is_refused() -> None:
+    agent = make_agent(env={**SHORT, **CONTINUOUS})
+    state = agent.get_policy()
+    state["vehicle_0.actor.log_std"] = torch.full((2,), torch.inf)
+    with pytest.raises(ValueError, match="weights that are not finite"):
+        agent.set_policy(state)
