@@ -40,8 +40,8 @@ both clipped; for linear utilities there is none, because the past does not matt
 
 With ``switching`` the preference also changes within episodes. The reward of eq. 5 then goes on under the new one, and
 v(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
-by one preference then learn under another what moving on is worth. Without it, a network that has once found standing
-still under costly preferences stays with that.
+by one preference then learn under another what moving on is worth; a network that stands still under costly preferences
+seldom finds out by itself (docs/learning.md has measurements).
 
 The front consists of the greedy policies under a fixed sample of preferences, from the distribution of training.
 

@@ -19,7 +19,7 @@ from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import non_dominated
 from mo_deepdrive.utilities import make_utility
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, recorded, same
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, same
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -350,7 +350,7 @@ def everything(agent: ConditionedMOPPO, path: Path) -> dict[str, torch.Tensor]:
 
 @pytest.mark.parametrize("place", PLACES)
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(place: str, tmp_path: Path) -> None:
-    schedule = {"learning_rate_end": 1e-5, "entropy_start": 0.05}
+    schedule: dict[str, Any] = {"learning_rate_end": 1e-5, "entropy_start": 0.05}
     whole, first, second = (make_agent(seed=seed, **schedule, **PLACES[place]) for seed in (3, 3, 99))
     whole.train(32 * 6)
     first.train(32 * 6, after_update=lambda agent: agent.updates == 3)
@@ -412,10 +412,17 @@ def test_metrics_and_fronts_are_logged() -> None:
     agent = make_agent(env={**SHORT, "fixed_destination": True})
     eval_env = make_env(ONE_WAYPOINT, 4, {**SHORT, "fixed_destination": True})
     fronts: list[Any] = []
-    lines = recorded(
-        agent, 64, eval_env=eval_env, eval_interval=64, eval_episodes=1, log_front=lambda _, front: fronts.append(front)
+    lines: list[dict[str, float]] = []
+    agent.train(
+        64,
+        eval_env,
+        eval_interval=64,
+        eval_episodes=1,
+        log=lambda _, metrics: lines.append(metrics),
+        log_front=lambda _, front: fronts.append(front),
+        log_interval=1,
     )
-    names = set().union(*(metrics.keys() for _, metrics in lines))
+    names = set().union(*lines)
     assert {"loss/policy", "loss/value", "policy/entropy", "eval/front/expected_utility", "train/length"} <= names
     assert len(fronts) == 2
     assert fronts[-1].condition_names == tuple(f"weight/{name}" for name in agent.env.objectives)
