@@ -25,12 +25,18 @@ from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import Frame, write_gif
 from algorithms.reporting.videos import episode_frames, make_render_env
+from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-POLICIES = ("one_waypoint_nonlinear-mo_ppo", "static_obstacle_nonlinear-mo_ppo", "intersection_nonlinear-mo_ppo")
-TITLES = {"one_waypoint": "OneWaypoint", "static_obstacle": "StaticObstacle", "intersection": "Intersection"}
+POLICIES = (
+    "one_waypoint_nonlinear-mo_ppo",
+    "static_obstacle_nonlinear-mo_ppo",
+    "intersection_nonlinear-mo_ppo",
+    "left_turn_linear-mo_ppo",
+)
+TITLES = {name: scenario.title for name, scenario in SCENARIOS.items()}
 HOLD = 6  # frames for which the last one of an episode is shown
 
 
@@ -45,7 +51,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         "--seed", type=int, default=1_000_001, metavar="S", help="of the first episodes (default: %(default)s)"
     )
     parser.add_argument("--fps", type=int, default=10, metavar="N", help="frames per second (default: %(default)s)")
-    parser.add_argument("--side", type=int, default=320, metavar="PIXELS", help="of each clip (default: %(default)s)")
+    parser.add_argument("--side", type=int, default=280, metavar="PIXELS", help="of each clip (default: %(default)s)")
     add_trust_argument(parser)
     return parser.parse_args(arguments)
 

@@ -42,6 +42,11 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}
     if experiment.utility is None:
+        if adapter.vehicles > 1:
+            raise ValueError(
+                f"algorithm {experiment.algorithm['name']!r} learns a front, and a front has the returns of one vehicle; "
+                f"{adapter.name} has {adapter.vehicles}"
+            )
         check_reference_point(experiment.evaluation.reference_point, adapter.objectives)
     else:
         options["utility"] = _make_utilities(experiment.utility, adapter)
