@@ -44,8 +44,8 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     if experiment.utility is None:
         if adapter.vehicles > 1:
             raise ValueError(
-                f"algorithm {experiment.algorithm['name']!r} learns a front, and a front has the returns of one vehicle; "
-                f"{adapter.name} has {adapter.vehicles}"
+                f"algorithm {experiment.algorithm['name']!r} learns a front, and a front has the returns of one "
+                f"vehicle; {adapter.name} has {adapter.vehicles}"
             )
         check_reference_point(experiment.evaluation.reference_point, adapter.objectives)
     else:
