@@ -30,7 +30,10 @@ def stopped_by(error: OSError, message: str) -> Stopped:
 
 
 class Interrupts:
-    """Records SIGINT and SIGTERM while it is open, instead of acting on them; a second signal acts at once.
+    """Records SIGINT and SIGTERM while it is open, instead of acting on them; a second SIGINT acts at once.
+
+    A second SIGTERM does not, so that what the first one began can be saved: a batch system sends it to every process of
+    a job, and then a parent that stops its workers sends it to them again.
 
     Use it as a context manager. Only the main thread receives signals; in others nothing is recorded.
 
@@ -44,7 +47,8 @@ class Interrupts:
 
     def _record(self, number: int, _frame: FrameType | None) -> None:
         self.received = number
-        self._restore()
+        if number == signal.SIGINT:
+            self._restore()
 
     def _restore(self) -> None:
         for number, handler in self._previous.items():

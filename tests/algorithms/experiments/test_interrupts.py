@@ -1,4 +1,4 @@
-"""Signals are recorded once and then act as before; a full disk is distinguished from other errors."""
+"""Signals are recorded, a second SIGINT acts as before; a full disk is distinguished from other errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_the_first_signal_is_recorded(number: signal.Signals) -> None:
 
 
 @needs_signals
-def test_the_second_signal_acts_at_once() -> None:
+def test_the_second_sigint_acts_at_once() -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores SIGINT
     try:
         with Interrupts():
@@ -35,6 +35,17 @@ def test_the_second_signal_acts_at_once() -> None:
                 signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@needs_signals
+def test_sigterm_may_be_repeated() -> None:
+    """As it is where a batch system signals every process of a job, and a parent then its workers."""
+    before = signal.getsignal(signal.SIGTERM)
+    with Interrupts() as interrupts:
+        for _ in range(3):
+            signal.raise_signal(signal.SIGTERM)
+            assert interrupts.received == signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_outside_the_main_thread_nothing_is_recorded() -> None:
