@@ -32,8 +32,8 @@ def stopped_by(error: OSError, message: str) -> Stopped:
 class Interrupts:
     """Records SIGINT and SIGTERM while it is open, instead of acting on them; a second SIGINT acts at once.
 
-    A second SIGTERM does not, so that what the first one began can be saved: a batch system sends it to every process of
-    a job, and then a parent that stops its workers sends it to them again.
+    A second SIGTERM does not, so that what the first one began can be saved: a batch system sends it to every process
+    of a job, and then a parent that stops its workers sends it to them again.
 
     Use it as a context manager. Only the main thread receives signals; in others nothing is recorded.
 
