@@ -138,7 +138,7 @@ def project(masses: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor,
 
     Every atom is clipped to the grid, and its mass shared among the 2^d corners of its cell by multilinear
     interpolation: for an atom b of an objective, in units of the spacing from its first atom, atom i receives the
-    factor max(0, 1 - |b - i|). The means of atoms inside the grid are kept, and variances never become smaller.
+    factor max(0, 1 - abs(b - i)). The means of atoms inside the grid are kept, and variances never become smaller.
 
     Args:
         masses: (M, A^d) of Z, the last objective varying fastest.
@@ -201,11 +201,11 @@ class Particles(ReturnDistribution):
 def energy_score(
     particles: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
 ) -> tuple[float, NDArray[np.float32]]:
-    """Sum over the rows of w (2 E|X - Y| - E|X - X'|), and its gradient (M, K, d) by the particles.
+    """Sum over the rows of ``w (2 E|X - Y| - E|X - X'|)``, and its gradient (M, K, d) by the particles.
 
-    This is the energy distance between particles and targets but for E|Y - Y'|, which does not depend on the particles.
+    This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the particles.
     It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest where X and Y
-    have the same distribution (Gneiting and Raftery 2007, section 4.3). With |z| = sqrt(z . z + 0.01^2), which has a
+    have the same distribution (Gneiting and Raftery 2007, section 4.3). With ``|z| = sqrt(z . z + 0.01^2)``, which has a
     gradient at 0, it is a maximum mean discrepancy with a multiquadric kernel, as in Zhang et al. (2021).
 
     Args:
@@ -224,7 +224,7 @@ def _energy_score(
     weights: NDArray[np.float32],
     gradient: NDArray[np.float32],
 ) -> float:
-    """Add the gradient to ``gradient``; the derivative of |z| by z is z / |z|."""
+    """Add the gradient to ``gradient``; the derivative of ``|z|`` by z is ``z / |z|``."""
     rows, number, d = particles.shape
     total = 0.0
     for m in range(rows):
