@@ -203,10 +203,11 @@ def energy_score(
 ) -> tuple[float, NDArray[np.float32]]:
     """Sum over the rows of ``w (2 E|X - Y| - E|X - X'|)``, and its gradient (M, K, d) by the particles.
 
-    This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the particles.
-    It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest where X and Y
-    have the same distribution (Gneiting and Raftery 2007, section 4.3). With ``|z| = sqrt(z . z + 0.01^2)``, which has a
-    gradient at 0, it is a maximum mean discrepancy with a multiquadric kernel, as in Zhang et al. (2021).
+    This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the
+    particles. It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest
+    where X and Y have the same distribution (Gneiting and Raftery 2007, section 4.3). With
+    ``|z| = sqrt(z . z + 0.01^2)``, which has a gradient at 0, it is a maximum mean discrepancy with a multiquadric
+    kernel, as in Zhang et al. (2021).
 
     Args:
         particles: (M, K, d) X, equally likely.
