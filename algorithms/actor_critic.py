@@ -237,8 +237,7 @@ class ActorCritic(Agent):
         state = {"generator": self.generator.get_state()}
         for v, learner in enumerate(self.learners):
             state |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
-        for name, array in self.collector.get_state().items():
-            state[f"collector.{name}"] = torch.from_numpy(np.ascontiguousarray(array))
+        state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
         return state
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
@@ -250,14 +249,8 @@ class ActorCritic(Agent):
         for v, learner in enumerate(self.learners):
             learner.set_state(strip_prefix(state, f"vehicle_{v}."))
         self.generator.set_state(state["generator"])
-        self.collector.set_state({name: t.numpy() for name, t in strip_prefix(state, "collector.").items()})
+        self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
         self.updates = self.step // (self.config.steps * self.env.num_envs)
-        worlds = self.env.get_state()
-        if self.step and worlds and (worlds["over"].any() or not worlds["begun"].all()):
-            raise ValueError(f"step = {self.step}, but environments have not been reset")
-        if not self.env.native:
-            # Other libraries' environments cannot be saved, so new episodes start with different seeds.
-            self.collector.reset(self.env_seed + self.step)
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights."""

@@ -282,3 +282,26 @@ class Collector:
         worlds = {name.removeprefix("worlds."): array for name, array in state.items() if name.startswith("worlds.")}
         if worlds:
             self.env.set_state(worlds)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """:meth:`get_state` as tensors, for a checkpoint."""
+        return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in self.get_state().items()}
+
+    def resume(self, tensors: Mapping[str, torch.Tensor], step: int, env_seed: int) -> None:
+        """Resume from :meth:`tensors`.
+
+        Args:
+            tensors: of a checkpoint.
+            step: environment steps that had been taken.
+            env_seed: of the first reset.
+
+        Raises:
+            ValueError: if steps had been taken in environments that have not been reset.
+        """
+        self.set_state({name: tensor.numpy() for name, tensor in tensors.items()})
+        worlds = self.env.get_state()
+        if step and worlds and (worlds["over"].any() or not worlds["begun"].all()):
+            raise ValueError(f"step = {step}, but environments have not been reset")
+        if not self.env.native:
+            # Other libraries' environments cannot be saved, so new episodes start with different seeds.
+            self.reset(env_seed + step)
