@@ -184,3 +184,4 @@ class A2C(ActorCritic):
     name = "a2c"
     Config = A2CConfig
     learner = A2CLearner
+    observes_accrued_reward = False

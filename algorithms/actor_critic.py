@@ -1,7 +1,8 @@
 """What A2C, MO-A2C, PPO and MO-PPO share apart from the algorithm: collecting, acting, checkpoints.
 
 An :class:`ActorCritic` has one :class:`Learner` per vehicle. All learners act on one rollout, and each then learns from
-its own vehicle's part of it. The file of an algorithm defines its Learner, from the networks to the update.
+its own vehicle's part of it. Vehicles that do not learn are driven by partners, whose weights are no part of the agent.
+The file of an algorithm defines its Learner, from the networks to the update.
 """
 
 from __future__ import annotations
@@ -15,19 +16,21 @@ import torch
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.actors import GaussianActor
-from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.checkpoints import PARTNERS, strip_prefix
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, VehicleRollout
-from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_prefix
+from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
+from algorithms.evaluation.team import check_same_task
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
     from algorithms.common.actors import Actor
     from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.evaluation.team import Population
     from mo_deepdrive.utilities import Utility
 
 
@@ -131,13 +134,18 @@ class ActorCritic(Agent):
         utility: the known utility, or one per vehicle.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
+        partners: what drives the vehicles that do not learn, by their indices.
         **hyperparameters: fields of the class's Config.
 
+    Attributes:
+        learners: one per vehicle that learns, in the order of the vehicles.
+
     Raises:
-        ValueError: for unknown or invalid hyperparameters, spaces or utilities.
+        ValueError: for unknown or invalid hyperparameters, spaces or utilities, or partners that drive elsewhere.
     """
 
     learner: ClassVar[type[Learner]]
+    trains_with_partners = True
 
     def __init__(
         self,
@@ -146,14 +154,29 @@ class ActorCritic(Agent):
         *,
         seed: int = 0,
         device: str = "cpu",
+        partners: Mapping[int, Population] | None = None,
         **hyperparameters: Any,
     ):
         super().__init__(env, utility, seed=seed, device=device, **hyperparameters)
+        self.partners = dict(partners or {})
+        for partner in self.partners.values():
+            check_same_task(partner.members[0].env, self.env)
         self.learners = [
             self.learner(self.env, v, each, self.config, self.initial, self.device)
             for v, each in enumerate(self.utilities)
+            if v not in self.partners
         ]
         self.collector = Collector(self.env, self.gamma, self.config.steps)
+
+    @property
+    def gamma(self) -> float | NDArray[np.float32]:
+        """Discount of the accrued rewards that :meth:`act` is given: one number, or with partners one per vehicle."""
+        if not self.partners:
+            return self.accrued_discount
+        discounts = np.full(self.env.vehicles, self.accrued_discount, dtype=np.float32)
+        for v, partner in self.partners.items():
+            discounts[v] = partner.gamma
+        return discounts
 
     # --------------------------------------------------------------------------------------------- acting and learning
 
@@ -162,16 +185,17 @@ class ActorCritic(Agent):
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""
-        chosen = []
-        for v, learner in enumerate(self.learners):
+        chosen = {v: each.act(observations, accrued_reward, generator) for v, each in self.partners.items()}
+        for learner in self.learners:
+            v = learner.vehicle
             x = learner.inputs(
                 torch.from_numpy(observations[:, v]).to(self.device),
                 torch.from_numpy(accrued_reward.value[:, v]).to(self.device),
                 torch.from_numpy(accrued_reward.discounts[:, v]).to(self.device),
             )
             action = learner.actor.greedy(x) if generator is None else learner.actor.sample(x, generator)
-            chosen.append(action.cpu().numpy())
-        return chosen[0][:, None] if len(chosen) == 1 else np.stack(chosen, axis=1)
+            chosen[v] = action.cpu().numpy()
+        return np.stack([chosen[v] for v in range(self.env.vehicles)], axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
         """The greedy action for one observation, as in morl-baselines.
@@ -211,11 +235,12 @@ class ActorCritic(Agent):
             config.entropy_start, config.entropy_end, progress / config.entropy_until
         )
         metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
-        for v, learner in enumerate(self.learners):
+        for learner in self.learners:
+            v = learner.vehicle
             learner.on_episodes_end(episodes.discounted[episodes.vehicles == v])
             own = rollout.of_vehicle(v, self.device, others=learner.others_size > 0)
             losses = learner.update(own, learning_rate, entropy_coefficient)
-            prefix = vehicle_prefix(v, len(self.learners))
+            prefix = vehicle_prefix(v, self.env.vehicles)
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
 
@@ -223,6 +248,7 @@ class ActorCritic(Agent):
 
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
+        drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
         return {
             **super().identity(),
             "hidden": list(self.config.hidden),
@@ -230,13 +256,15 @@ class ActorCritic(Agent):
             "network": self.config.network,
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
+            # Files of earlier versions, which knew no partners, lack the entry.
+            **({PARTNERS: drivers} if drivers else {}),
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Learners, generator, environments and running episodes."""
         state = {"generator": self.generator.get_state()}
-        for v, learner in enumerate(self.learners):
-            state |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
+        for learner in self.learners:
+            state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
         state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
         return state
 
@@ -246,8 +274,8 @@ class ActorCritic(Agent):
         Raises:
             ValueError: for values from which training cannot continue.
         """
-        for v, learner in enumerate(self.learners):
-            learner.set_state(strip_prefix(state, f"vehicle_{v}."))
+        for learner in self.learners:
+            learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         self.generator.set_state(state["generator"])
         self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
         self.updates = self.step // (self.config.steps * self.env.num_envs)
@@ -255,12 +283,12 @@ class ActorCritic(Agent):
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights."""
         return {
-            f"vehicle_{v}.{name}": tensor
-            for v, learner in enumerate(self.learners)
+            f"vehicle_{learner.vehicle}.{name}": tensor
+            for learner in self.learners
             for name, tensor in learner.get_policy().items()
         }
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
         """Take the actors' weights."""
-        for v, learner in enumerate(self.learners):
-            learner.set_policy(strip_prefix(state, f"vehicle_{v}."))
+        for learner in self.learners:
+            learner.set_policy(strip_prefix(state, f"vehicle_{learner.vehicle}."))

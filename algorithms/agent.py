@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from algorithms.common.checkpoints import (
+    PARTNERS,
     POLICY_ONLY,
     STEP,
     UPDATES,
@@ -116,6 +117,8 @@ class Agent(ABC):
     Attributes:
         name: of the algorithm, in checkpoints; that of the class where it is not set.
         known_utility: whether the agent learns for a known utility, or a front for every utility.
+        observes_accrued_reward: whether ``act`` depends on the accrued reward.
+        trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
@@ -136,6 +139,8 @@ class Agent(ABC):
     name: ClassVar[str]
     Config: ClassVar[type[Settings]]
     known_utility: ClassVar[bool] = True
+    observes_accrued_reward: ClassVar[bool] = True
+    trains_with_partners: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
     config: Any
 
@@ -169,9 +174,14 @@ class Agent(ABC):
         self.episodes: list[Episodes] = []
 
     @property
-    def gamma(self) -> float:
-        """Discount of the accrued reward."""
+    def accrued_discount(self) -> float:
+        """Discount of the accrued reward that the policy observes."""
         return float(getattr(self.config, "gamma", 1.0))
+
+    @property
+    def gamma(self) -> float | NDArray[np.float32]:
+        """Discount of the accrued rewards that :meth:`act` is given: one number, or one per vehicle (V,)."""
+        return self.accrued_discount
 
     def _checked(self, utility: Utility | Sequence[Utility]) -> list[Utility]:
         """One utility per vehicle, over the objectives of the environment."""
@@ -374,7 +384,7 @@ class Agent(ABC):
             ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, has
                 values from which training cannot continue, or holds the policy alone where more is needed.
         """
-        may_differ = ("num_envs",) if policy_only else ()
+        may_differ = ("num_envs", PARTNERS) if policy_only else ()
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
         tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)

@@ -357,7 +357,7 @@ class ConditionedMOPPO(FrontAgent):
             ConditionedLearner(self.env, self.preferences, config, self.initial, self.device)
             for _ in range(self.env.vehicles)
         ]
-        self.collector = Collector(self.env, self.gamma, config.steps)
+        self.collector = Collector(self.env, self.accrued_discount, config.steps)
         # Draws the preferences of episodes.
         self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
         m = len(self.preferences.names)
@@ -486,7 +486,7 @@ class ConditionedMOPPO(FrontAgent):
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
             "budgets": dict(config.budgets),
-            "gamma": self.gamma,
+            "gamma": self.accrued_discount,
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
@@ -563,7 +563,7 @@ class PreferencePolicy:
     @property
     def gamma(self) -> float:
         """Discount of the accrued reward."""
-        return self.agent.gamma
+        return self.agent.accrued_discount
 
     @property
     def device(self) -> torch.device:

@@ -282,6 +282,6 @@ class MOA2C(ActorCritic):
     learner = MOA2CLearner
 
     @property
-    def gamma(self) -> float:
+    def accrued_discount(self) -> float:
         """Discount g of the accrued reward."""
         return float(self.config.accrued_discount)

@@ -300,6 +300,6 @@ class MOPPO(ActorCritic):
     learner = MOPPOLearner
 
     @property
-    def gamma(self) -> float:
+    def accrued_discount(self) -> float:
         """Discount g of the accrued reward."""
         return float(self.config.accrued_discount)

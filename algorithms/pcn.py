@@ -232,7 +232,7 @@ class PCN(FrontAgent):
             step = env.step(actions)
             ended = (step.terminated | step.truncated)[:, 0]
             steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0], ended, step.succeeded[:, 0]))
-            accrued_reward.add(step.rewards, self.gamma)
+            accrued_reward.add(step.rewards, self.accrued_discount)
             over |= ended
             observations = step.observations
 
@@ -240,7 +240,7 @@ class PCN(FrontAgent):
         last = ended.argmax(axis=1)  # an environment goes on with further episodes while others are in their first
         lengths = last + 1
         rewards[np.arange(len(steps)) > last[:, None]] = 0.0
-        to_go = returns_to_go(rewards, self.gamma)
+        to_go = returns_to_go(rewards, self.accrued_discount)
         episodes = [
             Episode(*(column[i, :length].copy() for column in (seen, taken, to_go)))
             for i, length in enumerate(lengths.tolist())
@@ -417,7 +417,7 @@ class PCN(FrontAgent):
             **super().identity(),
             "hidden": list(self.config.hidden),
             "command_scales": [*self.scales.tolist(), self.config.horizon_scale],
-            "gamma": self.gamma,
+            "gamma": self.accrued_discount,
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
@@ -542,7 +542,7 @@ class CommandPolicy:
     @property
     def gamma(self) -> float:
         """Discount of the accrued reward."""
-        return self.agent.gamma
+        return self.agent.accrued_discount
 
     @property
     def device(self) -> torch.device:

@@ -229,3 +229,4 @@ class PPO(ActorCritic):
     name = "ppo"
     Config = PPOConfig
     learner = PPOLearner
+    observes_accrued_reward = False

@@ -5,7 +5,7 @@
     python scripts/left_turn_rules.py --gaps 0 3 5 --episodes 100 --gif docs/images/left_turn.gif
 
 The folder gets left_turn_rules.csv and left_turn_rules.png. The rules see what an agent observes
-(`algorithms.planning.left_turn_rules`); their parameters were chosen on the validation split. Learnt policies are
+(`algorithms.driving.left_turn_rules`); their parameters were chosen on the validation split. Learnt policies are
 scored on the same episodes, and compared with the rule of the highest `left_turn_linear` episode by episode.
 """
 

@@ -34,8 +34,8 @@ class AccruedReward:
             decisions=np.zeros((num_envs, vehicles), dtype=np.int64),
         )
 
-    def add(self, rewards: NDArray[np.float32], discount: float) -> None:
-        """Add the ``rewards`` (N, V, d) of one decision."""
+    def add(self, rewards: NDArray[np.float32], discount: float | NDArray[np.float32]) -> None:
+        """Add the ``rewards`` (N, V, d) of one decision; ``discount`` is g, or one g per vehicle (V,)."""
         self.value += self.discounts[..., None] * rewards
         self.discounts *= discount
         self.decisions += 1

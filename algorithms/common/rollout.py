@@ -180,11 +180,11 @@ class Collector:
 
     Args:
         env: the environments.
-        accrued_discount: g, discount of the accrued reward.
+        accrued_discount: g, discount of the accrued reward; one per vehicle (V,) where they differ.
         steps: T, length of a rollout.
     """
 
-    def __init__(self, env: EnvAdapter, accrued_discount: float, steps: int):
+    def __init__(self, env: EnvAdapter, accrued_discount: float | NDArray[np.float32], steps: int):
         n, v, o, d = env.num_envs, env.vehicles, env.observation_size, len(env.objectives)
         self.env = env
         self.accrued_discount = accrued_discount

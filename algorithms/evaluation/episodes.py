@@ -47,8 +47,8 @@ class Policy(Protocol):
         """One per vehicle; empty if no utility is known."""
 
     @property
-    def gamma(self) -> float:
-        """Discount factor of the accrued reward that it observes."""
+    def gamma(self) -> float | NDArray[np.float32]:
+        """Discount factor of the accrued reward that it observes; one per vehicle (V,) where they differ."""
 
     @property
     def device(self) -> torch.device:

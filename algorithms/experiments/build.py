@@ -1,7 +1,8 @@
-"""From an experiment to its environment, its utilities and its agent."""
+"""From an experiment to its environment, its utilities and its agent; from names to drivers of single vehicles."""
 
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,25 +11,36 @@ import torch
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.threads import set_threads
+from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
+from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.evaluation.front import check_reference_point
 from algorithms.evaluation.metrics import vehicle_name
+from algorithms.evaluation.team import Population, check_same_task
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
+from algorithms.experiments.run_directory import Run
 from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gymnasium.vector import VectorEnv
 
-    from algorithms.experiments.run_directory import Run
+    from algorithms.agent import Agent
+    from algorithms.evaluation.episodes import Policy
 
 
-def build(experiment: Experiment, num_envs: int | None = None) -> Any:
+DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
+
+
+def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool = True) -> Any:
     """The untrained agent of an experiment, with its training environment.
 
     Args:
         experiment: what to build.
         num_envs: number of parallel environments; the experiment's if None.
+        partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
 
     Returns:
         An instance of the algorithm's class, a subclass of :class:`algorithms.agent.Agent`.
@@ -50,6 +62,13 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
         check_reference_point(experiment.evaluation.reference_point, adapter.objectives)
     else:
         options["utility"] = _make_utilities(experiment.utility, adapter)
+    if experiment.training.partners:
+        options["partners"] = _make_partners(experiment, algorithm, adapter, idle_only=not partners)
+        most = max(len(each.members) for each in options["partners"].values())
+        if num_envs is None and most > adapter.num_envs:
+            raise ValueError(
+                f"training.num_envs = {adapter.num_envs} is less than the {most} drivers in training.partners"
+            )
     return algorithm(
         env,
         **options,
@@ -59,16 +78,72 @@ def build(experiment: Experiment, num_envs: int | None = None) -> Any:
     )
 
 
-def load_policy(run: Run) -> Any:
+def load_policy(run: Run, *, partners: bool = True) -> Any:
     """The agent of a run with its trained policy and the number of steps that it has learnt from; it cannot train.
+
+    Args:
+        run: the run.
+        partners: as for :func:`build`.
 
     Raises:
         ValueError: if the agent cannot be built, or the checkpoint cannot be read or does not fit it.
     """
-    agent = build(run.experiment, num_envs=1)
+    agent = build(run.experiment, num_envs=1, partners=partners)
     agent.load(run.checkpoint, policy_only=True)
     agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
     return agent
+
+
+def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, *, trust: bool = False) -> Policy:
+    """The driver of a vehicle.
+
+    Args:
+        name: the directory of a run, a policy of the zoo, or a scripted driver of the intersection such as
+            ``rule:gap_3`` (:func:`algorithms.driving.intersection_rules.make_rule`).
+        vehicle: the index of the vehicle that it is to drive.
+        env: where it drives.
+        action_type: of that environment: "discrete", "discrete-16" or "continuous".
+        trust: as for :meth:`Run.open`.
+
+    Raises:
+        ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
+    """
+    if name.startswith(PREFIX):
+        if env.name != SCENARIO.id:
+            raise ValueError(f"{name!r} drives in {SCENARIO.id}, not in {env.name}")
+        driver = make_rule(name, action_type)
+        if driver.vehicle != vehicle:
+            raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")
+        return ScriptedPolicy(env, vehicle, driver)
+    run = Run.open(name, device="cpu", trust=trust)
+    if not run.experiment.known_utility:
+        raise ValueError(f"{name!r} is a front of policies, not one that drives")
+    if vehicle_name(vehicle) in run.experiment.training.partners:
+        raise ValueError(f"{name!r} did not learn to drive {vehicle_name(vehicle)}")
+    agent: Any = load_policy(run, partners=False)
+    try:
+        check_same_task(agent.env, env)
+    except ValueError as error:
+        raise ValueError(f"{name!r} cannot drive {vehicle_name(vehicle)}: {error}") from None
+    return agent  # type: ignore[no-any-return]  # an algorithm of any class
+
+
+def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, action_type: str) -> Population:
+    """Drivers that take turns in driving a vehicle; arguments and errors are those of :func:`open_driver`."""
+    members = [open_driver(name, vehicle, env, action_type) for name in names]
+    return Population(members, vehicle, [_digest(name) for name in names])
+
+
+def idle(vehicle: int, env: EnvAdapter) -> Population:
+    """In place of drivers that are not needed: a vehicle that does nothing."""
+    return Population([ScriptedPolicy(env)], vehicle, [""])
+
+
+def _digest(name: str) -> str:
+    """What identifies a driver wherever its files are: the name of a script, the hash of a checkpoint."""
+    if name.startswith(PREFIX):
+        return name
+    return hashlib.sha256(Run.open(name, device="cpu").checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
@@ -93,6 +168,32 @@ def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
             f"environment {settings.id!r} with arguments {settings.arguments} cannot be made: "
             f"{type(error).__name__}: {error}"
         ) from error
+
+
+def _make_partners(
+    experiment: Experiment, algorithm: type[Agent], adapter: EnvAdapter, *, idle_only: bool
+) -> dict[int, Population]:
+    """What drives the vehicles that do not learn, by their indices."""
+    settings = experiment.training.partners
+    vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
+    if not algorithm.trains_with_partners:
+        raise ValueError(f"training.partners: algorithm {experiment.algorithm['name']!r} cannot train with partners")
+    for name in settings:
+        if name not in vehicles:
+            raise ValueError(f"training.partners has {name!r}; {nearest(name, vehicles)}")
+    if len(settings) == len(vehicles):
+        raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(vehicles)}: none is left to learn")
+    action_type = experiment.environment.arguments.get("action_type", "discrete")
+    found = {}
+    for name, drivers in settings.items():
+        v = vehicles.index(name)
+        if not drivers:
+            raise ValueError(f"training.partners.{name} = [] must name at least one driver")
+        try:
+            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, action_type)
+        except ValueError as error:
+            raise ValueError(f"training.partners.{name}: {error}") from None
+    return found
 
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:

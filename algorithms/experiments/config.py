@@ -72,6 +72,8 @@ class TrainingSettings(Settings):
         seed: seed of everything random in training.
         device: the device of the networks, in PyTorch's notation.
         threads: threads of the networks; each needs a core of its own, or training becomes slower.
+        partners: what drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo
+            and scripted drivers, which take turns over the parallel environments.
     """
 
     total_timesteps: Count
@@ -79,6 +81,7 @@ class TrainingSettings(Settings):
     seed: int = Field(default=0, ge=0, lt=2**31)
     device: str = "cpu"
     threads: int = Field(default=1, ge=1, le=1024)
+    partners: dict[str, list[str]] = {}
 
 
 class EvaluationSettings(Settings):

@@ -3,7 +3,7 @@
 The population is the same in every scenario: random drivers that see the waypoints and their own motion alone. A driver
 waits, speeds up to a target speed and coasts, steers towards the next waypoint, at first off to a side, and slows down
 before it arrives. So a part of them collides and a part arrives, quickly or calmly. In LeftTurn there is a second
-population, fixed rules that see the traffic (:mod:`algorithms.planning.left_turn_rules`).
+population, fixed rules that see the traffic (:mod:`algorithms.driving.left_turn_rules`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.evaluation.episodes import OUR_ENVS, evaluate, evaluate_each
 from algorithms.evaluation.function_policy import FunctionPolicy
 from algorithms.evaluation.metrics import name_and_unit
 from algorithms.evaluation.statistics import Estimate, estimate
-from algorithms.planning.left_turn_rules import GapDriver, GapRule
 from algorithms.reporting.style import DIM, DPI, INK, STYLE, TITLE_SIZE
 from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE, action_table
 from mo_deepdrive.observation import OWN

@@ -13,13 +13,13 @@ from matplotlib.lines import Line2D
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.driving.left_turn_rules import SCENARIO, GapDriver, GapRule
 from algorithms.evaluation.episodes import evaluate, seeded_generator
 from algorithms.evaluation.function_policy import FunctionPolicy
 from algorithms.evaluation.metrics import COLLISION, UTILITY_SER
 from algorithms.evaluation.splits import first_seed
 from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 from algorithms.experiments.build import load_policy
-from algorithms.planning.left_turn_rules import SCENARIO, GapDriver, GapRule
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.style import DPI, STYLE, algorithm_colours, surround
 from algorithms.reporting.videos import episode_frames, make_render_env
@@ -137,7 +137,7 @@ def score_runs(
                 split=split,
                 episodes=episodes,
                 env_kwargs=arguments,
-                gamma=agent.gamma,
+                gamma=agent.accrued_discount,
             )
             driver = f"{algorithm}, seed {experiment.training.seed}, {kind}"
             found.append(_scores(driver, None, evaluation, algorithm))

@@ -180,3 +180,16 @@ def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
     scale = {"a2c": 10.0, "expected_utility": 10.0}.get(form, learner.objective_scales)
     value = (scale * learner.critic(seen_by(learner, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
+
+
+def diversified(agent: ActorCritic) -> ActorCritic:
+    """The agent with a policy that differs from state to state, far from uniform, and of ours one that moves.
+
+    Of the 22 discrete actions every third one from 3 on is "increase speed".
+    """
+    with torch.no_grad():
+        for learner in agent.learners:
+            learner.actor.body[-1].weight.mul_(100.0)
+            if agent.env.actions == 22:
+                learner.actor.body[-1].bias[3::3] += 10.0
+    return agent

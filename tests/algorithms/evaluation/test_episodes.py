@@ -16,6 +16,7 @@ from algorithms import A2C, MOA2C
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.episodes import Evaluation, evaluate
 from mo_deepdrive.utilities import Utility, make_utility
+from tests.helpers.agents import diversified
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,19 +40,6 @@ def make_agent(
     if utility is None:
         utility = make_utility("linear", objectives, weights=np.linspace(1.0, 0.1, len(objectives)))
     return cls(env, utility, **settings)
-
-
-def diversified(agent: ActorCritic) -> ActorCritic:
-    """The agent with a policy that differs from state to state, far from uniform, and of ours one that moves.
-
-    Of the 22 discrete actions every third one from 3 on is "increase speed".
-    """
-    with torch.no_grad():
-        for learner in agent.learners:
-            learner.actor.body[-1].weight.mul_(100.0)
-            if agent.env.actions == 22:
-                learner.actor.body[-1].bias[3::3] += 10.0
-    return agent
 
 
 def fields(evaluation: Evaluation) -> dict[str, np.ndarray]:

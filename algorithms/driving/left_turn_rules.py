@@ -84,6 +84,55 @@ class GapRule:
                 raise ValueError(f"{name} = {value!r} of a rule must be a finite number of at least {least:g}")
 
 
+class LeftTurner:
+    """Steers along the path of the left turn, towards the crossing or through it.
+
+    Args:
+        rule: its speeds, and how long a gap it waits for.
+        action_type: "discrete", "discrete-16" or "continuous".
+    """
+
+    def __init__(self, rule: GapRule, action_type: str = "discrete"):
+        self.rule = rule
+        self.table = None if action_type == CONTINUOUS else action_table(action_type)
+
+    def may_go(self, seen: Floats, line: Floats) -> NDArray[np.bool_]:
+        """Whether vehicles are at the line (N,) and no oncoming car comes within the gap."""
+        speed = seen[:, COLUMN["speed"]]
+        here = line <= _braking_distance(speed) + 0.3
+        to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
+        lead_time = (np.sqrt(speed**2 + 2.0 * THROTTLE * to_lane) - speed) / THROTTLE
+        return here & (free_time(seen, lead_time) >= self.rule.gap) | (self.rule.gap == 0.0)
+
+    def line(self, front: Floats) -> Floats:
+        """The distance (N,) from the front (N, 2) to where a vehicle waits, on the way straight on; negative beyond."""
+        return np.asarray(WAYPOINTS[0, 1] - self.rule.stop_distance - front[:, 1])
+
+    def actions(self, seen: Floats, goes: NDArray[np.bool_]) -> NDArray[Any]:
+        """Actions (N,), or (N, 3) if they are continuous.
+
+        Args:
+            seen: observations (N, size).
+            goes: (N,) whether to go through the crossing; else the vehicle waits before it.
+        """
+        front, heading = locate(seen)
+        line = self.line(front)
+        speed = seen[:, COLUMN["speed"]]
+        centre = front - HALF_LENGTH * _forward(heading)
+        turning = front[:, 1] > WAYPOINTS[0, 1] - 1.5
+        left = centre[:, 0] < WAYPOINTS[0, 0] - 0.8 * RADIUS
+        rolling = np.where(
+            left, self.rule.exit_speed, np.where(turning, self.rule.turn_speed, self.rule.approach_speed)
+        )
+        waiting = np.minimum(self.rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
+        target = np.where(goes, rolling, waiting)
+        brakes = ~goes & (line <= _braking_distance(speed))
+        steer = path_curvature(centre, heading, speed) / CURVATURE_PER_STEER
+        if self.table is None:
+            return continuous_actions(seen, steer, target, brakes, line)
+        return discrete_actions(seen, steer, target, brakes, self.table)
+
+
 class GapDriver:
     """A driver that follows a :class:`GapRule`, as a policy for :func:`algorithms.evaluation.episodes.evaluate`.
 
@@ -95,8 +144,7 @@ class GapDriver:
     """
 
     def __init__(self, rule: GapRule, action_type: str = "discrete"):
-        self.rule = rule
-        self.table = None if action_type == CONTINUOUS else action_table(action_type)
+        self._turner = LeftTurner(rule, action_type)
         self._goes = np.zeros(0, dtype=np.bool_)
 
     def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], _discounts: NDArray[Any]) -> NDArray[Any]:
@@ -105,50 +153,52 @@ class GapDriver:
         if len(self._goes) != len(seen):
             self._goes = np.zeros(len(seen), dtype=np.bool_)
         self._goes &= np.any(accrued != 0.0, axis=1)
-        front, heading = locate(seen)
-        speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
-        # To the stop line, on the way straight on; what is beyond it is negative.
-        line = WAYPOINTS[0, 1] - self.rule.stop_distance - front[:, 1]
-        braking_distance = speed * (1.0 / BRAKING + 1.5 * DECISION)
-        here = line <= braking_distance + 0.3
-        to_lane = np.maximum(line + self.rule.stop_distance + TO_ONCOMING_LANE, 0.0)
-        lead_time = (np.sqrt(speed**2 + 2.0 * THROTTLE * to_lane) - speed) / THROTTLE
-        self._goes |= here & (free_time(seen, lead_time) >= self.rule.gap) | (self.rule.gap == 0.0)
+        self._goes |= self._turner.may_go(seen, self._turner.line(locate(seen)[0]))
+        return self._turner.actions(seen, self._goes)
 
-        centre = front - HALF_LENGTH * _forward(heading)
-        turning = front[:, 1] > WAYPOINTS[0, 1] - 1.5
-        left = centre[:, 0] < WAYPOINTS[0, 0] - 0.8 * RADIUS
-        rolling = np.where(
-            left, self.rule.exit_speed, np.where(turning, self.rule.turn_speed, self.rule.approach_speed)
-        )
-        waiting = np.minimum(self.rule.approach_speed, np.where(line > 0.3, 1.5 * line, 0.0))
-        target = np.where(self._goes, rolling, waiting)
-        brakes = ~self._goes & (line <= braking_distance)
-        steer = path_curvature(centre, heading, speed) / CURVATURE_PER_STEER
-        if self.table is None:
-            return self._continuous(steer, speed, throttle, target, brakes, line)
-        wanted = np.where(throttle > 0.0, target, target * (1.0 - SLACK))
-        change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
-        change = np.where(brakes, DECREASE, change)
-        offered = (
-            self.table[:, DECAY] * seen[:, COLUMN["steer"], None]
-            + self.table[:, OFFSET]
-            + self.table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
-        )
-        error = np.where(self.table[:, SPEED_CHANGE] == change[:, None], np.abs(offered - steer[:, None]), np.inf)
-        return np.asarray(error.argmin(axis=1))
 
-    def _continuous(
-        self, steer: Floats, speed: Floats, throttle: Floats, target: Floats, brakes: NDArray[np.bool_], line: Floats
-    ) -> Floats:
-        wanted = np.clip(target - speed, 0.0, THROTTLE) + DRAG * speed
-        wanted = np.where(brakes | (target < speed - 0.5), 0.0, wanted)
-        push = np.clip(wanted, throttle - SOFT_CHANGE, throttle + SOFT_CHANGE)
-        push = np.where(brakes, 0.0, np.clip(push, 0.0, MAX_ACCELERATION))
-        # To rest within the distance that is left: v' = -BRAKING b v, so b = v / (BRAKING distance).
-        brake = np.where(brakes, speed / (BRAKING * np.maximum(line, 0.3 * np.maximum(speed, 0.5))), 0.0)
-        actions = (steer / STEER_RANGE, push / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0)
-        return np.clip(np.stack(actions, axis=1), -1.0, 1.0).astype(np.float32)
+def discrete_actions(
+    seen: Floats, steer: Floats, target: Floats, brakes: NDArray[np.bool_], table: Floats
+) -> NDArray[Any]:
+    """The actions (N,) whose change of speed is the right one and whose steering comes nearest.
+
+    Args:
+        seen: observations (N, size).
+        steer: (N,) wanted (rad).
+        target: (N,) speed (m/s).
+        brakes: (N,) whether to brake.
+        table: of the action set.
+    """
+    speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
+    wanted = np.where(throttle > 0.0, target, target * (1.0 - SLACK))
+    change = np.where(speed < wanted, INCREASE, np.where(throttle > 0.0, DECREASE, MAINTAIN))
+    change = np.where(brakes, DECREASE, change)
+    offered = (
+        table[:, DECAY] * seen[:, COLUMN["steer"], None]
+        + table[:, OFFSET]
+        + table[:, CURL] / np.maximum(speed, 1.0)[:, None] ** 2
+    )
+    error = np.where(table[:, SPEED_CHANGE] == change[:, None], np.abs(offered - steer[:, None]), np.inf)
+    return np.asarray(error.argmin(axis=1))
+
+
+def continuous_actions(
+    seen: Floats, steer: Floats, target: Floats, brakes: NDArray[np.bool_], room: Floats
+) -> NDArray[Any]:
+    """The actions (N, 3); the arguments are those of :func:`discrete_actions`, but ``room`` (N,) to stop in (m)."""
+    speed, throttle = seen[:, COLUMN["speed"]], seen[:, COLUMN["throttle"]]
+    wanted = np.clip(target - speed, 0.0, THROTTLE) + DRAG * speed
+    wanted = np.where(brakes | (target < speed - 0.5), 0.0, wanted)
+    push = np.clip(wanted, throttle - SOFT_CHANGE, throttle + SOFT_CHANGE)
+    push = np.where(brakes, 0.0, np.clip(push, 0.0, MAX_ACCELERATION))
+    # To rest within the distance that is left: v' = -BRAKING b v, so b = v / (BRAKING distance).
+    brake = np.where(brakes, speed / (BRAKING * np.maximum(room, 0.3 * np.maximum(speed, 0.5))), 0.0)
+    actions = (steer / STEER_RANGE, push / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0)
+    return np.clip(np.stack(actions, axis=1), -1.0, 1.0).astype(np.float32)
+
+
+def _braking_distance(speed: Floats) -> Floats:
+    return speed * (1.0 / BRAKING + 1.5 * DECISION)
 
 
 def free_time(seen: Floats, lead_time: Floats) -> Floats:

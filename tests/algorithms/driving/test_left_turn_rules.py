@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
+from algorithms.driving.left_turn_rules import COLUMN, GapDriver, GapRule, free_time, locate
 from algorithms.evaluation.episodes import Evaluation, evaluate
-from algorithms.planning.left_turn_rules import COLUMN, GapDriver, GapRule, free_time, locate
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Scripted drivers: fixed rules that see what an agent observes."""

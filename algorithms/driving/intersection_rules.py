@@ -1,0 +1,165 @@
+"""Scripted drivers for the two vehicles of the intersection, by name.
+
+Vehicle 0 turns left as in LeftTurn and waits for a gap before vehicle 1; vehicle 1 drives straight on at some speed and
+may brake for a vehicle in front of it. They remember nothing: an action follows from one observation.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from algorithms.driving.left_turn_rules import (
+    COLUMN,
+    CURVATURE_PER_STEER,
+    GapRule,
+    LeftTurner,
+    continuous_actions,
+    discrete_actions,
+    locate,
+)
+from mo_deepdrive.actions import CONTINUOUS, action_table
+from mo_deepdrive.observation import ABSENT_DISTANCE, SIGHT_DISTANCE, layout
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.geometry import HALF_WIDTH
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
+from mo_deepdrive.simulation.traffic import ENTRY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+SCENARIO = SCENARIOS["intersection"]
+SEEN = {entry.name: column for column, entry in enumerate(layout(SCENARIO))}
+PREFIX = "rule:"  # of the names
+
+PASSED = -(2.0 * LANE_WIDTH + LENGTH)  # m, distance to the crossing of a vehicle whose rear has left it
+PAST_LINE = -0.3  # m beyond the line a vehicle no longer waits
+HEADING_GAIN = 0.05  # curvature (1/m) per rad towards the destination
+COMFORTABLE = 2.0  # m/s^2 of braking for a vehicle in front
+CLEARANCE = 3.0  # m that are left to it
+ASIDE = 0.3  # m beside the own box within which a vehicle is in the way
+
+
+class TurningDriver:
+    """Vehicle 0: turns left once vehicle 1 is at least ``gap`` seconds from the crossing at its present speed.
+
+    Args:
+        gap: in s; 0 to go at once.
+        action_type: "discrete", "discrete-16" or "continuous".
+    """
+
+    vehicle = 0
+
+    def __init__(self, gap: float, action_type: str):
+        self._turner = LeftTurner(GapRule(gap=gap), action_type)
+
+    def __call__(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        """Actions (N,) or (N, 3), as the environment takes them, for observations (N, size) of the vehicle."""
+        seen = as_in_left_turn(np.asarray(observations, dtype=np.float64))
+        line = self._turner.line(locate(seen)[0])
+        return self._turner.actions(seen, self._turner.may_go(seen, line) | (line < PAST_LINE))
+
+
+class StraightDriver:
+    """Vehicle 1: drives straight on.
+
+    Args:
+        speed: in m/s.
+        action_type: "discrete", "discrete-16" or "continuous".
+        yields: whether it brakes for a vehicle in front of it.
+    """
+
+    vehicle = 1
+
+    def __init__(self, speed: float, action_type: str, *, yields: bool):
+        self._speed = speed
+        self._yields = yields
+        self._table = None if action_type == CONTINUOUS else action_table(action_type)
+
+    def __call__(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        """Actions (N,) or (N, 3), as the environment takes them, for observations (N, size) of the vehicle."""
+        seen = np.asarray(observations, dtype=np.float64)
+        speed = seen[:, COLUMN["speed"]]
+        room = room_ahead(seen) - CLEARANCE
+        brakes = (room < speed**2 / (2.0 * COMFORTABLE)) & self._yields
+        steer = -HEADING_GAIN * seen[:, COLUMN["next_angle"]] / CURVATURE_PER_STEER
+        target = np.where(brakes, 0.0, self._speed)
+        if self._table is None:
+            return continuous_actions(seen, steer, target, brakes, np.maximum(room, 0.0))
+        return discrete_actions(seen, steer, target, brakes, self._table)
+
+
+def as_in_left_turn(seen: Floats) -> Floats:
+    """What vehicle 0 sees of the intersection (N, size), as LeftTurn shows it: vehicle 1 is the one oncoming car."""
+    count = len(COLUMN) - 4
+    front, heading = locate(np.hstack([seen[:, :count], np.zeros((len(seen), 4))]))
+    ahead, left = other_corners(seen)
+    # The front of the oncoming vehicle is the middle of its two front corners, which are observed first.
+    y = front[:, 1] + (np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left)[:, :2].mean(axis=1)
+    distance = y - ENTRY
+    gone = absent(seen) | (distance < PASSED)
+    cars = np.tile([SIGHT_DISTANCE, 0.0, SIGHT_DISTANCE, 0.0], (len(seen), 1))
+    cars[:, 0] = np.where(gone, SIGHT_DISTANCE, np.minimum(distance, SIGHT_DISTANCE))
+    # It comes down the road; what it has in the other direction would take it away.
+    cars[:, 1] = np.where(gone, 0.0, np.maximum(-seen[:, SEEN["other_vy"]], 0.0))
+    return np.hstack([seen[:, :count], cars])
+
+
+def room_ahead(seen: Floats) -> Floats:
+    """The distance (N,) (m) to the nearest corner of the other vehicle if it is in front of the own box, else inf."""
+    ahead, left = other_corners(seen)
+    spread = left.min(axis=1) < HALF_WIDTH + ASIDE, left.max(axis=1) > -HALF_WIDTH - ASIDE
+    in_the_way = spread[0] & spread[1] & (ahead.max(axis=1) > 0.0) & ~absent(seen)
+    return np.where(in_the_way, np.maximum(ahead.min(axis=1), 0.0), np.inf)
+
+
+def other_corners(seen: Floats) -> tuple[Floats, Floats]:
+    """The corners of the other vehicle as seen from the own front, (N, 4) each: metres ahead, and to the left."""
+    corners = ("front_left", "front_right", "back_right", "back_left")
+    angle = seen[:, [SEEN[f"other_{corner}_angle"] for corner in corners]]
+    distance = seen[:, [SEEN[f"other_{corner}_distance"] for corner in corners]]
+    return distance * np.cos(angle), -distance * np.sin(angle)
+
+
+def absent(seen: Floats) -> NDArray[np.bool_]:
+    """(N,) whether the other vehicle has left the road."""
+    return np.asarray(
+        (seen[:, SEEN["other_front_left_distance"]] == ABSENT_DISTANCE) & (seen[:, SEEN["other_vy"]] == 0.0)
+    )
+
+
+Driver = TurningDriver | StraightDriver
+
+# By the first part of a name; the number after it is the gap (s) or the speed (m/s).
+KINDS: dict[str, Callable[[float, str], Driver]] = {
+    "gap": TurningDriver,
+    "straight": partial(StraightDriver, yields=False),
+    "yields": partial(StraightDriver, yields=True),
+}
+NAME = re.compile(rf"{PREFIX}({'|'.join(KINDS)})_(\d+(?:\.\d+)?)")
+
+
+def make_rule(name: str, action_type: str) -> Driver:
+    """The scripted driver of a name.
+
+    Args:
+        name: ``rule:gap_3`` turns left and waits for a gap of 3 s, ``rule:straight_6`` drives straight on at 6 m/s, and
+            ``rule:yields_6`` does so and brakes for a vehicle in front of it; any numbers.
+        action_type: "discrete", "discrete-16" or "continuous".
+
+    Raises:
+        ValueError: for a name that has another form.
+    """
+    found = NAME.fullmatch(name)
+    if found is None:
+        forms = ", ".join(f"{PREFIX}{kind}_NUMBER" for kind in KINDS)
+        raise ValueError(f"there is no scripted driver {name!r}; write {forms}, such as {PREFIX}gap_3")
+    kind, number = found.groups()
+    return KINDS[kind](float(number), action_type)

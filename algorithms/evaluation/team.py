@@ -1,0 +1,124 @@
+"""Several policies as one: a policy of its own for each vehicle, or policies that take turns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import torch
+    from numpy.typing import NDArray
+
+    from algorithms.common.accrued_reward import AccruedReward
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.utilities import Utility
+
+
+class Team:
+    """A policy that drives vehicle v as the v-th of its members does.
+
+    Args:
+        members: one policy per vehicle, each of which acts for all vehicles.
+
+    Raises:
+        ValueError: if members and vehicles are not equally many, or the members' environments differ.
+    """
+
+    def __init__(self, members: Sequence[Policy]):
+        self.env: EnvAdapter = members[0].env
+        if len(members) != self.env.vehicles:
+            raise ValueError(f"{len(members)} members for {self.env.vehicles} vehicles")
+        for member in members[1:]:
+            check_same_task(member.env, self.env)
+        self.members = tuple(members)
+
+    @property
+    def utilities(self) -> tuple[Utility, ...]:
+        """Those of the members, each for its own vehicle; empty if one of them has none."""
+        if not all(member.utilities for member in self.members):
+            return ()
+        return tuple(member.utilities[v] for v, member in enumerate(self.members))
+
+    @property
+    def gamma(self) -> NDArray[np.float32]:
+        """(V,) discount factors of the accrued rewards that the members observe."""
+        return np.array([_gamma_of(member, v) for v, member in enumerate(self.members)], dtype=np.float32)
+
+    @property
+    def device(self) -> torch.device:
+        """That of the first member."""
+        return self.members[0].device
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy if ``generator`` is None."""
+        actions = [member.act(observations, accrued_reward, generator)[:, v] for v, member in enumerate(self.members)]
+        return np.stack(actions, axis=1)
+
+
+class Population:
+    """Policies that take turns as the driver of one vehicle: environment n is driven by member n modulo their number.
+
+    So every member has the same share of the environments, and which one drives is no part of the state of a run.
+
+    Args:
+        members: policies that act for all vehicles of the environment.
+        vehicle: the index of the vehicle that they drive.
+        digests: what identifies each member, for checkpoints.
+
+    Attributes:
+        gamma: discount of the accrued reward that the members observe.
+
+    Raises:
+        ValueError: if there is no member, their environments differ, or they observe differently discounted rewards.
+    """
+
+    def __init__(self, members: Sequence[Policy], vehicle: int, digests: Sequence[str] = ()):
+        if not members:
+            raise ValueError(f"there is no driver of vehicle {vehicle}")
+        for member in members[1:]:
+            check_same_task(member.env, members[0].env)
+        observed = [member for member in members if getattr(member, "observes_accrued_reward", True)]
+        gammas = sorted({_gamma_of(member, vehicle) for member in observed})
+        if len(gammas) > 1:
+            raise ValueError(f"drivers of vehicle {vehicle} observe rewards accrued with different discounts: {gammas}")
+        self.members = tuple(members)
+        self.vehicle = vehicle
+        self.digests = tuple(digests)
+        self.gamma = gammas[0] if gammas else 1.0
+
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N,) or (N, k) of the vehicle for observations (N, V, o); greedy if ``generator`` is None."""
+        parts = []
+        for k, member in enumerate(self.members[: len(observations)]):
+            rows = np.arange(k, len(observations), len(self.members))
+            parts.append((rows, member.act(observations[rows], accrued_reward.take(rows), generator)[:, self.vehicle]))
+        first = parts[0][1]
+        actions = np.empty((len(observations), *first.shape[1:]), dtype=first.dtype)
+        for rows, part in parts:
+            actions[rows] = part
+        return actions
+
+
+def _gamma_of(policy: Policy, vehicle: int) -> float:
+    """The discount of the accrued reward that a policy observes of a vehicle."""
+    return float(np.broadcast_to(policy.gamma, policy.env.vehicles)[vehicle])
+
+
+def check_same_task(found: EnvAdapter, expected: EnvAdapter) -> None:
+    """Check that policies of one environment can act in another.
+
+    Raises:
+        ValueError: if id, observations, actions or objectives differ.
+    """
+    for what in ("name", "vehicles", "observation_size", "actions", "continuous", "objectives", "cost_sign"):
+        mine, other = getattr(expected, what), getattr(found, what)
+        if mine != other:
+            raise ValueError(f"a policy for {what} = {other!r} cannot drive where {what} = {mine!r}")

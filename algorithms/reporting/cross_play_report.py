@@ -1,0 +1,134 @@
+"""Tables and a picture of cross-play: a row per driver of vehicle 0, a column per driver of vehicle 1."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.evaluation.cross_play import ARRIVALS, COLLISIONS, SCORES
+from algorithms.evaluation.metrics import UTILITY_ESR, vehicle_prefix
+from algorithms.reporting.style import DPI, STYLE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from algorithms.evaluation.cross_play import Encounter
+
+CELL = 0.3  # in, side of a cell of the picture
+MOST_WITH_NUMBERS = 40  # drivers of a vehicle, above which the cells have no numbers
+# What is drawn: score, title, colour map, and whether its cells are percentages.
+PANELS = (
+    (ARRIVALS, "both arrive (%)", "Blues", True),
+    (COLLISIONS, "collisions (%)", "OrRd", True),
+    (f"{vehicle_prefix(0, 2)}{UTILITY_ESR}", "utility of vehicle 0", "Purples", False),
+    (f"{vehicle_prefix(1, 2)}{UTILITY_ESR}", "utility of vehicle 1", "Purples", False),
+)
+
+
+def drivers_of(encounters: Sequence[Encounter], v: int) -> list[str]:
+    """The drivers of vehicle ``v``, in the order of the encounters."""
+    return list(dict.fromkeys(each.drivers[v] for each in encounters))
+
+
+def matrix(encounters: Sequence[Encounter], score: str) -> NDArray[np.float64]:
+    """(K, L) values of a score, of K drivers of vehicle 0 with L drivers of vehicle 1."""
+    rows, columns = drivers_of(encounters, 0), drivers_of(encounters, 1)
+    values = np.full((len(rows), len(columns)), np.nan)
+    for each in encounters:
+        values[rows.index(each.drivers[0]), columns.index(each.drivers[1])] = each.estimates[score].value
+    return values
+
+
+def write_encounters(path: Path, encounters: Sequence[Encounter]) -> None:
+    """Write a CSV with a row per encounter: each score and the ends of its interval.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    header = ["vehicle_0", "vehicle_1", *(name + end for name in SCORES for end in ("", "/low", "/high"))]
+    body = [
+        [
+            *each.drivers,
+            *(
+                "" if number is None else f"{number:.5g}"
+                for name in SCORES
+                for number in (each.estimates[name].value, each.estimates[name].low, each.estimates[name].high)
+            ),
+        ]
+        for each in encounters
+    ]
+    atomic_write(path, csv_bytes([header, *body]))
+
+
+def summary_rows(encounters: Sequence[Encounter], v: int) -> list[list[str]]:
+    """A table as text, header first: each driver of vehicle ``v`` over the drivers that it met.
+
+    Its arrivals, collisions and utility are means over these drivers; the last two columns are of the one with which it
+    arrives least.
+    """
+    own = f"{vehicle_prefix(v, 2)}success"
+    utility = f"{vehicle_prefix(v, 2)}{UTILITY_ESR}"
+    rows = [[f"vehicle_{v}", "met", "arrives (%)", "collisions (%)", "utility", "least with", "arrives (%)"]]
+    for name in drivers_of(encounters, v):
+        met = [each for each in encounters if each.drivers[v] == name]
+        means = {s: float(np.mean([each.estimates[s].value for each in met])) for s in (own, COLLISIONS, utility)}
+        worst = min(met, key=lambda each: each.estimates[own].value)
+        rows.append(
+            [
+                name,
+                str(len(met)),
+                *(f"{100 * means[s]:.1f}" for s in (own, COLLISIONS)),
+                f"{means[utility]:.2f}",
+                worst.drivers[1 - v],
+                f"{100 * worst.estimates[own].value:.1f}",
+            ]
+        )
+    return rows
+
+
+def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> None:
+    """Draw the matrices of joint arrivals, collisions and utilities.
+
+    Args:
+        path: the image.
+        encounters: all pairs.
+        note: what was evaluated.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    rows, columns = drivers_of(encounters, 0), drivers_of(encounters, 1)
+    longest = max(map(len, [*rows, *columns]))
+    width = 2 * (CELL * len(columns) + 0.085 * longest + 1.1)
+    height = 2 * (CELL * len(rows) + 0.085 * longest + 0.7) + 0.6
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(max(width, 8.0), max(height, 5.0)), layout="constrained")
+        figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02)
+        for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
+            values = matrix(encounters, score) * (100.0 if percent else 1.0)
+            _draw(axis, values, colours, (0.0, 100.0) if percent else (float(values.min()), float(values.max())))
+            axis.set_title(title)
+            axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
+            axis.set_yticks(range(len(rows)), rows, fontsize=8)
+            axis.set_xlabel("driver of vehicle 1")
+            axis.set_ylabel("driver of vehicle 0")
+        figure.savefig(path, dpi=DPI)
+
+
+def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:
+    image = axis.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], aspect="equal")
+    axis.grid(visible=False)
+    if max(values.shape) > MOST_WITH_NUMBERS:
+        return
+    for (row, column), value in np.ndenumerate(values):
+        dark = image.norm(value) > 0.6
+        text = f"{value:.0f}" if limits == (0.0, 100.0) else f"{value:.1f}".rstrip("0").rstrip(".")
+        axis.text(column, row, text, ha="center", va="center", fontsize=6.5, color="white" if dark else "black")

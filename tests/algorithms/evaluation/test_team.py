@@ -1,0 +1,113 @@
+"""Several policies as one: a member per vehicle, members that take turns, and cross-play."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from algorithms import A2C, MOA2C
+from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.evaluation.cross_play import SCORES, cross_play
+from algorithms.evaluation.episodes import evaluate
+from algorithms.evaluation.team import Population, Team
+from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, diversified, make_agent
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SHORT = {"time_limit": 3.0}
+
+
+class Constant:
+    """A policy that always takes one action and observes rewards accrued with its gamma."""
+
+    utilities = ()
+    device = "cpu"
+
+    def __init__(self, env: EnvAdapter, action: int, gamma: float = 1.0, *, observes: bool = True):
+        self.env, self.action, self.gamma, self.observes_accrued_reward = env, action, gamma, observes
+
+    def act(self, observations: NDArray[Any], _accrued_reward: AccruedReward, _generator: Any) -> NDArray[Any]:
+        return np.full(observations.shape[:2], self.action)
+
+
+@pytest.fixture(name="env")
+def make_intersection() -> EnvAdapter:
+    return EnvAdapter(make_env(INTERSECTION, 7))
+
+
+def past(env: EnvAdapter) -> AccruedReward:
+    return AccruedReward.begin(env.num_envs, env.vehicles, len(env.objectives))
+
+
+def test_each_member_drives_its_own_vehicle(env: EnvAdapter) -> None:
+    team = Team([Constant(env, 3, 0.9), Constant(env, 5, 0.8)])
+    actions = team.act(env.reset(0), past(env), None)
+    assert actions.tolist() == [[3, 5]] * 7
+    assert team.gamma.tolist() == pytest.approx([0.9, 0.8])
+    assert team.utilities == ()
+
+
+def test_a_member_observes_rewards_accrued_with_its_own_discount() -> None:
+    agents = [diversified(make_agent(MOA2C, INTERSECTION, seed=s, gamma=g)) for s, g in ((1, 0.9), (2, 1.0))]
+    arguments: dict[str, Any] = {"episodes": 5, "env_kwargs": SHORT}
+    alone = [evaluate(agent, INTERSECTION, **arguments) for agent in agents]
+    # A pair of one and the same agent is that agent.
+    for agent, expected in zip(agents, alone, strict=True):
+        np.testing.assert_array_equal(
+            evaluate(Team([agent, agent]), INTERSECTION, **arguments).returns, expected.returns
+        )
+    mixed = evaluate(Team(agents), INTERSECTION, **arguments)
+    assert len(mixed.utilities) == 2
+    assert not np.array_equal(mixed.returns, alone[0].returns)
+
+
+def test_members_take_turns_over_the_environments(env: EnvAdapter) -> None:
+    population = Population([Constant(env, action) for action in (4, 5, 6)], 1)
+    assert population.act(env.reset(0), past(env), None).tolist() == [4, 5, 6, 4, 5, 6, 4]
+    first = past(env).take(np.arange(2))
+    assert population.act(env.reset(0)[:2], first, None).tolist() == [4, 5]
+
+
+def test_only_members_that_observe_accrued_rewards_must_agree_on_the_discount(env: EnvAdapter) -> None:
+    assert Population([Constant(env, 1, 0.9), Constant(env, 2, 0.5, observes=False)], 0).gamma == 0.9
+    assert Population([Constant(env, 2, 0.5, observes=False)], 0).gamma == 1.0
+    with pytest.raises(ValueError, match=r"accrued with different discounts: \[0.5, 0.9\]"):
+        Population([Constant(env, 1, 0.9), Constant(env, 2, 0.5)], 0)
+
+
+def test_members_of_another_task_and_too_few_members_are_refused(env: EnvAdapter) -> None:
+    with pytest.raises(ValueError, match="1 members for 2 vehicles"):
+        Team([Constant(env, 1)])
+    continuous = EnvAdapter(make_env(INTERSECTION, 1, {"action_type": "continuous"}))
+    with pytest.raises(ValueError, match="actions = 3 cannot drive where actions = 22"):
+        Team([Constant(env, 1), Constant(continuous, 1)])
+    with pytest.raises(ValueError, match="no driver of vehicle 0"):
+        Population([], 0)
+    alone = EnvAdapter(make_env(ONE_WAYPOINT, 1))
+    with pytest.raises(ValueError, match="name = 'mo-deepdrive-one-waypoint-v0' cannot drive"):
+        Population([Constant(env, 1), Constant(alone, 1)], 0)
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_cross_play_is_every_pair_on_the_same_episodes(greedy: bool) -> None:
+    agents = {name: diversified(make_agent(A2C, INTERSECTION, seed=seed)) for seed, name in enumerate("abc")}
+    drivers = [{name: agents[name] for name in names} for names in ("ab", "abc")]
+    options: dict[str, Any] = {"utility": "intersection_linear", "episodes": 6, "env_kwargs": SHORT, "greedy": greedy}
+    counted: list[int] = []
+    found = cross_play(drivers, INTERSECTION, **options, progress=lambda: counted.append(1))
+    assert [each.drivers for each in found] == [(a, b) for a in "ab" for b in "abc"]
+    assert len(counted) == 6
+    for each in found:
+        expected = evaluate(Team([agents[name] for name in each.drivers]), INTERSECTION, **options).estimates()
+        assert tuple(each.estimates) == SCORES
+        for name, estimate in each.estimates.items():
+            assert estimate == expected[name]
+
+
+def test_cross_play_needs_drivers_of_both_vehicles() -> None:
+    with pytest.raises(ValueError, match="drivers must be those of 2 vehicles"):
+        cross_play([{}, {}], INTERSECTION, utility="intersection_linear")

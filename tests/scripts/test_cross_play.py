@@ -1,0 +1,63 @@
+"""scripts/cross_play.py writes its table and picture, and says what is wrong."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import ModuleType
+
+PAIR = "intersection_nonlinear-mo_ppo"
+
+
+@pytest.mark.slow
+def test_every_driver_meets_every_driver_of_the_other_vehicle(
+    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rules = ["--vehicle-0", "rule:gap_8", "--vehicle-1", "rule:straight_3", "rule:straight_6"]
+    options = ["--episodes", "20", "--split", "validation", "--output", str(tmp_path / "made")]
+    assert load_script("cross_play").main([PAIR, *rules, *options]) == 0
+    with (tmp_path / "made" / "cross_play.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    straight = [PAIR, "rule:straight_3", "rule:straight_6"]
+    assert [(row["vehicle_0"], row["vehicle_1"]) for row in rows] == [
+        (a, b) for a in (PAIR, "rule:gap_8") for b in straight
+    ]
+    assert all(float(row["success/low"]) <= float(row["success"]) <= float(row["success/high"]) for row in rows)
+    # A pair that trained together arrives, and fails with a driver who is slower than any that it met.
+    assert float(rows[0]["success"]) >= 0.95
+    assert float(rows[1]["success"]) < 0.6
+    assert float(rows[4]["success"]) >= 0.9
+    assert (tmp_path / "made" / "cross_play.png").read_bytes().startswith(b"\x89PNG")
+    out = capsys.readouterr().out
+    assert "vehicle_0 with those that it met: 20 episodes" in out
+    assert "written" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vehicle-0", "rule:gap_3"], "vehicle_1 has no driver"),
+        (["nobody"], "'nobody' is not a run directory"),
+        (["one_waypoint_linear-ppo"], "'one_waypoint_linear-ppo' cannot drive vehicle_0"),
+        ([PAIR, "--vehicle-1", "rule:gap_3"], "'rule:gap_3' drives vehicle_0, not vehicle_1"),
+        ([PAIR, "--utility", "intersection_linaer", "--episodes", "1"], "intersection_linear"),
+    ],
+)
+def test_mistakes_are_errors_of_one_line(
+    load_script: Callable[[str], ModuleType],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    assert load_script("cross_play").main([*arguments, "--output", str(tmp_path / "made")]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "made").exists()
