@@ -95,7 +95,7 @@ def cross_play(
             collided = np.array([COLLISION in ends for ends in result.ends.tolist()])
             by_vehicle = [rate(result.succeeded[:, v]) for v in range(ROLES)]
             by_vehicle += [mean(result.episode_utilities(v)) for v in range(ROLES)]
-            estimates = [rate(result.succeeded.all(axis=1)), rate(collided), *by_vehicle]
+            estimates = [rate(np.asarray(result.succeeded.all(axis=1))), rate(collided), *by_vehicle]
             found.append(Encounter((first, second), dict(zip(SCORES, estimates, strict=True))))
             if progress is not None:
                 progress()

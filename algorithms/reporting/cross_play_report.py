@@ -124,11 +124,11 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
 
 
 def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:
-    image = axis.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], aspect="equal")
+    axis.imshow(values, cmap=colours, vmin=limits[0], vmax=limits[1], aspect="equal")
     axis.grid(visible=False)
     if max(values.shape) > MOST_WITH_NUMBERS:
         return
+    dark = limits[0] + 0.6 * (limits[1] - limits[0])
     for (row, column), value in np.ndenumerate(values):
-        dark = image.norm(value) > 0.6
         text = f"{value:.0f}" if limits == (0.0, 100.0) else f"{value:.1f}".rstrip("0").rstrip(".")
-        axis.text(column, row, text, ha="center", va="center", fontsize=6.5, color="white" if dark else "black")
+        axis.text(column, row, text, ha="center", va="center", fontsize=6.5, color="white" if value > dark else "black")
