@@ -497,3 +497,42 @@ class FrontAgent(Agent):
             return_of(name): float(best) for name, best in zip(front.objectives, front.returns.max(axis=0), strict=True)
         }
         return {evaluation_prefix(FRONT) + name: value for name, value in found.items()}, front
+
+
+class PolicyOfFront(ABC):
+    """An agent that learns a front, under conditions: base of what :meth:`FrontAgent.policies` returns.
+
+    It is a policy in the sense of :class:`algorithms.evaluation.episodes.Policy`; a subclass has the conditions and
+    defines :meth:`act`.
+
+    Attributes:
+        agent: whose networks act.
+    """
+
+    agent: FrontAgent
+
+    @property
+    def env(self) -> EnvAdapter:
+        """The agent's training environment."""
+        return self.agent.env
+
+    @property
+    def gamma(self) -> float | NDArray[np.float32]:
+        """Discount of the accrued reward."""
+        return self.agent.gamma
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the networks."""
+        return self.agent.device
+
+    @property
+    def utilities(self) -> tuple[Utility, ...]:
+        """None is known."""
+        return ()
+
+    @abstractmethod
+    def act(
+        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
+    ) -> NDArray[Any]:
+        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy where ``generator`` is None."""

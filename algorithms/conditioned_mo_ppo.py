@@ -63,7 +63,7 @@ import numpy as np
 import torch
 from pydantic import Field, model_validator
 
-from algorithms.agent import FrontAgent
+from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.actors import GaussianActor, make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.checkpoints import strip_prefix
@@ -103,7 +103,6 @@ if TYPE_CHECKING:
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import VehicleRollout
     from algorithms.evaluation.front import Front
-    from mo_deepdrive.utilities import Utility
 
 
 class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
@@ -544,8 +543,8 @@ class ConditionedMOPPO(FrontAgent):
 
 
 @dataclass(frozen=True)
-class PreferencePolicy:
-    """The network under fixed preferences: a policy in the sense of `algorithms.evaluation.episodes.Policy`.
+class PreferencePolicy(PolicyOfFront):
+    """The network under fixed preferences.
 
     Attributes:
         agent: whose networks act.
@@ -554,26 +553,6 @@ class PreferencePolicy:
 
     agent: ConditionedMOPPO
     preferences: NDArray[np.float32]
-
-    @property
-    def env(self) -> EnvAdapter:
-        """The agent's training environment."""
-        return self.agent.env
-
-    @property
-    def gamma(self) -> float:
-        """Discount of the accrued reward."""
-        return self.agent.accrued_discount
-
-    @property
-    def device(self) -> torch.device:
-        """Device of the networks."""
-        return self.agent.device
-
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """None is known."""
-        return ()
 
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None

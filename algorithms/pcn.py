@@ -38,7 +38,7 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from algorithms.agent import FrontAgent
+from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
@@ -62,8 +62,6 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.common.env_adapter import EnvAdapter
-    from mo_deepdrive.utilities import Utility
 
 HORIZON = "horizon"
 
@@ -521,8 +519,8 @@ class PCN(FrontAgent):
 
 
 @dataclass(frozen=True)
-class CommandPolicy:
-    """PCN under one command per environment: a policy in the sense of `algorithms.evaluation.episodes.Policy`.
+class CommandPolicy(PolicyOfFront):
+    """PCN under one command per environment.
 
     Attributes:
         agent: whose network acts.
@@ -533,26 +531,6 @@ class CommandPolicy:
     agent: PCN
     desired: NDArray[np.float32]
     horizon: NDArray[np.float32]
-
-    @property
-    def env(self) -> EnvAdapter:
-        """The agent's training environment."""
-        return self.agent.env
-
-    @property
-    def gamma(self) -> float:
-        """Discount of the accrued reward."""
-        return self.agent.accrued_discount
-
-    @property
-    def device(self) -> torch.device:
-        """Device of the network."""
-        return self.agent.device
-
-    @property
-    def utilities(self) -> tuple[Utility, ...]:
-        """None is known."""
-        return ()
 
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
