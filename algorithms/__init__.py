@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from algorithms.actor_critic import ActorCritic
     from algorithms.agent import Agent, FrontAgent
     from algorithms.conditioned_mo_ppo import ConditionedMOPPO
+    from algorithms.mappo import MAPPO
     from algorithms.mo_a2c import MOA2C
     from algorithms.mo_ppo import MOPPO
     from algorithms.mocac import MOCAC
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "A2C",
     "ALGORITHMS",
+    "MAPPO",
     "MOA2C",
     "MOCAC",
     "MOPPO",
@@ -37,6 +39,7 @@ __all__ = [
 # The module of every class that can be imported from here.
 _MODULES = {
     "A2C": "algorithms.a2c",
+    "MAPPO": "algorithms.mappo",
     "MOA2C": "algorithms.mo_a2c",
     "MOCAC": "algorithms.mocac",
     "MOPPO": "algorithms.mo_ppo",
@@ -96,6 +99,7 @@ ALGORITHMS: Mapping[str, type[Any]] = _LazyClasses(
         "mo_a2c": "MOA2C",
         "mo_ppo": "MOPPO",
         "mocac": "MOCAC",
+        "mappo": "MAPPO",
         "pcn": "PCN",
         "conditioned_mo_ppo": "ConditionedMOPPO",
     }

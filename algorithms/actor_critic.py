@@ -1,4 +1,4 @@
-"""What A2C, MO-A2C, PPO and MO-PPO share apart from the algorithm: collecting, acting, checkpoints.
+"""What A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO share apart from the algorithm: collecting, acting, checkpoints.
 
 An :class:`ActorCritic` has one :class:`Learner` per vehicle. All learners act on one rollout, and each then learns from
 its own vehicle's part of it. Vehicles that do not learn are driven by partners, whose weights are no part of the agent.
@@ -18,7 +18,7 @@ from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.actors import GaussianActor
 from algorithms.common.checkpoints import PARTNERS, strip_prefix
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
-from algorithms.common.rollout import Collector, VehicleRollout
+from algorithms.common.rollout import Collector, Rollout, VehicleRollout
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from algorithms.evaluation.team import check_same_task
 
@@ -234,13 +234,18 @@ class ActorCritic(Agent):
         entropy_coefficient = geometric_schedule(
             config.entropy_start, config.entropy_end, progress / config.entropy_until
         )
-        metrics = {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient}
         for learner in self.learners:
-            v = learner.vehicle
-            learner.on_episodes_end(episodes.discounted[episodes.vehicles == v])
-            own = rollout.of_vehicle(v, self.device, others=learner.others_size > 0)
+            learner.on_episodes_end(episodes.discounted[episodes.vehicles == learner.vehicle])
+        losses = self.learn(rollout, learning_rate, entropy_coefficient)
+        return {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient, **losses}
+
+    def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """Each learner learns from its vehicle's part of a rollout; the losses by name."""
+        metrics: dict[str, float] = {}
+        for learner in self.learners:
+            own = rollout.of_vehicle(learner.vehicle, self.device, others=learner.others_size > 0)
             losses = learner.update(own, learning_rate, entropy_coefficient)
-            prefix = vehicle_prefix(v, self.env.vehicles)
+            prefix = vehicle_prefix(learner.vehicle, self.env.vehicles)
             metrics |= {prefix + name: value for name, value in losses.items()}
         return metrics
 

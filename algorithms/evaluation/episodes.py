@@ -14,7 +14,7 @@ import numpy as np
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
 from algorithms.evaluation.function_policy import FunctionPolicy
-from algorithms.evaluation.metrics import SUCCESS, end_rates, summarise, vehicle_prefix
+from algorithms.evaluation.metrics import SUCCESS, WORST_OFF_UTILITY_ESR, end_rates, summarise, vehicle_prefix
 from algorithms.evaluation.splits import first_seed
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
@@ -88,6 +88,10 @@ class Evaluation:
         """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
         return np.asarray(self.utilities[v](self.returns[:, v]))
 
+    def worst_off_utilities(self) -> NDArray[np.float64]:
+        """(E,) the least utility of an undiscounted return among the vehicles, in every episode."""
+        return np.asarray(np.min([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0))
+
     def end_rates(self, v: int = 0) -> dict[str, float]:
         """Share of the episodes of vehicle ``v`` per reason of their end."""
         return end_rates(self.ends[:, v])
@@ -108,6 +112,8 @@ class Evaluation:
         vehicles = self.returns.shape[1]
         if vehicles > 1:
             metrics[SUCCESS] = float(self.succeeded.all(axis=1).mean())
+            if self.utilities:
+                metrics[WORST_OFF_UTILITY_ESR] = float(self.worst_off_utilities().mean())
         for v in range(vehicles):
             summary = summarise(
                 self.objectives,

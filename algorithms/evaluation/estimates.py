@@ -17,6 +17,7 @@ from algorithms.evaluation.metrics import (
     USUAL_FAILURES,
     UTILITY_ESR,
     UTILITY_SER,
+    WORST_OFF_UTILITY_ESR,
     discounted_return_of,
     end_by,
     maximum_of,
@@ -44,6 +45,8 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     if vehicles > 1:
         estimates[SUCCESS] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
         estimates[end_by(COLLISION)] = rate(np.array([COLLISION in ends for ends in evaluation.ends.tolist()]))
+        if evaluation.utilities:
+            estimates[WORST_OFF_UTILITY_ESR] = mean(evaluation.worst_off_utilities())
     for v in range(vehicles):
         prefix = vehicle_prefix(v, vehicles)
         estimates |= {prefix + name: value for name, value in _estimate_vehicle(evaluation, v).items()}

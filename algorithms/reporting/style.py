@@ -22,6 +22,7 @@ ALGORITHM_COLOURS = {
     "ppo": "#E69F00",
     "mo_ppo": "#56B4E9",
     "mocac": "#7F7F7F",
+    "mappo": "#EE3377",
     "pcn": "#009E73",
     "conditioned_mo_ppo": "#332288",
 }

@@ -1,0 +1,354 @@
+"""MAPPO: PPO for a team of vehicles (Yu et al. 2022) that maximises a joint utility of their returns.
+
+The team's utility is J(u_1(R_1), ..., u_V(R_V)): a joint utility J (:mod:`algorithms.common.joint_utilities`) of each
+vehicle's utility of its own undiscounted return. The team's episode lasts until the last of its vehicles has ended, so
+that a vehicle is also paid for what happens to the others after its own end. With R_{v,t} = sum_{i<t} r_{v,i}, the
+team's reward is the increase of its utility, and S_t is what all vehicles observe, all R_{v,t}, and who is still under
+way:
+
+    r_t     = J(u(R_{t+1})) - J(u(R_t))                                                     (1)
+    delta_t = r_t + gamma v(S_{t+1}) - v(S_t)                                               (2)
+    A_t     = delta_t + gamma lambda A_{t+1},    y_t = A_t + v(S_t)                         (3)
+
+The rewards of an episode sum to the utility of its returns less that of no return. So with gamma = 1 the objective is
+E[J(u(R_T))], the expected utility of the team's returns (ESR); gamma < 1 discounts its increases.
+
+Every vehicle has an actor, which sees what this vehicle observes, and a critic v of its own, which sees S_t; nothing is
+shared. Both learn as in PPO, the actor from the steps in which its vehicle acted, the critic from all steps:
+
+    rho_t = pi(a_t | s_t) / pi_old(a_t | s_t)                                               (4)
+    L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
+            + c_v E[(y_t - v(S_t))^2] - c_e E[H(pi)]                                        (5)
+
+The actors do not see the accrued rewards R_{v,t}. Where u or J is not linear, a policy that does could be better.
+"""
+
+from __future__ import annotations
+
+from statistics import fmean
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
+
+import torch
+from pydantic import Field, model_validator
+
+from algorithms.actor_critic import ActorCritic, Learner
+from algorithms.common.actors import make_actor
+from algorithms.common.advantages import generalised_advantages, normalise
+from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.hyperparameters import (
+    Count,
+    FinalLearningRate,
+    Fraction,
+    LearningRate,
+    NetworkSettings,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    Scales,
+    check_entropy_schedule,
+)
+from algorithms.common.joint_utilities import JointUtility, joint_utility
+from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.common.networks import make_network
+from algorithms.common.optimisers import Adam
+from algorithms.common.rollout import Samples
+from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gymnasium.vector import VectorEnv
+
+    from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.rollout import Rollout, VehicleRollout
+    from mo_deepdrive.utilities import Utility
+
+
+class MAPPOConfig(NetworkSettings):
+    """Hyperparameters of MAPPO; those of actor and critic are described in NetworkSettings.
+
+    Attributes:
+        joint: J, the joint utility: "sum", "worst_off" or "gini".
+        learning_rate: Adam's step size at the start of training.
+        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
+        gamma: discount of the team's rewards.
+        gae_lambda: lambda of eq. 3; 0 gives one-step advantages, 1 uses the whole rollout.
+        steps: T, time steps per environment and update.
+        epochs: passes over every rollout.
+        minibatches: gradient steps per pass.
+        clip: epsilon of eq. 5.
+        entropy_start: c_e at the start of training.
+        entropy_end: c_e at the end, to which it moves geometrically.
+        entropy_until: fraction of the training after which c_e is ``entropy_end``.
+        value_coefficient: c_v.
+        value_scale: nominal size of the team's utility, by which the critic's output is multiplied.
+        max_grad_norm: maximum norm of the gradient.
+        objective_scales: nominal size of each objective's return; None for the environment's own.
+    """
+
+    joint: JointUtility = "sum"
+    learning_rate: LearningRate = 1e-3
+    learning_rate_end: FinalLearningRate | None = None
+    gamma: Fraction = 1.0
+    gae_lambda: Fraction = 0.95
+    steps: Count = 16
+    epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    minibatches: Count = 4
+    clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    entropy_start: NonNegative = 0.01
+    entropy_end: NonNegative = 0.01
+    entropy_until: PositiveFraction = 1.0
+    value_coefficient: Positive = 0.5
+    value_scale: Positive = 10.0
+    max_grad_norm: Positive = 0.5
+    objective_scales: Scales | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MAPPOConfig:
+        check_entropy_schedule(self.entropy_start, self.entropy_end)
+        return self
+
+    @property
+    def centralised_critic(self) -> bool:
+        """What others observe is a part of S_t, not of a vehicle's own rollout."""
+        return False
+
+
+class TeamRollout(NamedTuple):
+    """T steps of N teams.
+
+    Attributes:
+        rewards: (T, N) of eq. 1.
+        states: (T + 1, N, s) S_t, scaled.
+        final_states: (T, N, s) S_{t+1} where a team's episode was truncated at t, else undefined.
+        terminated, truncated: (T, N) whether the team's episode ended at t; never both.
+    """
+
+    rewards: torch.Tensor
+    states: torch.Tensor
+    final_states: torch.Tensor
+    terminated: torch.Tensor
+    truncated: torch.Tensor
+
+
+class TeamEpisodes:
+    """Follows the episodes of N teams from rollout to rollout.
+
+    Args:
+        env: where the vehicles drive.
+        joint: J.
+        utilities: one per vehicle.
+        objective_scales: (d,) nominal size of each objective's return.
+    """
+
+    def __init__(
+        self, env: EnvAdapter, joint: JointUtility, utilities: Sequence[Utility], objective_scales: torch.Tensor
+    ):
+        self._joint = joint
+        self._utilities = utilities
+        self._observation_scales = torch.from_numpy(env.observation_scales)
+        self._objective_scales = objective_scales.cpu()
+        d = len(env.objectives)
+        # R_{v,t} of the running episodes, and whether the vehicle has ended.
+        self.returns = torch.zeros(env.num_envs, env.vehicles, d)
+        self.ended = torch.zeros(env.num_envs, env.vehicles, dtype=torch.bool)
+
+    def follow(self, rollout: Rollout) -> TeamRollout:
+        """The team's part of a rollout that continues the last one."""
+        steps, n = rollout.acted.shape[:2]
+        before, after = (torch.empty(steps, *self.returns.shape) for _ in range(2))
+        ended = torch.empty(steps + 1, *self.ended.shape, dtype=torch.bool)
+        terminated, truncated = (torch.zeros(steps, n, dtype=torch.bool) for _ in range(2))
+        for t in range(steps):
+            acted, cut = rollout.acted[t], rollout.truncated[t] & ~rollout.terminated[t]
+            before[t], ended[t] = self.returns, self.ended
+            after[t] = self.returns + rollout.rewards[t] * acted.unsqueeze(-1)
+            self.ended = self.ended | (acted & (rollout.terminated[t] | rollout.truncated[t]))
+            over = self.ended.all(dim=-1)
+            truncated[t] = over & (acted & cut).any(dim=-1)
+            terminated[t] = over & ~truncated[t]
+            self.returns = after[t].masked_fill(over[:, None, None], 0.0)
+            self.ended = self.ended & ~over.unsqueeze(-1)
+        ended[steps] = self.ended
+        # Equation 1.
+        utilities = [joint_utility(self._joint, self._utilities, returns) for returns in (before, after)]
+        states = self._states(rollout.observations, torch.cat([before, self.returns.unsqueeze(0)]), ended)
+        final_states = self._states(rollout.final, after, ended[:-1])
+        return TeamRollout(utilities[1] - utilities[0], states, final_states, terminated, truncated)
+
+    def _states(self, observations: torch.Tensor, returns: torch.Tensor, ended: torch.Tensor) -> torch.Tensor:
+        """S (..., s), scaled, from observations (..., V, o), returns (..., V, d) and who has ended (..., V)."""
+        parts = (observations / self._observation_scales).flatten(-2), (returns / self._objective_scales).flatten(-2)
+        return torch.cat([*parts, ended.to(observations.dtype)], dim=-1)
+
+
+class MAPPOLearner(Learner):
+    """MAPPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
+
+    config: MAPPOConfig
+
+    def __init__(
+        self,
+        env: EnvAdapter,
+        vehicle: int,
+        utility: Utility,
+        config: MAPPOConfig,
+        generator: torch.Generator,
+        device: torch.device,
+    ):
+        super().__init__(env, vehicle, utility, config, generator, device)
+        self.input_size = env.observation_size
+        state_size = env.vehicles * (env.observation_size + len(env.objectives) + 1)
+        self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
+        self.critic = make_network(config, state_size, 1, generator).to(device)
+        self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
+        # Shuffles the minibatches.
+        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
+        self.team: TeamRollout  # of the rollout that is learnt from
+
+    # ------------------------------------------------------------------------------------------- what the networks see
+
+    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """The scaled observation (..., o); the accrued reward and the discount are not used."""
+        del accrued, discounts
+        return observations / self.observation_scales
+
+    def values(self, states: torch.Tensor) -> torch.Tensor:
+        """v(S) (...), in the units of the team's utility."""
+        outputs: torch.Tensor = self.critic(states)
+        return self.config.value_scale * outputs.squeeze(-1)
+
+    # ------------------------------------------------------------------------------------------------------ the update
+
+    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """Epochs of minibatch steps of eq. 5 on a rollout of T steps in N environments; mean losses by name."""
+        acted, everything = self.samples(rollout)
+        if len(acted.actions) == 0:
+            return {}
+        losses, log_ratios = zip(
+            *(
+                self.gradient_step(own, team, learning_rate, entropy_coefficient)
+                for _ in range(self.config.epochs)
+                for own, team in zip(self._minibatches(acted), self._minibatches(everything), strict=False)
+            ),
+            strict=True,
+        )
+        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
+        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
+        return means
+
+    def _minibatches(self, samples: Samples) -> list[Samples]:
+        return samples.shuffled(self.shuffle).split(self.config.minibatches)
+
+    @torch.no_grad()
+    def samples(self, rollout: VehicleRollout) -> tuple[Samples, Samples]:
+        """The samples in which the vehicle acted, and all, with A_t, y_t and log pi_old of the networks as they are."""
+        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
+        values = self.values(self.team.states[:-1])
+        advantages = self.advantages(values, self.next_values(values))
+        targets = advantages + values
+        weights = rollout.acted.to(advantages.dtype)
+        advantages = normalise(advantages, weights / weights.sum().clamp(min=1.0))
+        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        samples = Samples(inputs[:-1], self.team.states[:-1], rollout.actions, log_prob, advantages, targets)
+        return samples.at(rollout.acted), samples.at(torch.ones_like(rollout.acted))
+
+    @torch.no_grad()
+    def next_values(self, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            values: (T, N) v(S_t).
+        """
+        team = self.team
+        next_values = torch.cat([values[1:], self.values(team.states[-1:])])
+        next_values[team.terminated] = 0.0
+        if team.truncated.any():
+            next_values[team.truncated] = self.values(team.final_states[team.truncated])
+        return next_values
+
+    def advantages(self, values: torch.Tensor, next_values: torch.Tensor) -> torch.Tensor:
+        """A_t of eqs. 2 and 3 (T, N), from v(S_t) and v(S_{t+1}), each (T, N)."""
+        gamma = self.config.gamma
+        not_done = (~(self.team.terminated | self.team.truncated)).to(values.dtype)
+        deltas = self.team.rewards + gamma * next_values - values
+        return generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
+
+    def gradient_step(
+        self, own: Samples, team: Samples, learning_rate: float, entropy_coefficient: float
+    ) -> tuple[dict[str, float], torch.Tensor]:
+        """One gradient step of eq. 5; its losses, and log rho of the samples before it.
+
+        Args:
+            own: steps in which the vehicle acted, for the actor.
+            team: steps of the team, for the critic.
+            learning_rate: of the step.
+            entropy_coefficient: c_e.
+        """
+        config = self.config
+        with self.optimiser.recording():
+            log_prob, entropies = self.actor.log_prob_and_entropy(own.inputs, own.actions)
+            values = self.critic(team.critic_inputs)
+        policy_loss = -clipped_surrogate(log_prob, own.log_prob, own.advantages, config.clip)
+        value_loss = squared_error(values, (team.targets / config.value_scale).unsqueeze(-1))
+        entropy = mean(entropies)
+        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
+        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        return losses, log_prob.detach() - own.log_prob
+
+    # ----------------------------------------------------------------------------------------------------- checkpoints
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights, the optimiser's state and the generator of the minibatches."""
+        return {**super().get_state(), "generator": self.shuffle.get_state()}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        super().set_state(state)
+        self.shuffle.set_state(state["generator"])
+
+
+class MAPPO(ActorCritic):
+    """Multi-agent PPO for a joint utility; every vehicle has an actor and a critic that sees the whole team."""
+
+    name = "mappo"
+    Config = MAPPOConfig
+    learner = MAPPOLearner
+    observes_accrued_reward = False
+
+    def __init__(self, env: VectorEnv, utility: Utility | Sequence[Utility], **options: Any):
+        super().__init__(env, utility, **options)
+        if self.env.vehicles == 1:
+            raise ValueError(f"{self.env.name} has one vehicle; algorithm {self.name!r} is for a team")
+        config = self.config
+        self.team = TeamEpisodes(self.env, config.joint, self.utilities, self.learners[0].objective_scales)
+
+    def begin(self) -> None:
+        """Reset the environments."""
+        super().begin()
+        self.team.returns.zero_()
+        self.team.ended.zero_()
+
+    def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+        """Each learner learns from its vehicle's part of the rollout and from the team's."""
+        team = TeamRollout(*(tensor.to(self.device) for tensor in self.team.follow(rollout)))
+        for learner in self.learners:
+            cast("MAPPOLearner", learner).team = team
+        return super().learn(rollout, learning_rate, entropy_coefficient)
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Learners, generator, environments and the teams' running episodes."""
+        return {**super().get_state(), "team.returns": self.team.returns, "team.ended": self.team.ended}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for values from which training cannot continue.
+        """
+        super().set_state(state)
+        team = strip_prefix(state, "team.")
+        if not team["returns"].isfinite().all() or team["ended"].all(dim=-1).any():
+            raise ValueError("the teams' running episodes are broken: returns that are not finite, or nobody under way")
+        self.team.returns, self.team.ended = team["returns"].clone(), team["ended"].clone()
