@@ -14,7 +14,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import A2C, ALGORITHMS, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
+from algorithms import A2C, ALGORITHMS, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
 from algorithms.common.env_adapter import make_env
 from algorithms.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import make_utility
@@ -132,7 +132,7 @@ def test_training_does_not_touch_the_global_generators(cls: type[ActorCritic]) -
 
 
 def test_the_algorithms_are_known_by_their_names() -> None:
-    classes = {"a2c": A2C, "ppo": PPO, "mo_a2c": MOA2C, "mo_ppo": MOPPO, "mocac": MOCAC, "pcn": PCN}
+    classes = {"a2c": A2C, "ppo": PPO, "mo_a2c": MOA2C, "mo_ppo": MOPPO, "mocac": MOCAC, "mappo": MAPPO, "pcn": PCN}
     assert {**classes, "conditioned_mo_ppo": ConditionedMOPPO} == ALGORITHMS
 
 

@@ -22,7 +22,7 @@ def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(
     loaded = run_python(
         "import sys, algorithms\n"
         "assert sorted(algorithms.ALGORITHMS) == "
-        "['a2c', 'conditioned_mo_ppo', 'mo_a2c', 'mo_ppo', 'mocac', 'pcn', 'ppo']\n"
+        "['a2c', 'conditioned_mo_ppo', 'mappo', 'mo_a2c', 'mo_ppo', 'mocac', 'pcn', 'ppo']\n"
         "assert 'pcn' in algorithms.ALGORITHMS and 'dqn' not in algorithms.ALGORITHMS and dir(algorithms)\n"
         "print(sorted(name for name in sys.modules if name.split('.')[0] in ('torch', 'numpy', 'mo_deepdrive', "
         "'gymnasium') or name.startswith('algorithms.')))"
@@ -103,7 +103,7 @@ def test_every_public_name_can_be_imported_and_is_listed() -> None:
 
 
 def test_algorithms_are_found_by_their_own_names() -> None:
-    assert len(ALGORITHMS) == 7
+    assert len(ALGORITHMS) == 8
     for name, algorithm in ALGORITHMS.items():
         assert algorithm.name == name
     with pytest.raises(KeyError):
