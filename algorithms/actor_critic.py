@@ -15,10 +15,10 @@ import torch
 
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.actors import GaussianActor
 from algorithms.common.checkpoints import PARTNERS, strip_prefix
-from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
+from algorithms.common.optimisers import geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, Rollout, VehicleRollout
+from algorithms.common.trained_networks import TrainedNetworks
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from algorithms.evaluation.team import check_same_task
 
@@ -28,13 +28,12 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.common.actors import Actor
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.evaluation.team import Population
     from mo_deepdrive.utilities import Utility
 
 
-class Learner(ABC):
+class Learner(TrainedNetworks, ABC):
     """One vehicle's networks and how they learn; subclasses build the networks and define their inputs.
 
     Args:
@@ -55,9 +54,6 @@ class Learner(ABC):
     """
 
     input_size: int
-    actor: Actor
-    critic: torch.nn.Module
-    optimiser: Adam
 
     def __init__(
         self,
@@ -96,34 +92,6 @@ class Learner(ABC):
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Called before an update with the discounted returns (E, d) of the episodes that ended; ignored by default."""
         del discounted_returns
-
-    def get_state(self) -> dict[str, torch.Tensor]:
-        """Weights and the optimiser's state as named tensors."""
-        state = self.get_policy()
-        state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
-        return state
-
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
-        self.set_policy(state)
-        self.critic.load_state_dict(strip_prefix(state, "critic."))
-        self.optimiser.set_state(strip_prefix(state, "optimiser."))
-
-    def get_policy(self) -> dict[str, torch.Tensor]:
-        """The actor's weights as named tensors."""
-        return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
-
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`.
-
-        Raises:
-            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
-        """
-        weights = strip_prefix(state, "actor.")
-        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
-            raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
-        self.actor.load_state_dict(weights)
 
 
 class ActorCritic(Agent):

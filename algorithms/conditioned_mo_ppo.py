@@ -64,7 +64,7 @@ import torch
 from pydantic import Field, model_validator
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.actors import GaussianActor, make_actor
+from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.hyperparameters import (
@@ -84,6 +84,7 @@ from algorithms.common.networks import make_network
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
 from algorithms.common.preferences import SMALLEST_DISCOUNT, Preferences, PreferenceSettings
 from algorithms.common.rollout import Collector, Samples
+from algorithms.common.trained_networks import TrainedNetworks
 from algorithms.evaluation.metrics import (
     APPROX_KL,
     CLIP_FRACTION,
@@ -152,7 +153,7 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
         return self
 
 
-class ConditionedLearner:
+class ConditionedLearner(TrainedNetworks):
     """The networks of one vehicle, and how they learn.
 
     Args:
@@ -162,6 +163,8 @@ class ConditionedLearner:
         generator: draws the initial weights.
         device: of the networks.
     """
+
+    shuffle: torch.Generator
 
     def __init__(
         self,
@@ -294,35 +297,6 @@ class ConditionedLearner:
         self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
         losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
         return losses, log_prob.detach() - samples.log_prob
-
-    def get_state(self) -> dict[str, torch.Tensor]:
-        """Weights, the optimiser's state and the generator of the minibatches."""
-        state = self.get_policy()
-        state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
-        return {**state, "generator": self.shuffle.get_state()}
-
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
-        self.set_policy(state)
-        self.critic.load_state_dict(strip_prefix(state, "critic."))
-        self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        self.shuffle.set_state(state["generator"])
-
-    def get_policy(self) -> dict[str, torch.Tensor]:
-        """The actor's weights."""
-        return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
-
-    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the actor's weights.
-
-        Raises:
-            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
-        """
-        weights = strip_prefix(state, "actor.")
-        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
-            raise ValueError("an actor has weights that are not finite")
-        self.actor.load_state_dict(weights)
 
 
 class ConditionedMOPPO(FrontAgent):

@@ -186,6 +186,7 @@ class MAPPOLearner(Learner):
     """MAPPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MAPPOConfig
+    shuffle: torch.Generator
 
     def __init__(
         self,
@@ -296,17 +297,6 @@ class MAPPOLearner(Learner):
         self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
         losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
         return losses, log_prob.detach() - own.log_prob
-
-    # ----------------------------------------------------------------------------------------------------- checkpoints
-
-    def get_state(self) -> dict[str, torch.Tensor]:
-        """Weights, the optimiser's state and the generator of the minibatches."""
-        return {**super().get_state(), "generator": self.shuffle.get_state()}
-
-    def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
-        super().set_state(state)
-        self.shuffle.set_state(state["generator"])
 
 
 class MAPPO(ActorCritic):

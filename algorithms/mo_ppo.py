@@ -134,6 +134,7 @@ class MOPPOLearner(Learner):
     """MO-PPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MOPPOConfig
+    shuffle: torch.Generator
 
     def __init__(
         self,
@@ -282,13 +283,12 @@ class MOPPOLearner(Learner):
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Weights, the optimiser's state, the generator of the minibatches and E[R]."""
-        return {**super().get_state(), "generator": self.shuffle.get_state(), **self.expected_return.get_state()}
+        """Networks, optimiser and E[R]."""
+        return {**super().get_state(), **self.expected_return.get_state()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
         """Resume from :meth:`get_state`."""
         super().set_state(state)
-        self.shuffle.set_state(state["generator"])
         self.expected_return.set_state(state)
 
 

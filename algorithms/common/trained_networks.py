@@ -1,0 +1,60 @@
+"""What a learner of one vehicle trains, and how it is saved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from algorithms.common.actors import GaussianActor
+from algorithms.common.checkpoints import strip_prefix
+
+if TYPE_CHECKING:
+    import torch
+
+    from algorithms.common.actors import Actor
+    from algorithms.common.optimisers import Adam
+
+
+class TrainedNetworks:
+    """Base of the learners: their networks and optimiser as named tensors.
+
+    Attributes:
+        actor: the policy.
+        critic: what the policy learns from.
+        optimiser: of both.
+        shuffle: shuffles minibatches; None for learners without.
+    """
+
+    actor: Actor
+    critic: torch.nn.Module
+    optimiser: Adam
+    shuffle: torch.Generator | None = None
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """Weights, the optimiser's state and the generator of the minibatches, if any, as named tensors."""
+        state = self.get_policy()
+        state |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
+        state |= {f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()}
+        return state if self.shuffle is None else {**state, "generator": self.shuffle.get_state()}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`."""
+        self.set_policy(state)
+        self.critic.load_state_dict(strip_prefix(state, "critic."))
+        self.optimiser.set_state(strip_prefix(state, "optimiser."))
+        if self.shuffle is not None:
+            self.shuffle.set_state(state["generator"])
+
+    def get_policy(self) -> dict[str, torch.Tensor]:
+        """The actor's weights as named tensors."""
+        return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
+
+    def set_policy(self, state: dict[str, torch.Tensor]) -> None:
+        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`.
+
+        Raises:
+            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
+        """
+        weights = strip_prefix(state, "actor.")
+        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
+            raise ValueError("an actor has weights that are not finite")
+        self.actor.load_state_dict(weights)
