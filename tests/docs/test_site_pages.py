@@ -307,18 +307,21 @@ def test_the_citation_is_that_of_the_file() -> None:
 
 def test_links_of_built_pages_that_lead_nowhere_are_found(tmp_path: Path) -> None:
     (tmp_path / "a" / "b").mkdir(parents=True)
-    (tmp_path / "_static").mkdir()
-    (tmp_path / "_static" / "own.html").write_text("<a href='nowhere.html'>not a page of the site</a>")
+    for folder in ("_static", "_modules"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own.html").write_text("<a href='nowhere.html'>not checked</a><i id='f'>f</i>")
     (tmp_path / "index.html").write_text("<h1 id='top'>T</h1><a name='old'></a><a href='a/b/page.html#x%20y'>p</a>")
     (tmp_path / "a" / "b" / "page.html").write_text(
         "<p id='x y'>P</p><img src='../picture.png'><a href='#here'>h</a><a href='../../#top'>i</a>"
         "<a href='../../index.html#old'>o</a><a href='../../_static/own.html#mode=budget'>s</a>"
+        "<a href='../../_modules/own.html#f'>f</a><a href='../../_modules/own.html#g'>g</a>"
         "<a href='https://example.org/#x'>e</a><a href='mailto:a@example.org'>m</a><a href='../../../out.html'>u</a>"
     )
     page = "a/b/page.html"
     assert broken_links(tmp_path) == [
         f"{page}: ../picture.png: no such file",
         f"{page}: #here: no such anchor",
+        f"{page}: ../../_modules/own.html#g: no such anchor",
         f"{page}: ../../../out.html: no such file",
     ]
     (tmp_path / "index.html").write_text("<h1>T</h1>")

@@ -124,5 +124,5 @@ def setup(app: Any) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", prepare, priority=100)
     app.connect("missing-reference", _find_short_name)
     app.connect("env-check-consistency", _check_names)
-    app.connect("build-finished", _check_links)
+    app.connect("build-finished", _check_links, priority=900)  # after those that still copy files
     return {"parallel_read_safe": True, "parallel_write_safe": True}

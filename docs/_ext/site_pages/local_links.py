@@ -12,6 +12,10 @@ from urllib.parse import unquote, urlsplit
 if TYPE_CHECKING:
     from pathlib import Path
 
+STATIC = "_static"  # has pages that Sphinx does not write; links to them may end in the state in which they open
+# viewcode's pages: links to them are checked, but not their own, of which some lead back to what is documented twice.
+SOURCE = "_modules"
+
 
 class _Page(HTMLParser):
     """The anchors of a page, and what it links to."""
@@ -32,16 +36,16 @@ class _Page(HTMLParser):
 
 
 def broken_links(folder: Path) -> list[str]:
-    """One line per local link of a page below ``folder`` that leads nowhere; pages in ``_static`` are only linked to.
+    """One line per local link of a page below ``folder`` that leads nowhere, apart from links in STATIC and SOURCE.
 
     Args:
         folder: of the built site, which links do not leave.
     """
     root = folder.resolve()
-    pages = {path: _Page(path) for path in sorted(root.rglob("*.html")) if path.relative_to(root).parts[0] != "_static"}
+    pages = {path: _Page(path) for path in sorted(root.rglob("*.html")) if _part(path, root) != STATIC}
     found = []
     for path, page in pages.items():
-        for link in dict.fromkeys(page.links):
+        for link in dict.fromkeys(page.links if _part(path, root) != SOURCE else []):
             url = urlsplit(link)
             if url.scheme or url.netloc:
                 continue
@@ -53,3 +57,8 @@ def broken_links(folder: Path) -> list[str]:
             elif anchor and target in pages and anchor not in pages[target].anchors:
                 found.append(f"{path.relative_to(root).as_posix()}: {link}: no such anchor")
     return found
+
+
+def _part(path: Path, root: Path) -> str:
+    """The folder or file directly below ``root`` in which a page is."""
+    return path.relative_to(root).parts[0]
