@@ -21,7 +21,7 @@ SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTI
 HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
 .PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-browser test-install \
-	mutants lint benchmark docs docs-linkcheck clean
+	mutants lint benchmark docs linkcheck clean
 
 install: $(READY)
 
@@ -121,14 +121,14 @@ mutants: $(MUTANTS_READY)
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
 
-# The documentation site, in docs/_build/html, with the tutorials run. Warnings are errors.
+# The documentation site, in docs/_build/html, with the tutorials run. Warnings and broken local links are errors.
 docs: $(DOCS_READY)
 	$(SPHINX) -b html -d docs/_build/doctrees docs docs/_build/html
 
-# Links to other sites; needs the internet.
-docs-linkcheck: $(DOCS_READY)
+# Links to other sites; needs the internet. Links within the site are checked by `make docs`.
+linkcheck: $(DOCS_READY)
 	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures docs/_static/explore_one_waypoint.html \
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures docs/_static/explore_*.html \
 		.mypy_cache .ruff_cache .pytest_cache

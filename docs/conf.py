@@ -79,6 +79,6 @@ html_theme_options = {
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-# Other sites, for `make docs-linkcheck`
+# Other sites, for `make linkcheck`
 linkcheck_timeout = 20
 linkcheck_retries = 2

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
 ZOO = "one_waypoint_front-pcn"
+CONDITIONED = "one_waypoint_drawn_front-conditioned_mo_ppo"
 # A short training on drawn destinations, so that the episodes of a policy differ.
 DRAWN = """
 environment: {id: mo-deepdrive-one-waypoint-v0, arguments: {time_limit: 3}}
@@ -115,17 +116,35 @@ def drawn_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def drawn_front(drawn_run: Path) -> ExplorableFront:
     """The front of that run."""
-    run = Run.open(drawn_run)
-    command = choose_command(run, str(drawn_run), episodes=EPISODES, seed=SEED)
+    return front_on_drawn_scenarios(str(drawn_run), "drawn")
+
+
+def front_on_drawn_scenarios(name: str, title: str) -> ExplorableFront:
+    """The front of a run, or of the zoo, on a few episodes that differ."""
+    run = Run.open(name)
     return explorable(
         load_policy(run),
-        Front.read(drawn_run),
+        Front.read(run.path),
         run.experiment,
         episodes=EPISODES,
         seed=SEED,
-        title="drawn",
-        command=command,
+        title=title,
+        command=choose_command(run, name, episodes=EPISODES, seed=SEED),
     )
+
+
+@pytest.fixture(scope="session")
+def conditioned_front() -> ExplorableFront:
+    """A front of the zoo: policies of one network under preferences, on drawn destinations."""
+    return front_on_drawn_scenarios(CONDITIONED, CONDITIONED)
+
+
+@pytest.fixture(scope="session")
+def conditioned_page(conditioned_front: ExplorableFront, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of that front."""
+    path = tmp_path_factory.mktemp("conditioned_page") / "explore.html"
+    write_page([conditioned_front], path, "Explorer")
+    return path
 
 
 @pytest.fixture(scope="session")

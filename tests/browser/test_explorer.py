@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import re
@@ -24,7 +25,7 @@ from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
-from tests.browser.conftest import ZOO
+from tests.browser.conftest import CONDITIONED, ZOO
 from tests.browser.explorer_page import NARROW, SEED, Page
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def chosen_by_the_command(page: Page, capsys: pytest.CaptureFixture[str]) -> int
 # ----------------------------------------------------------------------------------------------------------- the choice
 
 
-@pytest.mark.parametrize("which", ["zoo", "drawn"])
+@pytest.mark.parametrize("which", ["zoo", "drawn", "conditioned"])
 def test_sliders_choose_what_the_rule_of_choose_puts_first(
     page: Page, request: pytest.FixtureRequest, which: str
 ) -> None:
@@ -90,7 +91,7 @@ def test_equal_values_are_ordered_as_choose_orders_them(page: Page, tmp_path: Pa
         assert page.chosen() == first_by(weighted_sum(weights, front.objectives).values(returns), front)
 
 
-@pytest.mark.parametrize("which", ["zoo", "drawn"])
+@pytest.mark.parametrize("which", ["zoo", "drawn", "conditioned"])
 def test_budgets_choose_the_greatest_expected_utility(page: Page, request: pytest.FixtureRequest, which: str) -> None:
     front: ExplorableFront = request.getfixturevalue(f"{which}_front")
     page.open(request.getfixturevalue(f"{which}_page"))
@@ -105,9 +106,9 @@ def test_budgets_choose_the_greatest_expected_utility(page: Page, request: pytes
 
 
 def test_the_command_chooses_what_the_page_chose(
-    page: Page, zoo_page: Path, drawn_page: Path, capsys: pytest.CaptureFixture[str]
+    page: Page, zoo_page: Path, drawn_page: Path, conditioned_page: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for path in (zoo_page, drawn_page):
+    for path in (zoo_page, drawn_page, conditioned_page):
         page.open(path)
         page.slide("#weights", [20, 0, 70, 30])
         assert chosen_by_the_command(page, capsys) == page.chosen()
@@ -289,9 +290,9 @@ def driven(run: Run, k: int, seed: int) -> list[dict[str, float]]:
     return readings
 
 
-@pytest.mark.parametrize("which", ["zoo", "drawn"])
+@pytest.mark.parametrize("which", ["zoo", "drawn", "conditioned"])
 def test_vehicles_are_where_the_simulator_had_them(page: Page, request: pytest.FixtureRequest, which: str) -> None:
-    run = Run.open(ZOO if which == "zoo" else request.getfixturevalue("drawn_run"))
+    run = Run.open({"zoo": ZOO, "conditioned": CONDITIONED}.get(which) or request.getfixturevalue("drawn_run"))
     scenario = 0 if which == "zoo" else 1
     page.open(request.getfixturevalue(f"{which}_page"), f"#mode=picked&policy=2&compare=1&scenario={scenario}")
     drives = {k: driven(run, k, SEED + scenario) for k in (1, 2)}
@@ -310,6 +311,32 @@ def test_vehicles_are_where_the_simulator_had_them(page: Page, request: pytest.F
         now = drives[2][min(step, len(drives[2]) - 1)]
         assert float(cells[2]) == pytest.approx(now["speed"], abs=0.011)
         assert float(cells[3]) == pytest.approx(now["g_force"], abs=0.0011)
+
+
+def test_every_drawn_scenario_of_a_conditioned_policy_has_its_own_destination_and_drives(
+    page: Page, conditioned_page: Path, conditioned_front: ExplorableFront
+) -> None:
+    page.open(conditioned_page)
+    page.slide("#weights", [100, 100, 0, 0])  # distance and destination alone
+    k = page.chosen()
+    assert conditioned_front.success[k] > 0.9
+    options = page.all("#scenario option")
+    assert len(options) == len(conditioned_front.scenes) == 3
+    ends = []
+    for option, scene in zip(options, conditioned_front.scenes, strict=True):
+        option.click()
+        assert page.chosen() == k
+        last = int(page.find("#time").get_attribute("max"))
+        assert last == len(scene.drives[k].readings) - 1
+        page.scrub(last)
+        x, y, _ = page.poses()[str(k)]
+        assert scene.drives[k].end == "arrived"
+        assert math.dist((x, y), scene.route[-1]) < 6.0  # its middle, when the front is within 1 m
+        ends.append((x, y))
+    assert min(math.dist(a, b) for a, b in itertools.combinations(ends, 2)) > 1.0
+    page.slide("#weights", [0, 0, 100, 0])  # g-force alone
+    means = conditioned_front.returns.mean(axis=1)
+    assert means[page.chosen(), 2] == means[:, 2].max() > means[k, 2]
 
 
 def test_oncoming_cars_are_where_the_simulator_had_them(page: Page, tmp_path: Path) -> None:

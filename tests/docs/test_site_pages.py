@@ -21,11 +21,14 @@ from mo_deepdrive.envs.single import DrivingEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario
-from site_pages import algorithms, docstrings, environments, films, markdown, reference, repository
+from site_pages import algorithms, docstrings, environments, films, markdown, reference, repository, results
+from site_pages.explorer_examples import EXAMPLES
+from site_pages.local_links import broken_links
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 SHIPPED = tuple(SCENARIOS)
 
@@ -109,11 +112,11 @@ def test_conflicts_are_rank_correlations_on_the_front() -> None:
 
 
 def test_learning_results_are_those_of_the_result_files() -> None:
-    text = environments.results_text(SCENARIOS["one_waypoint"])
+    text = results.results_text(SCENARIOS["one_waypoint"])
     rows = table_with(text, "protocol")
     found = next(row for row in rows if row["task"] == "one_waypoint_linear" and row["protocol"] == "best")
     assert found["episodes"] == "test split"
-    scores = pl.read_csv(environments.RESULTS / "reproduction_scores.csv", infer_schema_length=None).filter(
+    scores = pl.read_csv(results.RESULTS / "reproduction_scores.csv", infer_schema_length=None).filter(
         (pl.col("task") == found["task"])
         & (pl.col("protocol") == "best")
         & (pl.col("label") == found["algorithm"])
@@ -121,11 +124,39 @@ def test_learning_results_are_those_of_the_result_files() -> None:
     )
     assert len(scores) == int(found["seeds"]) == 5
     assert float(found["utility"]) == pytest.approx(trim_mean(scores["utility_esr"].to_numpy(), 0.25), abs=1e-3)
-    header, shown = environments.environment_rows(environments.RESULTS / "scores.csv", SCENARIOS["one_waypoint"].id)
-    lines = (environments.RESULTS / "scores.csv").read_text(encoding="utf-8").splitlines()
-    assert len(shown) == sum(line.startswith(f"{SCENARIOS['one_waypoint'].id},") for line in lines) > 0
+    (header, shown), (names, compared) = results.environment_tables(
+        results.RESULTS / "scores.csv", SCENARIOS["one_waypoint"].id
+    )
+    lines = (results.RESULTS / "scores.csv").read_text(encoding="utf-8").splitlines()
+    own = sum(line.startswith(f"{SCENARIOS['one_waypoint'].id},") for line in lines)
+    assert len(shown) + len(compared) == own > 0
     assert "mo_a2c" in {row[header.index("algorithm")] for row in shown}
+    assert "mo_a2c - a2c" in {row[names.index("difference of utility_esr")] for row in compared}
+    assert all(0.0 <= float(row[names.index("p")]) <= 1.0 for row in compared)
     assert "[scores.csv](../results/scores.csv)" in text
+
+
+def test_learning_results_of_left_turn_have_rules_and_policies_with_intervals() -> None:
+    rows = {row["driver"]: row for row in table_with(results.results_text(SCENARIOS["left_turn"]), "driver")}
+    published = pl.read_csv(results.RESULTS / "left_turn_rules.csv", infer_schema_length=None)
+    assert list(rows) == published["driver"].to_list()
+    for row in published.iter_rows(named=True):
+        value, low, high = (float(each) for each in re.findall(r"[\d.e-]+", rows[row["driver"]]["arrived"]))
+        expected = [row["arrived"], row["arrived_low"], row["arrived_high"]]
+        assert [value, low, high] == pytest.approx(expected, rel=1e-3)
+    assert results.driver_tables(results.RESULTS / "left_turn_rules.csv", SCENARIOS["intersection"]) == []
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_page_of_an_environment_has_the_conflicts_that_were_measured(name: str) -> None:
+    measured = pl.read_csv(results.RESULTS / "conflicts.csv").filter(
+        pl.col("population").str.split(",").list.first() == SCENARIOS[name].title
+    )
+    texts = results.conflicts_of_drivers(SCENARIOS[name])
+    assert len(texts) == measured["population"].n_unique() > 0
+    shown = [row for text in texts for row in table_with(text, "rank correlation")]
+    assert sorted(float(row["rank correlation"].split(" ")[0]) for row in shown) == sorted(measured["spearman"])
+    assert all(text in page_of(name) for text in texts)
 
 
 def test_nothing_that_code_knows_is_written_by_hand() -> None:
@@ -133,7 +164,7 @@ def test_nothing_that_code_knows_is_written_by_hand() -> None:
     known = observed | {row.name for row in OBJECTIVES} | {each.id for each in SCENARIOS.values()}
     known |= {*EnvConfig.model_fields} - {"scenario", "objectives", "action_type"}  # which select what is shown
     known -= {"time"}  # an everyday word, too
-    for module in (environments, markdown):
+    for module in (environments, markdown, results):
         for node in ast.walk(ast.parse(inspect.getsource(module))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 words = set(re.findall(r"[\w-]+", node.value))
@@ -272,6 +303,38 @@ def test_the_citation_is_that_of_the_file() -> None:
     for work in (cff, *cff["references"]):
         assert page.count(work["title"]) == 2
     assert len(set(re.findall(r"^@\w+\{(\w+),", page, flags=re.MULTILINE))) == 1 + len(cff["references"])
+
+
+def test_links_of_built_pages_that_lead_nowhere_are_found(tmp_path: Path) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for folder in ("_static", "_modules"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own.html").write_text("<a href='nowhere.html'>not checked</a><i id='f'>f</i>")
+    (tmp_path / "index.html").write_text("<h1 id='top'>T</h1><a name='old'></a><a href='a/b/page.html#x%20y'>p</a>")
+    (tmp_path / "a" / "b" / "page.html").write_text(
+        "<p id='x y'>P</p><img src='../picture.png'><a href='#here'>h</a><a href='../../#top'>i</a>"
+        "<a href='../../index.html#old'>o</a><a href='../../_static/own.html#mode=budget'>s</a>"
+        "<a href='../../_modules/own.html#f'>f</a><a href='../../_modules/own.html#g'>g</a>"
+        "<a href='https://example.org/#x'>e</a><a href='mailto:a@example.org'>m</a><a href='../../../out.html'>u</a>"
+    )
+    page = "a/b/page.html"
+    assert broken_links(tmp_path) == [
+        f"{page}: ../picture.png: no such file",
+        f"{page}: #here: no such anchor",
+        f"{page}: ../../_modules/own.html#g: no such anchor",
+        f"{page}: ../../../out.html: no such file",
+    ]
+    (tmp_path / "index.html").write_text("<h1>T</h1>")
+    assert f"{page}: ../../#top: no such anchor" in broken_links(tmp_path)
+
+
+def test_the_explorers_pages_are_those_of_the_commands_in_the_documentation() -> None:
+    text = (REPOSITORY / "docs" / "explorer.md").read_text(encoding="utf-8")
+    for name, fronts in EXAMPLES.items():
+        assert f'href="_static/{name}"' in text
+        assert f"mo-deepdrive explore {' '.join(fronts)} --output explore.html\n" in text
+    assert "/docs/_static/explore_*.html" in (REPOSITORY / ".gitignore").read_text(encoding="utf-8").split()
+    assert all(name.startswith("explore_") for name in EXAMPLES)
 
 
 def test_what_is_written_is_ignored_by_git() -> None:

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import PCN, zoo
+from algorithms import ALGORITHMS, zoo
 from algorithms.actor_critic import ActorCritic
+from algorithms.agent import FrontAgent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.evaluation.episodes import evaluate
 from algorithms.experiments.build import build, make_environment
@@ -38,12 +39,12 @@ def experiment_of(name: str, env_id: str, arguments: dict[str, Any], **hyperpara
     values: dict[str, Any] = {
         "environment": {"id": env_id, "arguments": arguments},
         "algorithm": {"name": name, **hyperparameters},
-        "training": {"total_timesteps": 3000 if name == "pcn" else 256, "num_envs": 4, "seed": 3},
+        "training": {"total_timesteps": 256 if ALGORITHMS[name].known_utility else 3000, "num_envs": 4, "seed": 3},
         "evaluation": {"episodes": 1, "final_episodes": 1},
     }
     if env_id == SEA:
         values["utility"] = {"name": "linear", "arguments": {"weights": [1.0, 0.1]}}
-    elif name != "pcn":
+    elif ALGORITHMS[name].known_utility:
         values["utility"] = {"name": LINEAR[env_id]}
     return make_experiment(values)
 
@@ -61,9 +62,11 @@ ACTOR_CRITICS: dict[str, Callable[[], Experiment]] = {
     "mo_ppo, two vehicles": lambda: TWO("mo_ppo"),
     "mo_ppo, centralised critic": lambda: TWO("mo_ppo", centralised_critic=True),
 }
+CONDITIONED = "conditioned_mo_ppo"
 FRONTS: dict[str, Callable[[], Experiment]] = {
     "pcn": lambda: FRONT({"time_limit": 3, "fixed_destination": True}),
     "pcn, continuous": lambda: FRONT({"time_limit": 3, "fixed_destination": True, "action_type": "continuous"}),
+    CONDITIONED: lambda: ONE(CONDITIONED, arguments={"time_limit": 3}, learning_rate=1e-2, max_policies=20),
 }
 EVERY_ACTOR_CRITIC = pytest.mark.parametrize("kind", ACTOR_CRITICS)
 EVERY_FRONT = pytest.mark.parametrize("kind", FRONTS)
@@ -83,7 +86,7 @@ def train(experiment: Experiment, path: Path) -> Run:
     if isinstance(agent, ActorCritic) and agent.env.native:
         exaggerate(agent)
     agent.save(run.checkpoint)
-    if isinstance(agent, PCN):
+    if isinstance(agent, FrontAgent):
         evaluate_front(agent, experiment, episodes=1, seed=0).write(path, {"step": agent.step})
     return run
 

@@ -20,7 +20,8 @@ const isUpright = (axes, width) => width >= 96 * axes.length;
  */
 function parallelSpec(axes, width) {
   const upright = isUpright(axes, width);
-  const height = upright ? 400 : 62 * axes.length + 10;
+  // Beside more sliders there is more room.
+  const height = upright ? 400 + 80 * Math.max(0, axes.length - 4) : 62 * axes.length + 10;
   const padding = upright ? { left: 46, right: 46, top: 46, bottom: 24 } : { left: 12, right: 12, top: 30, bottom: 24 };
   const [across, along] = upright ? ["x", "y"] : ["y", "x"];
   const inner = [width - padding.left - padding.right, height - padding.top - padding.bottom];

@@ -50,19 +50,13 @@ def write_pictures(folder: Path) -> None:
                 write_front(scenario, kind, folder / f"{name}_front.png")
 
 
-def write_explorer(folder: Path) -> None:
-    """Write the example of the explorer if it is absent."""
-    from site_pages.explorer_example import EXAMPLE, write_example
-
-    if not (folder / EXAMPLE).is_file():
-        write_example(folder / EXAMPLE)
-
-
 def _on_start(app: Any) -> None:
+    from site_pages.explorer_examples import write_examples
+
     del app
     write_pages()
     write_pictures(DOCS / "_pictures")
-    write_explorer(DOCS / "_static")
+    write_examples(DOCS / "_static")
 
 
 def _on_source(app: Any, page: str, content: list[str]) -> None:
@@ -104,6 +98,22 @@ def _find_short_name(app: Any, env: Any, node: Any, content: Any) -> Any:
     return make_refnode(app.builder, node["refdoc"], found_at.docname, found_at.node_id, content, found[0])
 
 
+def _check_links(app: Any, error: Exception | None) -> None:
+    """Stop a build of HTML whose pages have links to files or anchors that do not exist.
+
+    Raises:
+        ExtensionError: with every such link.
+    """
+    from sphinx.errors import ExtensionError
+
+    from site_pages.local_links import broken_links
+
+    if error is None and app.builder.format == "html":
+        broken = broken_links(Path(app.outdir))
+        if broken:
+            raise ExtensionError("local links that lead nowhere:\n" + "\n".join(broken))
+
+
 def setup(app: Any) -> dict[str, Any]:
     """Connect the extension."""
     from site_pages.docstrings import prepare
@@ -114,4 +124,5 @@ def setup(app: Any) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", prepare, priority=100)
     app.connect("missing-reference", _find_short_name)
     app.connect("env-check-consistency", _check_names)
+    app.connect("build-finished", _check_links, priority=900)  # after those that still copy files
     return {"parallel_read_safe": True, "parallel_write_safe": True}

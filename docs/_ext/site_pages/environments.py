@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from collections import defaultdict
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
@@ -14,8 +11,6 @@ import numpy as np
 from scipy.stats import spearmanr
 
 import mo_deepdrive
-from algorithms.evaluation.splits import SPLITS
-from algorithms.evaluation.statistics import interquartile_mean
 from algorithms.experiments.key_listing import model_keys
 from mo_deepdrive import reference_fronts
 from mo_deepdrive.actions import ACTION_TYPES, CONTINUOUS, SPEED_CHANGES, action_names
@@ -27,8 +22,8 @@ from mo_deepdrive.scenarios import SCENARIOS, Scenario
 from mo_deepdrive.simulation.state import ENDS
 from site_pages.films import film_caption
 from site_pages.markdown import number, sections, table
+from site_pages.results import conflicts_of_drivers, results_text
 
-RESULTS = Path(__file__).resolve().parents[2] / "results"
 GAMMAS = (reference_fronts.GAMMA, 1.0)
 
 
@@ -101,6 +96,8 @@ def page(scenario: Scenario) -> str:
         arguments_table(),
         "## Best-known front",
         front_text(scenario),
+        "## Which objectives conflict",
+        conflicts_text(scenario),
         "## Learning results",
         results_text(scenario),
         "## Version history",
@@ -229,9 +226,14 @@ def front_text(scenario: Scenario) -> str:
         " range of the returns discounted with gamma.\n\n"
         + table(["actions", "gamma", "policies", "hypervolume", *scenario.objectives], rows)
         + f"\n```{{image}} ../_pictures/{scenario.name}_front.png\n:alt: returns of the best-known policies, two"
-        " objectives at a time\n:class: figure\n```\n\n### Which objectives conflict\n\n"
-        + conflict_text(scenario, kinds[0])
+        " objectives at a time\n:class: figure\n```\n"
     )
+
+
+def conflicts_text(scenario: Scenario) -> str:
+    """Which objectives conflict on the best-known front, and over the drivers of docs/results."""
+    parts = [conflict_text(scenario, kind) for kind in fronts(scenario)[:1]] + conflicts_of_drivers(scenario)
+    return "\n\n".join(parts) or "Not measured for this environment."
 
 
 def conflict_text(scenario: Scenario, kind: str) -> str:
@@ -248,56 +250,3 @@ def conflict_text(scenario: Scenario, kind: str) -> str:
         + table(["", *(f"`{name}`" for name in names)], rows)
         + (f"\nThe same for all policies: {', '.join(f'`{name}`' for name in same)}.\n" if same else "")
     )
-
-
-def results_text(scenario: Scenario) -> str:
-    """The rows about an environment of the files in docs/results."""
-    parts = []
-    reproduction = reproduction_rows(scenario)
-    if reproduction:
-        header = ["task", "protocol", "algorithm", "steps", "seeds", "episodes", "utility", "arrivals (%)"]
-        parts.append(
-            "[Reproduction](../results/reproduction.md): utility (ESR) and arrivals of the stochastic policy,\n"
-            "interquartile means over the seeds; with two vehicles the sum of the utilities; arrivals of both.\n\n"
-            + table(header, reproduction)
-        )
-    for path in sorted(RESULTS.glob("*.csv")):
-        header, rows = environment_rows(path, scenario.id)
-        if rows:
-            parts.append(f"[{path.name}](../results/{path.name}):\n\n{table(header, rows)}")
-    return "\n".join(parts) or "None yet."
-
-
-def environment_rows(path: Path, env_id: str) -> tuple[list[str], list[list[str]]]:
-    """The rows of a CSV file whose column ``environment`` begins with an id, without columns that are empty."""
-    with path.open(encoding="utf-8", newline="") as file:
-        reader = csv.DictReader(file)
-        rows = [row for row in reader if row.get("environment", "").split(" ")[0] == env_id]
-    for row in rows:
-        row["environment"] = row["environment"].removeprefix(env_id).strip()
-    header = [name for name in (reader.fieldnames or []) if any(row[name] for row in rows)]
-    return [name if name != "environment" else "arguments" for name in header], [
-        [row[name] for name in header] for row in rows
-    ]
-
-
-def reproduction_rows(scenario: Scenario) -> list[list[object]]:
-    """Interquartile means over seeds of the stochastic policies in reproduction_scores.csv, apart from ablations."""
-    groups: dict[tuple[str, ...], list[dict[str, str]]] = defaultdict(list)
-    with (RESULTS / "reproduction_scores.csv").open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            named = [each.name for each in SCENARIOS.values() if row["task"].startswith(f"{each.name}_")]
-            if max(named, key=len, default="") == scenario.name and row["policy"] == "stochastic":
-                key = row["task"], row["protocol"], row["label"], row["steps"], row["first_episode"]
-                groups[key].append(row)
-    found: list[list[object]] = []
-    for (task, protocol, label, steps, first), rows in groups.items():
-        if protocol == "without":  # ablations
-            continue
-        utilities = np.array([float(row["total_utility_esr"] or row["utility_esr"]) for row in rows])
-        arrivals = np.array([100 * float(row["success"]) for row in rows])
-        utility, arrived = (float(interquartile_mean(values)) for values in (utilities, arrivals))
-        split = "test split" if int(first) in SPLITS["test"] else f"from seed {first}"
-        scores = [f"{utility:.4g}", f"{arrived:.3g}"]
-        found.append([f"`{task}`", protocol, label, int(steps), len(rows), split, *scores])
-    return found

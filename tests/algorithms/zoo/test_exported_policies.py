@@ -22,6 +22,7 @@ from tests.helpers.agents import same, state
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
+    CONDITIONED,
     EVERY_ACTOR_CRITIC,
     EVERY_FRONT,
     EVERY_KIND,
@@ -37,6 +38,11 @@ from tests.helpers.zoo import (
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def is_pcn(kind: str) -> bool:
+    """Whether a kind of run has best episodes as part of its policy."""
+    return kind.startswith("pcn")
 
 
 @pytest.mark.slow
@@ -57,9 +63,9 @@ def test_an_exported_front_equals_that_of_the_complete_checkpoint_bit_for_bit(
     run = trained(kind)
     path = export(run, "policy", tmp_path)
     whole, alone = whole_agent(run), policy_of(path)
-    for first, second in zip(whole.commands(), alone.commands(), strict=True):
-        assert first.dtype == second.dtype
-        assert first.tobytes() == second.tobytes()
+    first, second = whole.conditions(), alone.conditions()
+    assert first.dtype == second.dtype
+    assert first.tobytes() == second.tobytes()
     settings: dict[str, Any] = {"episodes": 2, "seed": 4, "gamma": 0.99}
     fronts = [each.front(make_environment(run.experiment.environment, 5), **settings) for each in (whole, alone)]
     for name in ("returns", "discounted", "conditions", "length", "success"):
@@ -109,7 +115,7 @@ def test_loading_a_policy_replaces_the_previous_one(trained: Trained, tmp_path: 
 def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: str, tmp_path: Path) -> None:
     run = trained(kind)
     policy = export(run, "policy", tmp_path) / zoo.CHECKPOINT
-    allowed = ("bounds", "network.", "attained.") if kind in FRONTS else ("vehicle_0.actor.", "vehicle_1.actor.")
+    allowed = ("bounds", "network.", "attained.") if is_pcn(kind) else ("vehicle_0.actor.", "vehicle_1.actor.", "ideal")
     tensors, whole = load_file(policy), load_file(run.checkpoint)
     assert all(name.startswith(allowed) for name in tensors)
     assert same(
@@ -136,6 +142,8 @@ def test_only_what_is_needed_to_act_is_written_and_read(trained: Trained, kind: 
         ("one_waypoint/mo_a2c_nonlinear", (), 50),
         ("static_obstacle/a2c_linear", (), 100),
         ("intersection/mo_ppo_nonlinear", (), 120),
+        ("one_waypoint/conditioned_drawn", (), 50),
+        ("left_turn/conditioned", ("--algorithm.max_policies=2",), 100),
         ("one_waypoint/pcn", ("--algorithm.gradient_steps=1",), 50),
         ("static_obstacle/pcn", ("--algorithm.gradient_steps=1",), 50),
     ],
@@ -150,11 +158,11 @@ def test_policies_of_our_configs_are_small(config: str, overrides: tuple[str, ..
     assert path.stat().st_size < run.checkpoint.stat().st_size / 4
 
 
-@pytest.mark.parametrize("kind", ["mo_ppo, centralised critic", "pcn"])
+@pytest.mark.parametrize("kind", ["mo_ppo, centralised critic", "pcn", CONDITIONED])
 def test_a_folder_describes_the_origin_of_its_policy(trained: Trained, kind: str, tmp_path: Path) -> None:
     run = trained(kind)
     path = export(run, "policy", tmp_path, {"chosen": "best of five seeds"})
-    front = {"front.csv", "evaluation.json"} if kind == "pcn" else set()
+    front = {"front.csv", "evaluation.json"} if kind in FRONTS else set()
     assert {file.name for file in path.iterdir()} == {"config.yaml", "checkpoint.safetensors", "about.json", *front}
     assert Run.open(path).experiment == run.experiment
     about = json.loads((path / "about.json").read_text())
@@ -175,7 +183,7 @@ def test_a_policy_trained_on_another_device_is_exported_for_the_cpu(trained: Tra
 
 
 def test_a_policy_can_be_exported_from_a_policy(trained: Trained, tmp_path: Path) -> None:
-    for kind in ("mo_ppo, two vehicles", "pcn"):
+    for kind in ("mo_ppo, two vehicles", "pcn", CONDITIONED):
         first = export(trained(kind), "first", tmp_path)
         second = export(Run.open(first), "second", tmp_path)
         assert same(load_file(first / zoo.CHECKPOINT), load_file(second / zoo.CHECKPOINT))
@@ -227,12 +235,12 @@ def test_a_broken_policy_is_refused_and_changes_nothing(trained: Trained, kind: 
         check("cannot be read")
     path.write_bytes(pickle.dumps({"weights": [1.0]}) * 100)
     check("cannot be read")
-    own = "attained." if kind in FRONTS else "vehicle_0.actor."
+    own = "attained." if is_pcn(kind) else "vehicle_0.actor."
     for name in [name for name in tensors if name.startswith(own)]:
         save_file({each: tensor for each, tensor in tensors.items() if each != name}, path, metadata)
-        check("best episodes of the policy are broken" if kind in FRONTS else f"has '{name}' of shape None")
+        check("best episodes of the policy are broken" if is_pcn(kind) else f"has '{name}' of shape None")
         save_file({**tensors, name: tensors[name][:0]}, path, metadata)
-        check("best episodes of the policy are broken" if kind in FRONTS else f"has '{name}' of shape ")
+        check("best episodes of the policy are broken" if is_pcn(kind) else f"has '{name}' of shape ")
     path.unlink()
     check("cannot be read")
 

@@ -41,8 +41,7 @@ def test_a_shipped_policy_loads_and_acts(name: str) -> None:
     if not run.experiment.known_utility:
         front = Front.read(path)
         assert front.objectives == agent.env.objectives
-        desired, horizon = agent.commands()
-        known = {tuple(row) for row in np.column_stack([desired, horizon])}
+        known = {tuple(row) for row in agent.conditions()}
         assert {tuple(row) for row in front.conditions.astype(np.float32)} <= known
         policy = agent.policy(front.conditions[-1])
     for greedy in (True, False):

@@ -1,0 +1,67 @@
+"""``scripts/conditioned_preferences.py``: how well one network serves preferences that are drawn anew."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from algorithms.evaluation.splits import SPLITS
+from algorithms.experiments.run_directory import Run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
+NAME = "one_waypoint_drawn_front-conditioned_mo_ppo"
+
+
+@pytest.fixture
+def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
+    """The script as a module."""
+    return load_script("conditioned_preferences")
+
+
+def test_own_and_best_are_the_expected_utilities(script: ModuleType) -> None:
+    served = script.Served(
+        objectives=("a", "b"),
+        weights=np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]]),
+        scaled=np.array([[2.0, 0.0], [4.0, 1.0], [0.0, 3.0]]),
+        returns=np.zeros((3, 2)),
+        success=np.array([1.0, 0.5, 0.0]),
+    )
+    assert served.own == pytest.approx((2.0 + 1.0 + 1.5) / 3)
+    assert served.best == pytest.approx((4.0 + 3.0 + 2.5) / 3)
+    low, high = served.thirds(0)
+    assert (low.tolist(), high.tolist()) == ([False, True, False], [True, False, False])
+
+
+def test_a_network_of_the_zoo_serves_preferences_that_it_is_given(
+    script: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served = script.serve(Run.open(NAME), 12, 4, SPLITS["validation"].start)
+    np.testing.assert_allclose(served.weights.sum(axis=1), 1.0, rtol=1e-6)
+    assert 0.0 < served.own <= served.best
+    assert served.success.max() == 1.0
+    low, high = served.thirds(0)  # the distance
+    assert served.returns[high, 0].mean() > served.returns[low, 0].mean()
+    script.main([NAME, "--preferences", "12", "--episodes", "4"])
+    assert f"{served.own:.3f}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["one_waypoint_front-pcn"], "must be a run of conditioned_mo_ppo, of one vehicle and linear utilities"),
+        ([NAME, "--episodes", "0"], "--episodes 0 must be at least 1"),
+        ([NAME, "--preferences", "-1"], "--preferences -1 must be at least 1"),
+    ],
+)
+def test_invalid_arguments_are_refused(
+    script: ModuleType, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        script.main(arguments)
+    assert end.value.code == 2
+    assert message in " ".join(capsys.readouterr().err.split())
