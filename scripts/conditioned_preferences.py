@@ -80,7 +80,7 @@ def serve(run: Run, preferences: int, episodes: int, seed: int) -> Served:
     conditions = agent.preferences.draw(preferences, np.random.default_rng(PREFERENCES_SEED))
     env = evaluation_env(run.experiment, episodes)
     try:
-        found = agent.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=agent.gamma)
+        found = agent.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=agent.accrued_discount)
     finally:
         env.close()
     return Served(
