@@ -131,7 +131,7 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
         ("--environment.id=commute-v0", ["is not registered; for one of your own write 'module:commute-v0'"]),
         ("--environment.arguments.objectives=[energy]", ["objectives has 'energy'", "an id of the form 'module:ID'"]),
         ("--algorithm.name=mo_a2d", ["mo_a2d", "did you mean 'mo_a2c'"]),
-        ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, conditioned_mo_ppo, mo_a2c"]),
+        ("--algorithm.name=[1]", ["algorithm.name", "known: a2c, conditioned_mo_ppo, mappo, mo_a2c"]),
         ("--algorithm.gamma=2", ["'gamma' = 2", "less than or equal to 1"]),
         ("--algorithm.learning_rate=fast", ["'learning_rate' = 'fast'", "number"]),
         ("--algorithm.learning_rate=.nan", ["learning_rate", "finite"]),
