@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer
 
 import mo_deepdrive
 from algorithms.common.yaml_io import read_mapping, read_value
@@ -82,6 +82,12 @@ class TrainingSettings(Settings):
     device: str = "cpu"
     threads: int = Field(default=1, ge=1, le=1024)
     partners: dict[str, list[str]] = {}
+
+    @model_serializer(mode="wrap")
+    def _without_no_partners(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what earlier versions did not have, so that their runs and sweeps remain the same experiments."""
+        values: dict[str, Any] = dump(self)
+        return {key: value for key, value in values.items() if key != "partners" or value}
 
 
 class EvaluationSettings(Settings):
