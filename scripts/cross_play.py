@@ -67,15 +67,8 @@ def open_drivers(options: argparse.Namespace) -> list[dict[str, Policy]]:
         names += getattr(options, vehicle_name(v))
         if not names:
             raise ValueError(f"{vehicle_name(v)} has no driver")
-        opened = {name: open_driver(name, v, env, "discrete", trust=options.trust) for name in names}
-        found.append({short_name(name, opened): driver for name, driver in opened.items()})
+        found.append({name: open_driver(name, v, env, "discrete", trust=options.trust) for name in names})
     return found
-
-
-def short_name(name: str, names: dict[str, Policy]) -> str:
-    """The last part of a path where no other driver's is the same, else the path."""
-    last = Path(name).name
-    return last if sum(Path(each).name == last for each in names) == 1 else name
 
 
 def main(arguments: list[str] | None = None) -> int:
