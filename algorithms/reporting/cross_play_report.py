@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.evaluation.cross_play import ARRIVALS, COLLISIONS, SCORES
 from algorithms.evaluation.metrics import UTILITY_ESR, vehicle_prefix
-from algorithms.reporting.style import DPI, STYLE
+from algorithms.reporting.style import LARGE_DPI, STYLE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,7 +120,7 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
             axis.set_yticks(range(len(rows)), rows, fontsize=8)
             axis.set_xlabel("driver of vehicle 1")
             axis.set_ylabel("driver of vehicle 0")
-        figure.savefig(path, dpi=DPI)
+        figure.savefig(path, dpi=LARGE_DPI)
 
 
 def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:

@@ -38,6 +38,7 @@ VIDEO_BACKGROUND, VIDEO_INK = "#181C24", "#F0F3F8"
 MAX_POINTS = 150  # per curve; longer curves are averaged
 MINIMUM_SPAN = 0.1  # of an axis, as a share of the quantity's magnitude: smaller differences would look large
 DPI = 160  # of figures
+LARGE_DPI = 100  # of figures with hundreds of cells
 VIDEO_DPI = 100  # of captions of videos
 LINE = 0.19  # in, height of a line of text
 TITLE_SIZE, NOTE_SIZE = 13, 9.5  # points
