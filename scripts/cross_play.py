@@ -10,6 +10,7 @@ for a vehicle in front of it, each with any number. The folder gets cross_play.c
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,7 +55,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def open_drivers(options: argparse.Namespace) -> list[dict[str, Policy]]:
-    """The drivers of each vehicle by name.
+    """The drivers of each vehicle by name; the folder that all runs are in is left out of the names.
 
     Raises:
         ValueError: for a driver that does not exist or cannot drive, or a vehicle without drivers.
@@ -62,12 +63,19 @@ def open_drivers(options: argparse.Namespace) -> list[dict[str, Policy]]:
     env = EnvAdapter(make_env(SCENARIO.id, 1))
     learnt = {name: set(Run.open(name, trust=options.trust).experiment.training.partners) for name in options.runs}
     found = []
+    every = [*options.runs, *(name for v in range(ROLES) for name in getattr(options, vehicle_name(v)))]
+    runs = [Path(name).absolute() for name in every if Path(name).is_dir()]
+    shared = os.path.commonpath([run.parent for run in runs]) if runs else ""
     for v in range(ROLES):
         names = [name for name in options.runs if vehicle_name(v) not in learnt[name]]
         names += getattr(options, vehicle_name(v))
         if not names:
             raise ValueError(f"{vehicle_name(v)} has no driver")
-        found.append({name: open_driver(name, v, env, "discrete", trust=options.trust) for name in names})
+        opened = {}
+        for name in names:
+            shown = os.path.relpath(name, shared) if Path(name).is_dir() else name
+            opened[shown] = open_driver(name, v, env, "discrete", trust=options.trust)
+        found.append(opened)
     return found
 
 
