@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from algorithms import zoo
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
     from types import ModuleType
 
 PAIR = "intersection_nonlinear-mo_ppo"
+ONE_ROLE = "intersection_linear-mo_ppo-strangers_0"  # learnt to drive vehicle 0
 
 
 @pytest.mark.slow
@@ -21,18 +24,19 @@ def test_every_driver_meets_every_driver_of_the_other_vehicle(
 ) -> None:
     rules = ["--vehicle-0", "rule:gap_8", "--vehicle-1", "rule:straight_3", "rule:straight_6"]
     options = ["--episodes", "20", "--split", "validation", "--output", str(tmp_path / "made")]
-    assert load_script("cross_play").main([PAIR, *rules, *options]) == 0
+    # Of a run in a folder the name is what is beyond the folder that all runs are in.
+    assert load_script("cross_play").main([str(zoo.find(PAIR)), ONE_ROLE, *rules, *options]) == 0
     with (tmp_path / "made" / "cross_play.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     straight = [PAIR, "rule:straight_3", "rule:straight_6"]
     assert [(row["vehicle_0"], row["vehicle_1"]) for row in rows] == [
-        (a, b) for a in (PAIR, "rule:gap_8") for b in straight
+        (a, b) for a in (PAIR, ONE_ROLE, "rule:gap_8") for b in straight
     ]
     assert all(float(row["success/low"]) <= float(row["success"]) <= float(row["success/high"]) for row in rows)
     # A pair that trained together arrives, and fails with a driver who is slower than any that it met.
     assert float(rows[0]["success"]) >= 0.95
     assert float(rows[1]["success"]) < 0.6
-    assert float(rows[4]["success"]) >= 0.9
+    assert min(float(row["success"]) for row in rows[3:]) >= 0.9
     assert (tmp_path / "made" / "cross_play.png").read_bytes().startswith(b"\x89PNG")
     out = capsys.readouterr().out
     assert "vehicle_0 with those that it met: 20 episodes" in out
