@@ -158,6 +158,7 @@ class ConditionedLearner(TrainedNetworks):
 
     Args:
         env: where the vehicle drives.
+        vehicle: its index.
         preferences: of the agent.
         config: hyperparameters.
         generator: draws the initial weights.
@@ -169,11 +170,13 @@ class ConditionedLearner(TrainedNetworks):
     def __init__(
         self,
         env: EnvAdapter,
+        vehicle: int,
         preferences: Preferences,
         config: ConditionedMOPPOConfig,
         generator: torch.Generator,
         device: torch.device,
     ):
+        self.vehicle = vehicle
         self.config = config
         self.preferences = preferences
         self.observation_scales = torch.tensor(env.observation_scales, device=device)
@@ -327,8 +330,8 @@ class ConditionedMOPPO(FrontAgent):
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         self.preferences = Preferences(config, self.env.objectives, self.scales)
         self.learners = [
-            ConditionedLearner(self.env, self.preferences, config, self.initial, self.device)
-            for _ in range(self.env.vehicles)
+            ConditionedLearner(self.env, v, self.preferences, config, self.initial, self.device)
+            for v in range(self.env.vehicles)
         ]
         self.collector = Collector(self.env, self.accrued_discount, config.steps)
         # Draws the preferences of episodes.

@@ -18,12 +18,14 @@ class TrainedNetworks:
     """Base of the learners: their networks and optimiser as named tensors.
 
     Attributes:
+        vehicle: index of the vehicle.
         actor: the policy.
         critic: what the policy learns from.
         optimiser: of both.
         shuffle: shuffles minibatches; None for learners without.
     """
 
+    vehicle: int
     actor: Actor
     critic: torch.nn.Module
     optimiser: Adam
@@ -56,5 +58,5 @@ class TrainedNetworks:
         """
         weights = strip_prefix(state, "actor.")
         if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
-            raise ValueError("an actor has weights that are not finite")
+            raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
         self.actor.load_state_dict(weights)

@@ -194,8 +194,8 @@ def test_a_registered_scenario_gets_a_page(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_moving_picture_shows_the_policy_that_arrives_most_often() -> None:
-    assert films.policy_of(SCENARIOS["intersection"]) == "intersection_nonlinear-mo_ppo"
-    assert "`intersection_nonlinear-mo_ppo`" in page_of("intersection")
+    assert films.policy_of(SCENARIOS["intersection"]) == "intersection_linear-mo_ppo-tuned"
+    assert "`intersection_linear-mo_ppo-tuned`" in page_of("intersection")
 
 
 # --------------------------------------------------------------------------------------------------------- algorithms
