@@ -135,6 +135,11 @@ class ActorCritic(Agent):
             if v not in self.partners
         ]
         self.collector = Collector(self.env, self.gamma, self.config.steps)
+        if self.config.cost_growth and not self.env.costs.any():
+            raise ValueError(
+                f"cost_growth = {self.config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
+                f"{self.env.objectives} is known to be a cost"
+            )
 
     @property
     def gamma(self) -> float | NDArray[np.float32]:
@@ -193,6 +198,7 @@ class ActorCritic(Agent):
     def update(self, progress: float) -> dict[str, float]:
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
+        self.collector.reward_shares = self.reward_shares(progress)
         rollout, episodes = self.collector.collect(self._explore)
         self.episodes.append(episodes)
         self.step += config.steps * self.env.num_envs
@@ -206,6 +212,15 @@ class ActorCritic(Agent):
             learner.on_episodes_end(episodes.discounted[episodes.vehicles == learner.vehicle])
         losses = self.learn(rollout, learning_rate, entropy_coefficient)
         return {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient, **losses}
+
+    def reward_shares(self, progress: float) -> NDArray[np.float32] | None:
+        """By what rewards are multiplied, (V, d), while costs grow; None when they have their full size."""
+        if progress >= self.config.cost_growth:
+            return None
+        shares = np.ones((self.env.vehicles, len(self.env.objectives)), dtype=np.float32)
+        learning = [learner.vehicle for learner in self.learners]
+        shares[np.ix_(learning, self.env.costs.nonzero()[0])] = progress / self.config.cost_growth
+        return shares
 
     def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
         """Each learner learns from its vehicle's part of a rollout; the losses by name."""

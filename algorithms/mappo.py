@@ -36,11 +36,11 @@ from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.hyperparameters import (
+    ActorCriticSettings,
     Count,
     FinalLearningRate,
     Fraction,
     LearningRate,
-    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
@@ -64,8 +64,8 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class MAPPOConfig(NetworkSettings):
-    """Hyperparameters of MAPPO; those of actor and critic are described in NetworkSettings.
+class MAPPOConfig(ActorCriticSettings):
+    """Hyperparameters of MAPPO; those of actor and critic are described in ActorCriticSettings.
 
     Attributes:
         joint: J, the joint utility: "sum", "worst_off" or "gini".

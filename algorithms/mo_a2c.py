@@ -55,11 +55,11 @@ from algorithms.common.advantages import (
     utility_gradient,
 )
 from algorithms.common.hyperparameters import (
+    ActorCriticSettings,
     Count,
     FinalLearningRate,
     Fraction,
     LearningRate,
-    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
@@ -80,8 +80,8 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class MOA2CConfig(NetworkSettings):
-    """Hyperparameters of MO-A2C; those of actor and critic are described in NetworkSettings.
+class MOA2CConfig(ActorCriticSettings):
+    """Hyperparameters of MO-A2C; those of actor and critic are described in ActorCriticSettings.
 
     Attributes:
         learning_rate: Adam's step size at the start of training.

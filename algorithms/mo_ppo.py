@@ -42,11 +42,11 @@ from algorithms.common.advantages import (
     utility_gradient,
 )
 from algorithms.common.hyperparameters import (
+    ActorCriticSettings,
     Count,
     FinalLearningRate,
     Fraction,
     LearningRate,
-    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
@@ -69,8 +69,8 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class MOPPOConfig(NetworkSettings):
-    """Hyperparameters of MO-PPO; those of actor and critic are described in NetworkSettings.
+class MOPPOConfig(ActorCriticSettings):
+    """Hyperparameters of MO-PPO; those of actor and critic are described in ActorCriticSettings.
 
     Attributes:
         learning_rate: Adam's step size at the start of training.

@@ -56,11 +56,11 @@ from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.checkpoints import strip_prefix
 from algorithms.common.hyperparameters import (
+    ActorCriticSettings,
     Count,
     FinalLearningRate,
     Fraction,
     LearningRate,
-    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
@@ -82,8 +82,8 @@ if TYPE_CHECKING:
 WIDE = 10.0  # bound of particles, in nominal scales
 
 
-class MOCACConfig(NetworkSettings):
-    """Hyperparameters of MOCAC; those of actor and critic are described in NetworkSettings.
+class MOCACConfig(ActorCriticSettings):
+    """Hyperparameters of MOCAC; those of actor and critic are described in ActorCriticSettings.
 
     Attributes:
         learning_rate: Adam's step size at the start of training.

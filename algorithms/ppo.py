@@ -26,11 +26,11 @@ from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.hyperparameters import (
+    ActorCriticSettings,
     Count,
     FinalLearningRate,
     Fraction,
     LearningRate,
-    NetworkSettings,
     NonNegative,
     Positive,
     PositiveFraction,
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from mo_deepdrive.utilities import Utility
 
 
-class PPOConfig(NetworkSettings):
-    """Hyperparameters of PPO; those of actor and critic are described in NetworkSettings.
+class PPOConfig(ActorCriticSettings):
+    """Hyperparameters of PPO; those of actor and critic are described in ActorCriticSettings.
 
     Attributes:
         learning_rate: Adam's step size at the start of training.

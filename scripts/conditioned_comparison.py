@@ -28,7 +28,12 @@ from algorithms.experiments.policy_evaluation import evaluate_front, evaluation_
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-CONFIGS = ("one_waypoint/conditioned", "one_waypoint/conditioned_continuous", "static_obstacle/conditioned")
+CONFIGS = (
+    "one_waypoint/conditioned",
+    "one_waypoint/conditioned_continuous",
+    "static_obstacle/conditioned",
+    "static_obstacle/conditioned_continuous",
+)
 
 
 @dataclass(frozen=True)

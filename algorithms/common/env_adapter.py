@@ -22,6 +22,7 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import observation
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.objectives import scales as objective_scales
+from mo_deepdrive.objectives import signs as objective_signs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,6 +97,8 @@ class EnvAdapter:
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
+        costs: (d,) whether more of the objective is worse; of other libraries' environments, whether the reward space
+            has no positive reward.
         actions: number of discrete actions, or of continuous axes.
         continuous: whether actions are continuous.
 
@@ -122,17 +125,20 @@ class EnvAdapter:
             self.cost_sign: str = inner.config.cost_sign
             self.observation_scales = observation.scales(inner.batch.scenario).astype(np.float32)
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
+            self.costs: NDArray[np.bool_] = objective_signs(self.objectives) < 0
             if isinstance(space, spaces.MultiDiscrete):
                 space = spaces.Discrete(int(space.nvec[0]))
         else:
             self.vehicles = 1
-            d = int(inner.reward_space.shape[0])  # type: ignore[attr-defined]
+            rewards: spaces.Box = inner.reward_space  # type: ignore[attr-defined]
+            d = int(rewards.shape[0])
             names = _objective_names(single, self.name, d)
             self.named = names is not None
             self.objectives = names or tuple(f"objective_{i}" for i in range(d))
             self.cost_sign = "maximise"
             self.observation_scales = _scales_from_bounds(env.single_observation_space)
             self.objective_scales = np.ones(d, dtype=np.float32)
+            self.costs = rewards.high <= 0.0
         if isinstance(space, spaces.Discrete):
             self.continuous, self.actions = False, int(space.n)
             self._first_action = int(space.start)

@@ -1,8 +1,8 @@
-"""Types of hyperparameters: what each kind of number may be, checked when a config is parsed; settings of networks."""
+"""Types of hyperparameters: what each kind of number may be, checked when a config is parsed; shared settings."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
 
@@ -48,12 +48,29 @@ class NetworkSettings(Settings):
     activation: Activation = "relu"
     network: DottedPath | None = None
 
+    # What earlier versions did not have is left out where it changes nothing, so that their runs and sweeps remain the
+    # same experiments.
+    new_defaults: ClassVar[dict[str, Any]] = {"activation": "relu", "network": None, "utility_scale": 10.0}
+
     @model_serializer(mode="wrap")
     def _without_new_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what earlier versions did not have, so that their runs and sweeps remain the same experiments."""
         values: dict[str, Any] = dump(self)
-        new = {"activation": "relu", "network": None, "utility_scale": 10.0}
+        new = self.new_defaults
         return {key: value for key, value in values.items() if key not in new or value != new[key]}
+
+
+class ActorCriticSettings(NetworkSettings):
+    """Hyperparameters that all algorithms of :mod:`algorithms.actor_critic` have beside those of NetworkSettings.
+
+    Attributes:
+        cost_growth: fraction of the training in which costs, the objectives whose rewards are never positive, grow from
+            0 to their full size in what is learnt from; 0 for none. It is a curriculum: who is punished from the first
+            step on may learn to stand still before the first arrival.
+    """
+
+    cost_growth: Fraction = 0.0
+
+    new_defaults: ClassVar[dict[str, Any]] = {**NetworkSettings.new_defaults, "cost_growth": 0.0}
 
 
 def check_entropy_schedule(entropy_start: float, entropy_end: float) -> None:

@@ -27,7 +27,7 @@ class Rollout:
         observations: (T + 1, N, V, o) before each step, and after the last.
         final: (T, N, V, o) true observations after each step where a vehicle's episode ended there, else undefined.
         actions: (T, N, V) or (T, N, V, k).
-        rewards: (T, N, V, d).
+        rewards: (T, N, V, d), multiplied by the collector's shares.
         accrued: (T + 1, N, V, d) accrued reward R_t = sum_{i<t} g^i r_i of the running episode.
         discounts: (T + 1, N, V) g^t of the running episode, with the discount g of the accrued reward.
         terminated, truncated, acted: (T, N, V); samples in which a vehicle did not act carry no information.
@@ -182,7 +182,13 @@ class Collector:
         env: the environments.
         accrued_discount: g, discount of the accrued reward; one per vehicle (V,) where they differ.
         steps: T, length of a rollout.
+
+    Attributes:
+        reward_shares: (V, d) by which rewards are multiplied before they are accrued and learnt from; None for 1.
+            The undiscounted returns of episodes are the environment's.
     """
+
+    reward_shares: NDArray[np.float32] | None = None
 
     def __init__(self, env: EnvAdapter, accrued_discount: float | NDArray[np.float32], steps: int):
         n, v, o, d = env.num_envs, env.vehicles, env.observation_size, len(env.objectives)
@@ -217,11 +223,12 @@ class Collector:
             actions = act(self.observations, self.accrued_reward)
             step = self.env.step(actions)
             self._actions[t] = actions
-            self._rewards[t] = step.rewards
+            rewards = step.rewards if self.reward_shares is None else step.rewards * self.reward_shares
+            self._rewards[t] = rewards
             self._flags[0, t] = step.terminated
             self._flags[1, t] = step.truncated
             self._flags[2, t] = step.acted
-            self.accrued_reward.add(step.rewards, self.accrued_discount)
+            self.accrued_reward.add(rewards, self.accrued_discount)
             self.returns += step.rewards
             over = (step.terminated | step.truncated) & step.acted
             if over.any():

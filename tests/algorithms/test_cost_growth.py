@@ -1,0 +1,106 @@
+"""Costs that grow during the training of an actor-critic: what is learnt from, what is reported, what is refused."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from algorithms import A2C, MAPPO, MOA2C, MOPPO, PPO
+from algorithms.experiments.config import load_experiment
+from tests.helpers.agents import INTERSECTION, MINECART, SEA, make_agent, same, state
+
+if TYPE_CHECKING:
+    from algorithms.actor_critic import ActorCritic
+
+FOUR_ROOM = "four-room-v0"
+ALL = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MAPPO])
+# distance, destination, g-force, collision, jerk, lane violation
+COSTS = np.array([False, False, True, True, True, True])
+
+
+def rollouts(agent: ActorCritic, monkeypatch: pytest.MonkeyPatch, *progress: float) -> list[Any]:
+    """What the agent collects in updates at these shares of the training: (rewards, environments' rewards)."""
+    collect, step = agent.collector.collect, agent.env.step
+    taken: list[Any] = []
+    raw: list[np.ndarray] = []
+
+    def stepped(actions: Any) -> Any:
+        result = step(actions)
+        raw.append(result.rewards.copy())
+        return result
+
+    def collected(act: Any) -> Any:
+        raw.clear()
+        rollout, episodes = collect(act)
+        taken.append((rollout.rewards.numpy().copy(), np.stack(raw), rollout.accrued.numpy().copy()))
+        return rollout, episodes
+
+    monkeypatch.setattr(agent.env, "step", stepped)
+    monkeypatch.setattr(agent.collector, "collect", collected)
+    agent.begin()
+    for each in progress:
+        agent.update(each)
+    return taken
+
+
+@ALL
+def test_costs_grow_linearly_and_gains_stay(cls: type[ActorCritic], monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_agent(cls, INTERSECTION, num_envs=8, cost_growth=0.5)
+    progress = (0.0, 0.125, 0.25, 0.5, 0.75)
+    for (rewards, raw, _), share in zip(
+        rollouts(agent, monkeypatch, *progress), (0.0, 0.25, 0.5, 1.0, 1.0), strict=True
+    ):
+        np.testing.assert_array_equal(rewards, raw * np.where(COSTS, share, 1.0).astype(np.float32))
+        assert raw[..., COSTS].any()
+
+
+def test_what_has_accrued_is_the_sum_of_what_is_learnt_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_agent(MOPPO, INTERSECTION, num_envs=8, cost_growth=0.5, accrued_gamma=1.0)
+    ((rewards, _, accrued),) = rollouts(agent, monkeypatch, 0.25)
+    np.testing.assert_allclose(accrued[-1], rewards.sum(axis=0), rtol=1e-5, atol=1e-6)
+
+
+def test_episodes_are_reported_with_their_true_returns() -> None:
+    growing, plain = (make_agent(PPO, SEA, num_envs=8, steps=64, cost_growth=share) for share in (1.0, 0.0))
+    for agent in (growing, plain):
+        agent.begin()
+        agent.update(0.0)
+    # The first rollouts are those of the same weights, so of the same episodes.
+    assert len(growing.episodes[0].lengths) > 0
+    np.testing.assert_array_equal(growing.episodes[0].returns, plain.episodes[0].returns)
+    assert (growing.episodes[0].returns[:, 1] < 0).all()  # time
+    np.testing.assert_array_equal(growing.episodes[0].discounted[:, 1], 0.0)
+
+
+def test_growth_that_is_over_learns_as_without() -> None:
+    growing, plain = (make_agent(PPO, cost_growth=share) for share in (0.25, 0.0))
+    for agent in (growing, plain):
+        agent.begin()
+        agent.update(0.25)
+    assert same(state(growing), state(plain))
+
+
+def test_costs_of_other_libraries_are_objectives_that_are_never_positive() -> None:
+    assert make_agent(PPO, SEA).env.costs.tolist() == [False, True]
+    assert make_agent(PPO, MINECART).env.costs.tolist() == [False, False, True]
+
+
+def test_growth_without_costs_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"cost_growth = 0.25 must be 0 in .*four-room.*none of its objectives"):
+        make_agent(PPO, FOUR_ROOM, cost_growth=0.25)
+
+
+def test_rewards_of_vehicles_that_do_not_learn_stay() -> None:
+    agent = make_agent(PPO, INTERSECTION, cost_growth=0.5)
+    agent.learners = agent.learners[:1]
+    shares = agent.reward_shares(0.25)
+    assert shares is not None
+    np.testing.assert_array_equal(shares[0], np.where(COSTS, 0.5, 1.0).astype(np.float32))
+    np.testing.assert_array_equal(shares[1], 1.0)
+
+
+def test_runs_of_earlier_versions_remain_the_same_experiments() -> None:
+    assert "cost_growth" not in load_experiment("one_waypoint/ppo_linear").model_dump()["algorithm"]
+    assert load_experiment("intersection/ppo_linear_tuned").model_dump()["algorithm"]["cost_growth"] == 0.25
