@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
 
-def atomic_write(path: str | Path, data: bytes) -> None:
-    """Replace the contents of ``path`` by ``data``, or leave it exactly as it was.
+def atomic_write(path: str | Path, data: bytes | Iterable[bytes]) -> None:
+    """Replace the contents of ``path`` by ``data``, whole or in pieces, or leave it exactly as it was.
 
     The bytes go to a temporary file in the same folder, reach the disk, and are then renamed over ``path``: a reader
     sees the old content or the new one, never a part.
@@ -29,7 +29,7 @@ def atomic_write(path: str | Path, data: bytes) -> None:
     descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     try:
         with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
+            file.writelines([data] if isinstance(data, bytes) else data)
             file.flush()
             os.fsync(file.fileno())
         Path(name).chmod(path.stat().st_mode & 0o777 if path.exists() else 0o644)

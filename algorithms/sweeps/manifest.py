@@ -211,9 +211,9 @@ def _refuse_duplicates(rows: Sequence[ManifestRow]) -> None:
             )
 
 
-def manifest_bytes(rows: Iterable[ManifestRow]) -> bytes:
-    """The content of a manifest file."""
-    return b"".join(json.dumps(vars(row), separators=(",", ":"), allow_nan=False).encode() + b"\n" for row in rows)
+def manifest_lines(rows: Iterable[ManifestRow]) -> Iterator[bytes]:
+    """The lines of a manifest file."""
+    return (json.dumps(vars(row), separators=(",", ":"), allow_nan=False).encode() + b"\n" for row in rows)
 
 
 def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
@@ -224,7 +224,7 @@ def write_manifest(sweep: Path, rows: Sequence[ManifestRow]) -> Path:
     """
     sweep.mkdir(parents=True, exist_ok=True)
     path = sweep / FILE
-    atomic_write(path, manifest_bytes(rows))
+    atomic_write(path, manifest_lines(rows))
     return path
 
 

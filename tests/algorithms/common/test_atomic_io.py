@@ -13,7 +13,7 @@ import pytest
 from algorithms.common.atomic_io import atomic_write, open_lock, read_json_object
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 
 def test_an_atomic_write_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -23,6 +23,25 @@ def test_an_atomic_write_replaces_the_file_and_leaves_nothing_else(tmp_path: Pat
     atomic_write(path, b"new")
     assert path.read_bytes() == b"new"
     assert path.stat().st_mode & 0o777 == 0o640
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_pieces_are_written_one_after_the_other(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    atomic_write(path, (f"line {i}\n".encode() for i in range(3)))
+    assert path.read_text() == "line 0\nline 1\nline 2\n"
+
+
+def test_pieces_that_fail_leave_the_old_file(tmp_path: Path) -> None:
+    def pieces() -> Iterator[bytes]:
+        yield b"new"
+        raise ValueError("no second piece")
+
+    path = tmp_path / "file"
+    atomic_write(path, b"old")
+    with pytest.raises(ValueError, match="no second piece"):
+        atomic_write(path, pieces())
+    assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
 
 

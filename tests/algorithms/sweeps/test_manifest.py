@@ -26,7 +26,7 @@ from algorithms.sweeps.manifest import (
     ManifestRow,
     expand,
     label,
-    manifest_bytes,
+    manifest_lines,
     read_manifest,
     run_id,
     write_manifest,
@@ -64,12 +64,12 @@ def test_the_manifest_is_the_same_in_another_directory_and_process(
 ) -> None:
     settings = {"grid": {RATE: [0.001, 0.003], "algorithm.steps": [8, 16]}, "seeds": 2}
     file = write_sweep(tmp_path, **settings)
-    here = manifest_bytes(expand(load_sweep(file), {}))
+    here = [*manifest_lines(expand(load_sweep(file), {}))]
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     shutil.copy(file, elsewhere)
     monkeypatch.chdir(elsewhere)
-    assert manifest_bytes(expand(load_sweep("short.yaml"), {})) == here
+    assert [*manifest_lines(expand(load_sweep("short.yaml"), {}))] == here
     write_yaml(tmp_path / "base.yaml", dict(reversed(VALUES.items())))
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     done = run_sweep(elsewhere / "short.yaml", "--on", "manifest", "--output", "made", environment=environment)
@@ -100,7 +100,7 @@ def test_the_manifest_does_not_depend_on_the_order_of_keys_in_a_base_config(
     found = set()
     for number in range(8):
         write_yaml(tmp_path / "base.yaml", reordered({**VALUES, "utility": utility}, random.Random(number)))
-        found.add(manifest_bytes(expand(load_sweep(file), {})))
+        found.add(tuple(manifest_lines(expand(load_sweep(file), {}))))
     assert len(found) == 1
 
 
@@ -172,7 +172,7 @@ def test_a_line_of_the_manifest_is_the_row_as_compact_json(tmp_path: Path) -> No
     rows = expanded(tmp_path, grid={"utility": [UTILITY]}, seeds=2)
     names = ("id", "directory", "cell", "seed", "trial", "config")
     lines = [json.dumps({name: getattr(row, name) for name in names}, separators=(",", ":")) for row in rows]
-    assert manifest_bytes(rows).decode() == "\n".join(lines) + "\n"
+    assert b"".join(manifest_lines(rows)).decode() == "\n".join(lines) + "\n"
     sections = [list(row.config) for row in rows]
     assert sections == [["algorithm", "environment", "evaluation", "logging", "training", "utility"]] * 2
     assert all(list(row.config["training"]) == sorted(row.config["training"]) for row in rows)
