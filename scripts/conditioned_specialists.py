@@ -10,7 +10,6 @@ standing still is best has utility 0.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import process_time
@@ -21,6 +20,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.preferences import LINEAR
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.evaluation.episodes import evaluate
@@ -127,15 +127,13 @@ def table(results: Sequence[Result]) -> Table:
 
 def write_results(path: Path, results: Sequence[Result]) -> None:
     """Write one row per preference as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([each.name for each in fields(Result)])
-        for result in results:
-            cells = asdict(result)
-            cells |= {name: f"{cells[name]:.4f}" for name in ("conditioned", "specialist")}
-            cells |= {name: f"{cells[name]:.3f}" for name in ("arrivals", "specialist_arrivals")}
-            cells["seconds"] = f"{result.seconds:.0f}"
-            writer.writerow(cells.values())
+    rows = [[each.name for each in fields(Result)]]
+    for result in results:
+        cells = asdict(result)
+        cells |= {name: f"{cells[name]:.4f}" for name in ("conditioned", "specialist")}
+        cells |= {name: f"{cells[name]:.3f}" for name in ("arrivals", "specialist_arrivals")}
+        rows.append([*(cells | {"seconds": f"{result.seconds:.0f}"}).values()])
+    atomic_write(path, csv_bytes(rows))
 
 
 def main(argv: Sequence[str] | None = None) -> None:
