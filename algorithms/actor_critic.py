@@ -218,8 +218,8 @@ class ActorCritic(Agent):
         if progress >= self.config.cost_growth:
             return None
         shares = np.ones((self.env.vehicles, len(self.env.objectives)), dtype=np.float32)
-        learning = [learner.vehicle for learner in self.learners]
-        shares[np.ix_(learning, self.env.costs.nonzero()[0])] = progress / self.config.cost_growth
+        for learner in self.learners:
+            shares[learner.vehicle, self.env.costs] = progress / self.config.cost_growth
         return shares
 
     def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:

@@ -107,7 +107,19 @@ def compare(config: str, seed: int, count: int, episodes: int, steps: int | None
         utilities = [float(weights @ (each.discounted[:, 0].mean(axis=0) / agent.scales)) for each in (found, own)]
         arrivals = [float(each.succeeded[:, 0].mean()) for each in (found, own)]
         shown = " ".join(f"{weight:.3f}" for weight in weights)
-        results.append(Result(config, seed, agent.step, shown, *utilities, *arrivals, seconds))
+        results.append(
+            Result(
+                config=config,
+                seed=seed,
+                steps=agent.step,
+                weights=shown,
+                conditioned=utilities[0],
+                specialist=utilities[1],
+                arrivals=arrivals[0],
+                specialist_arrivals=arrivals[1],
+                seconds=seconds,
+            )
+        )
     env.close()
     return results
 
