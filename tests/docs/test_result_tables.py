@@ -327,18 +327,20 @@ def training_speeds(row: Row) -> dict[str, list[float]]:
 
 
 def speeds(row: Row) -> dict[str, list[float]]:
-    """To the nearest thousand or, of millions, hundred thousand steps; the layers are numbers, too."""
-    of_two = [f"independent {name} training, [128, 64]" for name in ("a2c", "mo_a2c", "mo_ppo")]
-    names = {
-        "make_vec": [f"{name}, make_vec, N = 1024" for name in ("OneWaypoint", "StaticObstacle", "Intersection")],
-        "mo_gymnasium.make": ["OneWaypoint, mo_gymnasium.make", "minecart-v0, mo_gymnasium.make"],
-        "training on one thread": ["a2c training", "mo_a2c training", "mo_ppo training", *of_two],
-    }[row["what"].partition(",")[0]]
-    found = [next(row for row in records("benchmark.csv") if row["measurement"].startswith(name)) for name in names]
-    values = [round(float(row["value"]), -3) for row in found]
-    if "make_vec" in row["what"]:
-        return {"measured": [value / 1e6 for value in values]}
-    return {"measured": [*values[:3], 64, 32, *values[3:], 128, 64] if len(values) > 2 else values}
+    """Of millions of steps to the tenth, otherwise to the nearest thousand; the layers are numbers, too."""
+
+    def rates(*names: str) -> list[float]:
+        return [round(float(one("benchmark.csv", measurement=name)["value"]), -3) for name in names]
+
+    learners = ("a2c", "mo_a2c", "mo_ppo")
+    if row["what"].startswith("make_vec"):
+        scenarios = ("OneWaypoint", "StaticObstacle", "Intersection")
+        return {"measured": [rate / 1e6 for rate in rates(*(f"{s}, make_vec, N = 1024, 1 thread" for s in scenarios))]}
+    if row["what"].startswith("training"):
+        alone = rates(*(f"{name} training, 256 x 16, 1 thread" for name in learners))
+        two = rates(*(f"independent {name} training, [128, 64], 256 x 16, 1 thread" for name in learners))
+        return {"measured": [*alone, 64, 32, *two, 128, 64]}
+    return {"measured": rates("OneWaypoint, mo_gymnasium.make", "minecart-v0, mo_gymnasium.make")}
 
 
 def mutants(row: Row) -> dict[str, list[float]]:
@@ -395,7 +397,9 @@ TABLES = [
 def table_of(document: str, header: str) -> list[Row]:
     """The rows of the only table with this header; leading empty cells are those of the row above."""
     text = (REPOSITORY / document).read_text(encoding="utf-8")
-    [rows] = [rows for rows in tables(text) if " | ".join(rows[0]).startswith(header)]
+    found = [rows for rows in tables(text) if " | ".join(rows[0]).startswith(header)]
+    assert len(found) == 1, f"{document} has {len(found)} tables with the header {header}"
+    [rows] = found
     for above, row in pairwise(rows):
         for name in takewhile(lambda name, row=row: not row[name], row):
             row[name] = above[name]
