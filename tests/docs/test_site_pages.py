@@ -24,10 +24,10 @@ from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario
 from site_pages import algorithms, docstrings, environments, films, markdown, reference, repository, results
 from site_pages.explorer_examples import EXAMPLES
 from site_pages.local_links import broken_links
+from tests.helpers.markdown_tables import tables
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 SHIPPED = tuple(SCENARIOS)
@@ -37,15 +37,6 @@ SHIPPED = tuple(SCENARIOS)
 def page_of(name: str) -> str:
     """The page of a shipped environment."""
     return environments.page(SCENARIOS[name])
-
-
-def tables(text: str) -> Iterator[list[dict[str, str]]]:
-    """The tables of a page, as rows by the names of their columns, without the quotes of code."""
-    for block in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
-        header, _, *rows = [
-            [cell.strip().strip("`") for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in block.splitlines()
-        ]
-        yield [dict(zip(header, row, strict=True)) for row in rows]
 
 
 def table_with(text: str, column: str) -> list[dict[str, str]]:

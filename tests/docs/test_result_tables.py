@@ -1,0 +1,429 @@
+"""The tables of results that are written by hand have the numbers of the files next to them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from functools import cache, partial
+from itertools import pairwise, takewhile
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pytest
+
+from algorithms.evaluation.statistics import mean
+from tests.helpers.markdown_tables import tables
+from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+Row = dict[str, str]
+NUMBER = r"(?<![\w.,])-?\d+(?:,\d{3})*(?:\.\d+)?(?:e-\d+)?(?!\w)"
+
+# ------------------------------------------------------------------------------------------------------------ numbers
+
+
+def printed(cell: str) -> list[str]:
+    """The numbers of a cell; in "9 of 10" the first one is a result."""
+    return re.findall(NUMBER, re.sub(r" of \d+", "", cell))
+
+
+def numbers(cell: str, times: float = 1) -> list[float]:
+    return [times * float(number.replace(",", "")) for number in printed(cell)]
+
+
+def agrees(cell: str, expected: list[float]) -> bool:
+    """Whether a cell has the expected numbers, rounded to the digits that it prints."""
+    texts = printed(cell)
+    units = [10.0 ** -len(text.partition(".")[2]) for text in texts]
+    return len(texts) == len(expected) and all(
+        abs(value - number) <= 0.5 * unit + 1e-9
+        for value, number, unit in zip(numbers(cell), expected, units, strict=True)
+    )
+
+
+def changed(cell: str) -> Iterator[str]:
+    """The cell with one number changed by two in its last digit, which no rounding hides."""
+    cell = re.sub(r" of \d+", "", cell)
+    for match in re.finditer(NUMBER, cell):
+        last = int(cell[match.end() - 1])
+        yield cell[: match.end() - 1] + str(last + (2 if last < 8 else -2)) + cell[match.end() :]
+
+
+# -------------------------------------------------------------------------------------------------------------- files
+
+
+@cache
+def records(name: str, part: int = 0) -> list[Row]:
+    """The rows of a file in docs/results; ``mo-deepdrive table`` writes comparisons below, after an empty line."""
+    text = (REPOSITORY / "docs" / "results" / name).read_text(encoding="utf-8")
+    return list(csv.DictReader(io.StringIO(text.split("\n\n")[part])))
+
+
+def matching(name: str, part: int = 0, **values: str) -> list[Row]:
+    return [row for row in records(name, part) if all(row[key] == value for key, value in values.items())]
+
+
+def one(name: str, part: int = 0, **values: str) -> Row:
+    found = matching(name, part, **values)
+    assert len(found) == 1, f"{name} has {len(found)} rows with {values}"
+    return found[0]
+
+
+def column(rows: Iterable[Row], name: str) -> np.ndarray:
+    return np.array([float(row[name]) for row in rows])
+
+
+def interval(row: Row, name: str, times: float = 1) -> list[float]:
+    return [times * float(row[name + end]) for end in ("", "_low", "_high")]
+
+
+def mean_of(rows: Iterable[Row], name: str) -> list[float]:
+    """The mean with the ends of its interval, which is missing where the package prints none."""
+    return numbers(mean(column(rows, name)).text())
+
+
+def median_of(values: np.ndarray) -> list[float]:
+    return [float(np.median(values)), float(values.min()), float(values.max())]
+
+
+# ----------------------------------------------------------------------------------------- from a row to its numbers
+
+IDS = {"OneWaypoint": "one_waypoint", "StaticObstacle": "static_obstacle", "Intersection": "intersection"}
+
+
+def algorithm(title: str) -> str:
+    """MO-PPO is mo_ppo in files."""
+    return title.lower().replace("-", "_")
+
+
+def known_utility(row: Row) -> Row:
+    scenario = IDS[row["scenario"]]
+    return {
+        "environment": f"mo-deepdrive-{scenario.replace('_', '-')}-v0",
+        "utility": f"{scenario}_{row['utility'].replace('-', '')}",
+        "policy": row["policy"],
+    }
+
+
+def one_vehicle(row: Row) -> dict[str, list[float]]:
+    found = one("scores.csv", algorithm=algorithm(row["algorithm"]), **known_utility(row))
+    return {
+        "utility (ESR)": numbers(found["utility_esr"]),
+        "arrivals (%)": numbers(found["success"], 100),
+        "collisions (%)": numbers(found["end/collision"], 100),
+        "decisions": numbers(found["length"]),
+        "mean g": numbers(found["mean_g_force"]),
+        "mean jerk": numbers(found["mean_jerk"]),
+    }
+
+
+def one_vehicle_compared(row: Row) -> dict[str, list[float]]:
+    found = one("scores.csv", 1, **known_utility(row))
+    return {
+        "difference": [float(found["value"])],
+        "95% interval": [float(found["low"]), float(found["high"])],
+        "p": [float(found["p"])],
+    }
+
+
+def of_pairs(name: str, row: Row) -> Callable[[str], Row]:
+    """The rows of the vehicles, and that of both under the name "", behind a row of a table of pairs."""
+    setting = " end_together=True" if row.get("setting") == "paper" else ""
+    values = known_utility({**row, "scenario": "Intersection"})
+    values["environment"] += setting
+    values["policy"] = values["policy"].replace("sampled", "stochastic")
+    return lambda vehicle: one(name, algorithm=algorithm(row["algorithm"]), vehicle=vehicle, **values)
+
+
+def tuned_pairs(row: Row) -> dict[str, list[float]]:
+    found = of_pairs("intersection_tuned.csv", row)
+    return {
+        "utility of vehicle 0": numbers(found("vehicle_0")["utility_esr"]),
+        "of vehicle 1": numbers(found("vehicle_1")["utility_esr"]),
+    }
+
+
+def earlier_pairs(row: Row) -> dict[str, list[float]]:
+    found = of_pairs("intersection_scores.csv", row)
+    return {
+        "seeds": [float(len(found("")["seeds"].split()))],
+        "both arrive (%)": numbers(found("")["success"], 100),
+        "vehicle 0 arrives": numbers(found("vehicle_0")["success"], 100),
+        "vehicle 1 arrives": numbers(found("vehicle_1")["success"], 100),
+        "collisions (%)": numbers(found("")["end/collision"], 100),
+    }
+
+
+def earlier_vehicles(row: Row) -> dict[str, list[float]]:
+    found = of_pairs("intersection_scores.csv", row)(f"vehicle_{row['vehicle']}")
+    return {
+        "utility (ESR)": numbers(found["utility_esr"]),
+        "lane-violation return (m)": numbers(found["return/lane_violation"]),
+        "decisions": numbers(found["length"]),
+        "mean g": numbers(found["mean_g_force"]),
+        "mean jerk": numbers(found["mean_jerk"]),
+    }
+
+
+def rules(row: Row) -> dict[str, list[float]]:
+    found = one("left_turn_rules.csv", gap=str(float(row["gap (s)"])))
+    return {
+        **drives(found),
+        "near misses (%)": interval(found, "near_miss", 100),
+        "left_turn_risk_averse, ESR": interval(found, "left_turn_risk_averse"),
+        "the same, SER": interval(found, "left_turn_risk_averse/utility_ser"),
+        "left_turn_comfort_budget": interval(found, "left_turn_comfort_budget"),
+    }
+
+
+def drives(found: Row) -> dict[str, list[float]]:
+    return {
+        "arrivals (%)": interval(found, "arrived", 100),
+        "collisions (%)": interval(found, "collision", 100),
+        "time (s)": interval(found, "time"),
+        "g-force (g)": interval(found, "g_force"),
+        "jerk (m/s³)": interval(found, "jerk"),
+        "left_turn_linear": interval(found, "left_turn_linear"),
+    }
+
+
+def left_turners(row: Row) -> dict[str, list[float]]:
+    if row["driver"].startswith("waits"):
+        return drives(one("left_turn_rules.csv", driver=row["driver"]))
+    name = algorithm(row["driver"])
+    sampled, greedy = (one("left_turn_rules.csv", driver=f"{name}, {policy}") for policy in ("stochastic", "greedy"))
+    return {
+        **drives(sampled),
+        "minus the best rule": interval(sampled, "minus_best_rule"),
+        "greedy: minus the best rule": interval(greedy, "minus_best_rule"),
+        "greedy: collisions (%)": interval(greedy, "collision", 100),
+    }
+
+
+def fronts(row: Row) -> dict[str, list[float]]:
+    values: dict[str, list[float]] = {}
+    environment = "deep-sea-treasure-v0"
+    if row["scenario"] in IDS:
+        scenario = IDS[row["scenario"]]
+        [best] = [
+            known
+            for known in table_of("docs/fronts.md", "scenario | action_type | gamma | policies")
+            if (known["scenario"], known["action_type"], known["gamma"]) == (scenario, row["actions"], "0.99")
+        ]
+        values = {"best known": numbers(best["hypervolume"])}
+        arguments = ["action_type=continuous"] * (row["actions"] == "continuous")
+        arguments += ["fixed_destination=True"] + ["fixed_obstacle=True"] * (scenario == "static_obstacle")
+        environment = " ".join([f"mo-deepdrive-{scenario.replace('_', '-')}-v0", *arguments])
+    title = row["algorithm"]
+    if "20 seeds" in title:
+        runs = matching("reproduction_scores.csv", task="one_waypoint_front", protocol="best")
+        assert len(runs) == 20
+        names = {"hypervolume": "hypervolume", "policies": "cardinality", "IGD+": "igd_plus"}
+        return values | {shown: mean_of(runs, name) for shown, name in names.items()}
+    found = one(
+        "front_scores.csv",
+        environment=environment,
+        algorithm="morl_baselines.pcn" if title.startswith("morl-baselines") else "pcn",
+        steps=row["steps"].replace(",", ""),
+        seeds="10 11 12" if "3 seeds" in title else "10" if "seed 10" in title else "10 11 12 13 14",
+    )
+    return values | {
+        "hypervolume": numbers(found["hypervolume"]),
+        "policies": numbers(found["cardinality"]),
+        "IGD+": numbers(found["igd_plus"]),
+        "arriving": numbers(found["success"], 100)[:1],
+    }
+
+
+def pairs_apart(row: Row) -> dict[str, list[float]]:
+    """Of drivers of one kind with others, one number for each script that a row names."""
+    kinds = {"MO-PPO, linear": "mo_ppo_linear_tuned/", "MO-PPO, non-linear": "mo_ppo_nonlinear_tuned/"}
+    kinds |= {"vehicles 1 of the linear utility": kinds["MO-PPO, linear"], "the four scripts": "rule:"}
+    kinds |= {"vehicles 1 of the non-linear utility": kinds["MO-PPO, non-linear"]}
+    firsts = [kinds.get(name, f"rule:{name}") for name in row["vehicle 0"].split("; ")]
+    relation = {"its own partner": (True,), "partners of the other seeds": (False,)}.get(row["with"], (True, False))
+    others = firsts if len(relation) == 1 else [kinds.get(name, f"rule:{name}") for name in row["with"].split("; ")]
+    values: dict[str, list[float]] = {"both arrive (%)": [], "least (%)": [], "collisions (%)": []}
+    for first in firsts:
+        for other in others:
+            met = [
+                drive
+                for drive in records("cross_play/cross_play.csv")
+                if drive["vehicle_0"].startswith(first)
+                and drive["vehicle_1"].startswith(other)
+                and drive["vehicle_0"] != "mo_ppo_nonlinear_tuned/seed14"
+                and (drive["vehicle_0"] == drive["vehicle_1"]) in relation
+            ]
+            values["both arrive (%)"].append(100 * column(met, "success").mean())
+            values["least (%)"].append(100 * column(met, "success").min())
+            values["collisions (%)"].append(100 * column(met, "end/collision").mean())
+    return values
+
+
+def strangers(vehicle: int, row: Row) -> dict[str, list[float]]:
+    """Of one vehicle, a number for each of its seeds."""
+    kind = f"strangers_vehicle_{vehicle}" if "others" in next(iter(row.values())) else "mo_ppo_linear_tuned"
+    first, last = map(int, row["seeds"].split(" to "))
+    name = f"strangers_vehicle_{vehicle}/cross_play.csv"
+    met = [matching(name, **{f"vehicle_{vehicle}": f"{kind}/seed{seed}"}) for seed in range(first, last + 1)]
+    arrivals = [100 * column(drives, f"vehicle_{vehicle}/success") for drives in met]
+    return {
+        "arrives (%)": [each.mean() for each in arrivals],
+        "collisions (%)": [100 * column(drives, "end/collision").mean() for drives in met],
+        "least arrivals with one of them (%)": [each.min() for each in arrivals],
+    }
+
+
+def conditioned(row: Row) -> dict[str, list[float]]:
+    runs = matching("conditioned.csv", config=row["config"])
+    values = {"seeds": [float(len(runs))], "steps": [float(runs[0]["steps"])]}
+    for shown, name in (("hypervolume", "hypervolume"), ("expected utility", "expected_utility")):
+        shares = 100 * column(runs, name)
+        values[shown] = [shares.mean(), shares.min(), shares.max()]
+    return values | {"CPU seconds": [column(runs, "seconds").mean()]}
+
+
+def pcn_elsewhere(row: Row) -> dict[str, list[float]]:
+    learner = "pcn" if row["PCN"] == "this package" else "morl_baselines.pcn"
+    runs = matching("pcn_comparison.csv", environment=row["environment"], learner=learner)
+    return {
+        "seeds": [float(len(runs))],
+        "hypervolume": mean_of(runs, "hypervolume"),
+        "policies": mean_of(runs, "policies"),
+        "CPU time": [column(runs, "seconds").mean()],
+    }
+
+
+def wall_clock(row: Row) -> dict[str, list[float]]:
+    driving, cartpole = (
+        matching("wall_clock.csv", learner=row["learner"], environment=name)
+        for name in ("mo-deepdrive-one-waypoint-v0", "CartPole-v1")
+    )
+    assert all(run["reached"] == "True" for run in driving)
+    speeds = [np.median(column(runs, "steps") / column(runs, "seconds")) for runs in (driving, cartpole)]
+    return {
+        "CPU seconds to 95% arrivals": median_of(column(driving, "seconds")),
+        "steps until then": median_of(column(driving, "steps")),
+        "steps/s": [float(f"{speeds[0]:.3g}")],
+        "steps/s on CartPole-v1": [float(f"{speeds[1]:.3g}")],
+    }
+
+
+def training_speeds(row: Row) -> dict[str, list[float]]:
+    names = {
+        "two MO-PPO learners at the intersection, 128-64": ["two-mo_ppo-128-64"],
+        "PCN, collecting alone; with 400 gradient steps per update": ["pcn-collection", "pcn"],
+        "train --help": ["train-help"],
+        "a whole training run of one update": ["train-one-update"],
+    }.get(row["measurement"])
+    if names is None:
+        title, layers, actions = row["measurement"].split(", ")
+        names = [f"{algorithm(title)}-{layers}-{action}" for action in actions.split("; ")]
+    found = [one("benchmark_pairs.csv", measurement=name) for name in names]
+    return {"speed-up": [float(pair[name]) for pair in found for name in ("speedup", "low", "high")]}
+
+
+def speeds(row: Row) -> dict[str, list[float]]:
+    """Of millions of steps to the tenth, otherwise to the nearest thousand; the layers are numbers, too."""
+
+    def rates(*names: str) -> list[float]:
+        return [round(float(one("benchmark.csv", measurement=name)["value"]), -3) for name in names]
+
+    learners = ("a2c", "mo_a2c", "mo_ppo")
+    if row["what"].startswith("make_vec"):
+        scenarios = ("OneWaypoint", "StaticObstacle", "Intersection")
+        return {"measured": [rate / 1e6 for rate in rates(*(f"{s}, make_vec, N = 1024, 1 thread" for s in scenarios))]}
+    if row["what"].startswith("training"):
+        alone = rates(*(f"{name} training, 256 x 16, 1 thread" for name in learners))
+        two = rates(*(f"independent {name} training, [128, 64], 256 x 16, 1 thread" for name in learners))
+        return {"measured": [*alone, 64, 32, *two, 128, 64]}
+    return {"measured": rates("OneWaypoint, mo_gymnasium.make", "minecart-v0, mo_gymnasium.make")}
+
+
+def mutants(row: Row) -> dict[str, list[float]]:
+    tested = [mutant for mutant in records("mutants.csv") if row["group"] in ("all", mutant["group"])]
+    killed, equivalent, survived = (
+        sum(mutant["outcome"] in outcomes for mutant in tested)
+        for outcomes in (("killed", "timeout"), ("equivalent",), ("survived",))
+    )
+    return {
+        "mutants": [len(tested)],
+        "killed": [killed],
+        "equivalent": [equivalent],
+        "survived": [survived],
+        "score": [100 * killed / (len(tested) - equivalent)],
+    }
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
+
+
+class Table(NamedTuple):
+    """A table by the beginning of its header, and what its rows should say in some of their columns."""
+
+    document: str
+    header: str
+    expected: Callable[[Row], dict[str, list[float]]]
+
+    def __str__(self) -> str:
+        return f"{self.document}: {self.header}"
+
+
+TABLES = [
+    Table("docs/results/README.md", "scenario | utility | algorithm | policy", one_vehicle),
+    Table("docs/results/README.md", "scenario | utility | policy | difference", one_vehicle_compared),
+    Table("docs/results/intersection.md", "utility | algorithm | policy | pairs", tuned_pairs),
+    Table("docs/results/intersection.md", "setting | utility | algorithm | policy | seeds", earlier_pairs),
+    Table("docs/results/intersection.md", "setting | utility | algorithm | policy | vehicle", earlier_vehicles),
+    Table("docs/results/fronts.md", "scenario | actions | algorithm | steps", fronts),
+    Table("docs/results/cross_play.md", "vehicle 0 | with | both arrive", pairs_apart),
+    Table("docs/results/cross_play.md", "vehicle 0, with 28 drivers", partial(strangers, 0)),
+    Table("docs/results/cross_play.md", "vehicle 1, with 22 drivers", partial(strangers, 1)),
+    Table("docs/left_turn.md", "gap (s) | arrivals", rules),
+    Table("docs/left_turn.md", "driver | arrivals", left_turners),
+    Table("docs/learning.md", "config | seeds | steps | hypervolume", conditioned),
+    Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
+    Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
+    Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
+    Table("README.md", "what | measured", speeds),
+    Table("CONTRIBUTING.md", "group | mutants", mutants),
+]
+
+
+@cache
+def table_of(document: str, header: str) -> list[Row]:
+    """The rows of the only table with this header; leading empty cells are those of the row above."""
+    text = (REPOSITORY / document).read_text(encoding="utf-8")
+    found = [rows for rows in tables(text) if " | ".join(rows[0]).startswith(header)]
+    assert len(found) == 1, f"{document} has {len(found)} tables with the header {header}"
+    [rows] = found
+    for above, row in pairwise(rows):
+        for name in takewhile(lambda name, row=row: not row[name], row):
+            row[name] = above[name]
+    return rows
+
+
+@pytest.mark.parametrize("table", TABLES, ids=str)
+def test_a_table_has_the_numbers_of_its_file(table: Table) -> None:
+    wrong = []
+    for row in table_of(table.document, table.header):
+        expected = table.expected(row)
+        assert expected
+        assert set(expected) <= set(row)
+        wrong += [
+            f"{list(row.values())[:5]}: {name} is {row[name]!r}, should be {values}"
+            for name, values in expected.items()
+            if not agrees(row[name], values)
+        ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("table", TABLES, ids=str)
+def test_a_changed_number_is_noticed(table: Table) -> None:
+    """Any of them: by two in its last digit."""
+    for row in table_of(table.document, table.header):
+        for name, values in table.expected(row).items():
+            assert not any(agrees(cell, values) for cell in changed(row[name])), f"{row[name]} of {row}"
