@@ -95,7 +95,8 @@ def momappo(seed: int, decisions: int) -> Act:
     def act(observations: NDArray[np.float32], greedy: bool) -> NDArray[Any]:
         marked = np.concatenate([observations, np.broadcast_to(marks, (len(observations), *marks.shape))], axis=-1)
         logits = np.asarray(logits_of(marked))
-        return (logits if greedy else logits + generator.gumbel(size=logits.shape)).argmax(-1)
+        scores = logits if greedy else logits + generator.gumbel(size=logits.shape)
+        return np.asarray(scores.argmax(-1))
 
     return act
 
