@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import runpy
 import sys
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 import mo_deepdrive
+from tests.helpers.paths import REPOSITORY
 from tests.integrations.envs import SHORT, WEIGHTS, one_leaves_early, parallel
 from tests.integrations.matrix import Library, row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import ModuleType
 
 LIBRARY = Library("MOMAland", "momaland", "momaland", "`mo_deepdrive.parallel_env()`, `mo_deepdrive.env()`")
 
@@ -157,3 +164,81 @@ def test_a_central_agent_learns_with_morl_baselines() -> None:
     agent = CAPQL(central(), log=False, seed=0, device="cpu", **small)
     agent.train(100, central(), np.full(6, -1e4), num_eval_weights_for_front=6, num_eval_episodes_for_front=1)
     assert agent.global_step == 100
+
+
+@row(
+    "independent Q-learners",
+    breaks="AttributeError: 'Box' object has no attribute 'n'",
+    whose="MOMAland: tables of values need discrete observations",
+)
+def test_independent_q_learners_need_discrete_observations(monkeypatch: pytest.MonkeyPatch) -> None:
+    from momaland.learning.iql import iql
+    from momaland.utils.all_modules import all_environments
+
+    monkeypatch.setitem(all_environments, "driving", SimpleNamespace(parallel_env=lambda: parallel(keep_finished=True)))
+    schedule = {"epsilon": 1.0, "epsilon_decay": 1.0, "epsilon_min": 0.0, "alpha": 1.0, "gamma": 1.0, "random": False}
+    settings = SimpleNamespace(env_id="driving", num_iterations=1, alpha_decay=1.0, alpha_min=0.0, **schedule)
+    with pytest.raises(AttributeError, match="'Box' object has no attribute 'n'"):
+        iql.train(settings, WEIGHTS["vehicle_0"], {})
+
+
+# --------------------------------------------------------------------------------------- scripts/momaland_learners.py
+
+
+@pytest.fixture
+def needs_learners() -> None:
+    for module in ("distrax", "supersuit", "morl_baselines"):
+        pytest.importorskip(module)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("needs_learners")
+def test_the_learners_are_trained_and_scored(
+    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "scores.csv"
+    options = ["--decisions", "128", "--episodes", "20", "--output", str(output)]
+    assert load_script("momaland_learners").main(["momappo", "gpi_ls", *options]) == 0
+    with output.open(encoding="utf-8") as file:
+        scores = list(csv.DictReader(file))
+    assert [(each["learner"], each["actions"]) for each in scores] == [
+        ("momappo", "sampled"),
+        ("momappo", "greedy"),
+        ("gpi_ls", "greedy"),
+    ]
+    for each in scores:
+        assert each["joint_decisions"] == "128"
+        assert float(each["cpu_seconds"]) > 0
+        shares = [float(each[name]) for name in each if name.endswith(("arrives", "collides", "both_arrive"))]
+        assert all(0.0 <= share <= 1.0 for share in shares)
+        assert np.isfinite([float(each[f"vehicle_{v}_utility"]) for v in range(2)]).all()
+    assert scores[0]["vehicle_0_utility"] != scores[1]["vehicle_0_utility"], "sampled and greedy actions differ"
+    # The results in the documentation have the columns of today.
+    with (REPOSITORY / "docs" / "results" / "momaland_learners.csv").open(encoding="utf-8") as file:
+        assert csv.DictReader(file).fieldnames == list(scores[0])
+
+
+@pytest.mark.usefixtures("needs_learners")
+def test_the_actor_is_scored_with_the_indicator_of_its_training(load_script: Callable[[str], ModuleType]) -> None:
+    from supersuit import agent_indicator_v0
+
+    plain, marked = parallel(keep_finished=True), agent_indicator_v0(parallel(keep_finished=True))
+    for env in (plain, marked):
+        env.reset(seed=3)
+    own, seen = (env.step(dict.fromkeys(env.agents, 3))[0] for env in (plain, marked))
+    for agent, indicator in zip(plain.agents, load_script("momaland_learners").indicators(), strict=True):
+        np.testing.assert_array_equal(seen[agent], [*own[agent], *indicator])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--decisions", "127"], "--decisions 127 must be at least 128"),
+        (["--output", "nowhere/scores.csv"], "nowhere"),
+    ],
+)
+def test_wrong_options_are_refused_before_training(
+    options: list[str], message: str, load_script: Callable[[str], ModuleType], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert load_script("momaland_learners").main(["momappo", "--output", "scores.csv", *options]) == 2
+    assert message in capsys.readouterr().err

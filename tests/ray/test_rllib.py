@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +28,6 @@ from tests.helpers.interfaces import (
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
 
-import ray
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.env.multi_agent_episode import MultiAgentEpisode
 from ray.rllib.utils.pre_checks.env import check_multiagent_environments
@@ -324,27 +322,6 @@ def test_rllib_bootstraps_at_the_time_limit_and_nowhere_else(time_limit: float) 
             seen[agent, end == "time_limit"] += 1
     assert seen["vehicle_0", True] > 0
     assert time_limit < 5 or seen["vehicle_0", False] > 0
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[None]:
-    """A small separate Ray cluster, which needs no network and leaves no files."""
-    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory(prefix="ray-") as directory:
-        # No usage reports, no token in the home directory, and no waiting for other loads of the machine.
-        settings = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled", "RAY_worker_niceness": "0"}
-        for name, value in settings.items():
-            patch.setenv(name, value)
-        ray.init(
-            address="local",
-            num_cpus=2,
-            include_dashboard=False,
-            object_store_memory=100 * 2**20,
-            log_to_driver=False,
-            _node_ip_address="127.0.0.1",
-            _temp_dir=directory,
-        )
-        yield
-        ray.shutdown()
 
 
 def small(config: PPOConfig, runners: int = 0) -> PPOConfig:
