@@ -12,8 +12,9 @@ from typing import Any
 
 import yaml
 
+from algorithms.common.atomic_io import DEEPEST
+
 MOST_VALUES = 100_000  # of a file, after its aliases are expanded
-DEEPEST = 50  # mappings and lists in each other
 LARGEST = 2**63 - 1  # integer
 
 # YAML 1.1, which PyYAML follows, wants a dot and a signed exponent; everybody writes 3e-4 and 1e6.
