@@ -145,7 +145,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         preference = parse_preference(options, front.objectives, scales)
         evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
         returns = np.stack([each.returns[:, 0] for each in evaluations])
-        values = preference.values(returns)
+        with np.errstate(all="ignore"):  # what is not finite is refused below
+            values = preference.values(returns)
         order = rank_policies(values, returns.mean(axis=1), scales).tolist()
         console.print(choice_table(front, evaluations, preference, values, order))
         console.print(f"policy {order[0]} of {run.path / 'front.csv'}")
