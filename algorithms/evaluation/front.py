@@ -263,16 +263,7 @@ class Front:
             return front
         except FileNotFoundError as error:
             raise ValueError(f"{str(directory)!r} holds no front: there is no {Path(error.filename).name}") from None
-        except (
-            OSError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            ValueError,
-            OverflowError,
-            RecursionError,
-            csv.Error,
-        ) as error:
+        except (OSError, LookupError, ArithmeticError, TypeError, ValueError, RecursionError, csv.Error) as error:
             raise ValueError(f"the front in {str(directory)!r} is broken: {type(error).__name__}: {error}") from None
 
     def _check(self) -> None:
