@@ -70,6 +70,8 @@ def read_checkpoint(
         ValueError: if the file is missing or broken, its identity differs or has no valid numbers of steps and updates,
             or it holds the policy alone.
     """
+    if Path(path).exists() and not Path(path).is_file():  # opening a pipe would wait for ever
+        raise ValueError(f"checkpoint {path} cannot be read: it is not a file")
     try:
         with safe_open(path, framework="pt") as file:
             found = json.loads((file.metadata() or {}).get("checkpoint", "{}"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -237,6 +238,12 @@ def refusal(path: Path, kind: str = "ppo") -> str:
 def test_an_identity_that_is_no_mapping_is_refused(ppo: Path, tmp_path: Path, metadata: str, message: str) -> None:
     save_file(contents(ppo)[0], tmp_path / "odd", metadata={"checkpoint": metadata})
     assert refusal(tmp_path / "odd").startswith(message)
+
+
+def test_a_pipe_or_a_folder_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for odd in (tmp_path / "pipe", tmp_path):
+        assert refusal(odd) == "cannot be read: it is not a file"
 
 
 @pytest.mark.parametrize("step", [-1, 1.5, "8", True, None, [8], 2**63, math.nan])
