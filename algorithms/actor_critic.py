@@ -15,7 +15,7 @@ import torch
 
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import PARTNERS, strip_prefix
+from algorithms.common.checkpoints import PARTNERS, restore_generator, strip_prefix
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, Rollout, VehicleRollout
 from algorithms.common.trained_networks import TrainedNetworks
@@ -264,9 +264,12 @@ class ActorCritic(Agent):
         """
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
-        self.generator.set_state(state["generator"])
+        restore_generator(self.generator, "generator", state["generator"])
         self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
-        self.updates = self.step // (self.config.steps * self.env.num_envs)
+        per_update = self.config.steps * self.env.num_envs
+        if self.step % per_update:
+            raise ValueError(f"step = {self.step} must be a multiple of the {per_update} steps of an update")
+        self.updates = self.step // per_update
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights."""

@@ -66,7 +66,7 @@ from pydantic import Field, model_validator
 from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.checkpoints import restore_generator, strip_prefix
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -487,23 +487,21 @@ class ConditionedMOPPO(FrontAgent):
         """
         for v, learner in enumerate(self.learners):
             learner.set_state(strip_prefix(state, f"vehicle_{v}."))
-        self._set_ideal(state["ideal"])
-        if not bool(state["preferences"].isfinite().all()):
-            raise ValueError("preferences of running episodes are not finite")
+        self.preferences.ideal = state["ideal"].clone()
+        if self.step:
+            self.preferences.check(state["preferences"].numpy())
         self._current[...] = state["preferences"].numpy()
         self._seen_any = bool(state["seen_any"])
-        self.generator.set_state(state["generator"])
-        self.draws.set_state(state["draws"])
+        restore_generator(self.generator, "generator", state["generator"])
+        restore_generator(self.draws, "draws", state["draws"])
         self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
-        self.updates = self.step // (self.config.steps * self.env.num_envs)
+        per_update = self.config.steps * self.env.num_envs
+        if self.step % per_update:
+            raise ValueError(f"step = {self.step} must be a multiple of the {per_update} steps of an update")
+        self.updates = self.step // per_update
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:
         return {"ideal": self.preferences.ideal}
-
-    def _set_ideal(self, ideal: torch.Tensor) -> None:
-        if not bool(ideal.isfinite().all()):
-            raise ValueError(f"the ideal point {ideal.tolist()} is not finite")
-        self.preferences.ideal = ideal.clone()
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights and the ideal point, on which they depend."""
@@ -516,7 +514,7 @@ class ConditionedMOPPO(FrontAgent):
         """Act as the agent of :meth:`get_policy` or :meth:`get_state`."""
         for v, learner in enumerate(self.learners):
             learner.set_policy(strip_prefix(state, f"vehicle_{v}."))
-        self._set_ideal(state["ideal"])
+        self.preferences.ideal = state["ideal"].clone()
 
 
 @dataclass(frozen=True)

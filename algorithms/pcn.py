@@ -40,7 +40,7 @@ from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.checkpoints import restore_generator, strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
     FinalLearningRate,
@@ -443,8 +443,8 @@ class PCN(FrontAgent):
         if not len(self.buffer) and (self.step or self._collected):
             raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        self.generator.set_state(state["generator"])
-        self.draws.set_state(state["draws"])
+        restore_generator(self.generator, "generator", state["generator"])
+        restore_generator(self.draws, "draws", state["draws"])
 
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""

@@ -14,6 +14,9 @@ from mo_deepdrive.scenarios import SCENARIOS
 
 ActionType = Literal["discrete", "discrete-16", "continuous"]
 CostSign = Literal["maximise", "paper"]
+# Parameters of make_utility that are no arguments of a utility.
+SET_BY_ENVIRONMENT = ("name", "objectives", "cost_sign")
+LONGEST = 300  # characters of a value in a message
 Traffic = Literal["none", "light", "default", "dense"]
 
 
@@ -78,7 +81,9 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
             elif problem["type"] == "missing":
                 lines.append(f"{name!r} is missing")
             else:
-                prefix = f"{name!r} = {problem['input']!r}: " if path else ""
+                value = repr(problem["input"])
+                shown = value if len(value) <= LONGEST else f"{value[:LONGEST]}..."
+                prefix = f"{name!r} = {shown}: " if path else ""
                 lines.append(prefix + problem["msg"].removeprefix("Value error, "))
         raise ValueError(f"invalid {what}: " + "; ".join(lines)) from None
 
@@ -93,6 +98,14 @@ class UtilityChoice(Settings):
 
     name: str
     arguments: dict[str, Any] = {}
+
+    @pydantic.field_validator("arguments")
+    @classmethod
+    def _none_of_the_environment(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name in SET_BY_ENVIRONMENT:
+            if name in value:
+                raise ValueError(f"{name!r} is set by the environment, or is not an argument")
+        return value
 
 
 class EnvConfig(Settings):

@@ -219,8 +219,9 @@ def _vector(name: str, argument: str, values: Any, d: int) -> list[float]:
     if values is None:
         raise ValueError(f"utility {name!r} needs the argument {argument!r}: {d} numbers")
     try:
-        numbers = [] if isinstance(values, Mapping) else [float(value) for value in values]
-    except (TypeError, ValueError):
+        given = () if isinstance(values, Mapping) else values
+        numbers = [float(value) for value in given if not isinstance(value, (bool, np.bool_))]
+    except (TypeError, ValueError, OverflowError):
         numbers = []
     if len(numbers) != d or not all(math.isfinite(number) for number in numbers):
         raise ValueError(f"{argument} = {values!r} must be {d} finite numbers for utility {name!r}")
@@ -249,7 +250,7 @@ def augmented_chebyshev(
     name, d = "augmented_chebyshev", len(objectives)
     w = _vector(name, "weights", _in_order(name, "weights", weights, objectives, 0.0), d)
     z = _vector(name, "ideal", _in_order(name, "ideal", ideal, objectives), d)
-    if not (isinstance(rho, (int, float)) and math.isfinite(rho) and rho >= 0):
+    if isinstance(rho, bool) or not (isinstance(rho, (int, float)) and 0 <= rho < math.inf):
         raise ValueError(f"rho = {rho!r} must be finite and not negative")
 
     def function(returns: Any) -> Any:

@@ -20,9 +20,9 @@ from rich.table import Table
 
 from algorithms.common.preferences import LINEAR
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
-from algorithms.evaluation.splits import SPLITS
+from algorithms.evaluation.splits import SPLITS, check_episodes
 from algorithms.experiments.build import load_policy
-from algorithms.experiments.cli import exit_on_error, make_parser
+from algorithms.experiments.cli import add_trust_argument, exit_on_error, make_parser
 from algorithms.experiments.policy_evaluation import evaluation_env
 from algorithms.experiments.run_directory import Run
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+MOST_PREFERENCES = 10_000
 PREFERENCES_SEED = 1  # of the preferences; those of the front have another
 
 
@@ -113,15 +114,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--preferences", type=int, default=200, help="number of preferences (default: 200)")
     parser.add_argument("--episodes", type=int, default=50, help="of every policy (default: 50)")
     parser.add_argument("--split", choices=list(SPLITS), default="validation", help="of the scenarios")
+    add_trust_argument(parser)
     arguments = parser.parse_args(argv)
-    for name in ("preferences", "episodes"):
-        if getattr(arguments, name) < 1:
-            parser.error(f"--{name} {getattr(arguments, name)} must be at least 1")
     with exit_on_error(ValueError, OSError):
+        if not 1 <= arguments.preferences <= MOST_PREFERENCES:
+            raise ValueError(f"--preferences {arguments.preferences} must be between 1 and {MOST_PREFERENCES}")
+        if arguments.episodes < 1:
+            raise ValueError(f"--episodes {arguments.episodes} must be at least 1")
+        check_episodes("--episodes", arguments.episodes, arguments.split)
         for name in arguments.runs:
-            found = serve(
-                Run.open(name, device="cpu"), arguments.preferences, arguments.episodes, SPLITS[arguments.split].start
-            )
+            run = Run.open(name, device="cpu", trust=arguments.trust)
+            found = serve(run, arguments.preferences, arguments.episodes, SPLITS[arguments.split].start)
             for table in tables(found, name):
                 Console().print(table)
 

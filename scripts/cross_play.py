@@ -61,7 +61,8 @@ def open_drivers(options: argparse.Namespace) -> list[dict[str, Policy]]:
         ValueError: for a driver that does not exist or cannot drive, or a vehicle without drivers.
     """
     env = EnvAdapter(make_env(SCENARIO.id, 1))
-    learnt = {name: set(Run.open(name, trust=options.trust).experiment.training.partners) for name in options.runs}
+    opened_runs = {name: Run.open(name, device="cpu", trust=options.trust) for name in options.runs}
+    learnt = {name: set(run.experiment.training.partners) for name, run in opened_runs.items()}
     found = []
     every = [*options.runs, *(name for v in range(ROLES) for name in getattr(options, vehicle_name(v)))]
     runs = [Path(name).absolute() for name in every if Path(name).is_dir()]
@@ -74,6 +75,10 @@ def open_drivers(options: argparse.Namespace) -> list[dict[str, Policy]]:
         opened = {}
         for name in names:
             shown = os.path.relpath(name, shared) if Path(name).is_dir() else name
+            if shown in opened:
+                raise ValueError(f"{vehicle_name(v)} has two drivers {shown!r}; the second is {name!r}")
+            if not shown.isprintable():
+                raise ValueError(f"driver {shown!r} has characters in its name that cannot be printed")
             opened[shown] = open_driver(name, v, env, "discrete", trust=options.trust)
         found.append(opened)
     return found

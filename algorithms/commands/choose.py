@@ -31,6 +31,7 @@ from algorithms.experiments.cli import (
     warn_of_changes,
 )
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.config import UtilityChoice, parse
 from mo_deepdrive.utilities import check_utility, make_utility
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ def parse_preference(options: Namespace, objectives: tuple[str, ...], scales: ND
         arguments = read_value(options.arguments)
         if not isinstance(arguments, dict):
             raise ValueError(f"--arguments {options.arguments!r} must be a mapping")
-        utility = make_utility(options.utility, objectives, **arguments)
+        choice = parse(UtilityChoice, {"name": options.utility, "arguments": arguments}, "--arguments")
+        utility = make_utility(choice.name, objectives, **choice.arguments)
         check_utility(utility, np.zeros)
         return expected_utility(utility)
     if options.weights is not None:
@@ -143,7 +145,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         preference = parse_preference(options, front.objectives, scales)
         evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
         returns = np.stack([each.returns[:, 0] for each in evaluations])
-        values = preference.values(returns)
+        with np.errstate(all="ignore"):  # what is not finite is refused below
+            values = preference.values(returns)
         order = rank_policies(values, returns.mean(axis=1), scales).tolist()
         console.print(choice_table(front, evaluations, preference, values, order))
         console.print(f"policy {order[0]} of {run.path / 'front.csv'}")

@@ -12,6 +12,8 @@ import tempfile
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+DEEPEST = 50  # objects and lists in each other, in a file
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
@@ -76,10 +78,28 @@ def write_json(path: str | Path, value: Any) -> None:
     atomic_write(path, (json.dumps(value, indent=2) + "\n").encode())
 
 
+def check_depth(value: Any, deepest: int = DEEPEST) -> None:
+    """Refuse JSON from elsewhere that is nested so deeply that work on it may end in the middle.
+
+    Args:
+        value: as ``json.loads`` gives it.
+        deepest: objects and lists in each other.
+
+    Raises:
+        RecursionError: if there are more.
+    """
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if inner and not deepest:
+        raise RecursionError
+    for each in inner:
+        check_depth(each, deepest - 1)
+
+
 def read_json_object(path: str | Path) -> dict[str, Any]:
     """The JSON object in a file that describes work; empty if the file is missing, broken or holds something else."""
     try:
         value = json.loads(Path(path).read_bytes())
+        check_depth(value)
     except (OSError, ValueError, RecursionError):  # RecursionError: nested too deeply
         return {}
     return value if isinstance(value, dict) else {}

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_safetensors
@@ -21,6 +23,24 @@ PARTNERS = "partners"  # entry of the identity: what identifies the drivers of v
 STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
 ADDED = {"activation": "relu", UPDATES: 0}  # entries that files of earlier versions lack
 MOST_STEPS = 2**63 - 1
+WORDS = 624  # of the state of a Mersenne Twister
+# The tensor that torch.Generator.get_state gives for the CPU.
+MERSENNE_TWISTER = np.dtype(
+    [
+        ("seed", "u8"),
+        ("left", "i4"),
+        ("seeded", "i4"),
+        ("next", "u8"),
+        ("words", "u8", WORDS),
+        ("normal_x", "f8"),
+        ("normal_y", "f8"),
+        ("normal_rho", "f8"),
+        ("normal_is_valid", "i4"),
+        ("next_float", "f4"),
+        ("next_float_is_valid", "u1"),
+    ],
+    align=True,
+)
 
 
 def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -50,6 +70,8 @@ def read_checkpoint(
         ValueError: if the file is missing or broken, its identity differs or has no valid numbers of steps and updates,
             or it holds the policy alone.
     """
+    if Path(path).exists() and not Path(path).is_file():  # opening a pipe would wait for ever
+        raise ValueError(f"checkpoint {path} cannot be read: it is not a file")
     try:
         with safe_open(path, framework="pt") as file:
             found = json.loads((file.metadata() or {}).get("checkpoint", "{}"))
@@ -90,13 +112,13 @@ def check_tensors(
     *,
     whole: bool,
 ) -> dict[str, torch.Tensor]:
-    """Check the names, shapes and types of the tensors of a checkpoint.
+    """Check the names, shapes, types and numbers of the tensors of a checkpoint.
 
     Args:
         path: the file, for messages.
         tensors: of the checkpoint.
         expected: those of the agent that reads.
-        varying: parts of the names of tensors that are not checked.
+        varying: parts of the names of tensors whose shapes and types are not checked.
         whole: refuse tensors that are not expected.
 
     Returns:
@@ -121,4 +143,36 @@ def check_tensors(
     if whole and len(known) < len(tensors):
         unknown = min(tensors.keys() - known.keys())
         raise ValueError(f"checkpoint {path} has {unknown!r}, which this agent does not know")
+    for name, tensor in known.items():
+        if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+            found = float(tensor[~tensor.isfinite()][0])
+            raise ValueError(f"checkpoint {path} has {name!r} with {found}; every number must be finite")
     return known
+
+
+def restore_generator(generator: torch.Generator, name: str, state: torch.Tensor) -> None:
+    """Let ``generator`` continue from ``state``, the tensor ``name`` of a checkpoint.
+
+    PyTorch takes positions from which a generator of the CPU reads foreign memory.
+
+    Raises:
+        ValueError: if it is not the state of such a generator.
+    """
+    try:
+        if generator.device.type == "cpu":
+            _check_mersenne_twister(state)
+        generator.set_state(state)
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise ValueError(f"{name!r} is not the state of a generator: {str(error).splitlines()[0]}") from None
+
+
+def _check_mersenne_twister(state: torch.Tensor) -> None:
+    """Refuse a state of PyTorch's generator for the CPU from which it would read outside of its words."""
+    fields = state.numpy().view(MERSENNE_TWISTER)[0]
+    left, following = int(fields["left"]), int(fields["next"])
+    # Words are made in blocks: before the first one is drawn, one is "left".
+    if not (left + following == WORDS + 1 or (left, following) == (1, 0)) or not 1 <= left <= WORDS:
+        raise ValueError(f"{left} words are left, and number {following} of {WORDS} is next")
+    normals = [float(fields[each]) for each in ("normal_x", "normal_y", "normal_rho", "next_float")]
+    if not all(map(math.isfinite, normals)):
+        raise ValueError(f"its next normal numbers are {normals}")

@@ -8,10 +8,12 @@ from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model
 
 from mo_deepdrive.config import Settings
 
+LARGEST_LAYER = 16_384
+
 
 def _positive_sizes(hidden: list[int]) -> list[int]:
-    if any(size < 1 for size in hidden):
-        raise ValueError("layer sizes must be positive")
+    if not all(1 <= size <= LARGEST_LAYER for size in hidden):
+        raise ValueError(f"layer sizes must be between 1 and {LARGEST_LAYER}")
     return hidden
 
 
@@ -28,7 +30,7 @@ PositiveFraction = Annotated[float, Field(gt=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 Count = Annotated[int, Field(ge=1, le=4096)]
-HiddenSizes = Annotated[list[int], Field(min_length=1), AfterValidator(_positive_sizes)]
+HiddenSizes = Annotated[list[int], Field(min_length=1, max_length=32), AfterValidator(_positive_sizes)]
 Scales = Annotated[list[float], AfterValidator(_positive_scales)]
 Activation = Literal["relu", "tanh", "elu", "gelu", "silu", "leaky_relu"]
 DottedPath = Annotated[str, Field(pattern=r"^[^:]+:[^:]+$")]

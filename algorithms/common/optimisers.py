@@ -166,8 +166,16 @@ class Adam:
                     f"the optimiser's state of parameter {number} has {shapes} of {sorted(map(str, types))}; "
                     f"it must have {expected} of {parameter.dtype}"
                 )
-            if not 0 <= float(found["step"]) < math.inf:
-                raise ValueError(f"the optimiser's state of parameter {number} has step = {float(found['step'])}")
+            step = float(found["step"])
+            if not (0 < step < math.inf and step.is_integer()):
+                raise ValueError(
+                    f"the optimiser's state of parameter {number} has step = {step}; it must be a positive integer"
+                )
+            if bool((found["exp_avg_sq"] < 0).any()):
+                raise ValueError(
+                    f"the optimiser's state of parameter {number} has exp_avg_sq = {float(found['exp_avg_sq'].min())}; "
+                    "it must not be negative"
+                )
         steps = {int(found["step"]) for found in entries.values()} or {0}
         if len(steps) > 1:
             raise ValueError(f"the optimiser's state has parameters after different numbers of steps: {sorted(steps)}")

@@ -164,6 +164,21 @@ class Preferences:
         row[part] = numbers
         return row
 
+    def check(self, rows: NDArray[np.float32]) -> None:
+        """Refuse rows (..., m) that no :meth:`draw` gives.
+
+        Raises:
+            ValueError: with the first of them.
+        """
+        weights, budgets = rows[..., self._weights], rows[..., self._budgets]
+        families = rows[..., : len(self.used)] if len(self.used) > 1 else np.ones((*rows.shape[:-1], 1))
+        budgeted = families[..., -1] == (self.used[-1] == COMFORT_BUDGET)
+        weighing = (weights >= 0.0).all(-1) & (np.abs(weights.sum(-1) - ~budgeted) < 1e-3)
+        spending = ((budgets >= 0.0) & (budgets <= budgeted[..., None] * self.largest.numpy())).all(-1)
+        fine = np.isin(families, (0, 1)).all(-1) & (families.sum(-1) == 1.0) & weighing & spending
+        if not fine.all():
+            raise ValueError(f"{rows[~fine][0].tolist()} is no preference; it must be one of {', '.join(self.names)}")
+
     def is_family(self, preferences: torch.Tensor, family: int) -> torch.Tensor:
         """Mask (...) of the preferences (..., m) of a family."""
         if family not in self.used:

@@ -15,6 +15,9 @@ from algorithms.common.accrued_reward import AccruedReward
 if TYPE_CHECKING:
     from algorithms.common.env_adapter import EnvAdapter
 
+# By which accrued rewards and discounts may differ from exact ones: relative, and of discounts absolute.
+ROUNDING, TINY = 1e-3, 1e-6
+
 # act(observations (N, V, o), accrued_reward) -> actions (N, V) or (N, V, k)
 Act = Callable[[NDArray[np.float32], AccruedReward], NDArray[Any]]
 
@@ -303,12 +306,40 @@ class Collector:
             env_seed: of the first reset.
 
         Raises:
-            ValueError: if steps had been taken in environments that have not been reset.
+            ValueError: if steps had been taken in environments that have not been reset, or what continues does not fit
+                the environments.
         """
         self.set_state({name: tensor.numpy() for name, tensor in tensors.items()})
         worlds = self.env.get_state()
         if step and worlds and (worlds["over"].any() or not worlds["begun"].all()):
             raise ValueError(f"step = {step}, but environments have not been reset")
+        if step and worlds:
+            self._check()
         if not self.env.native:
             # Other libraries' environments cannot be saved, so new episodes start with different seeds.
             self.reset(env_seed + step)
+
+    def _check(self) -> None:
+        """Refuse what does not fit the episodes that are under way in our environments.
+
+        Raises:
+            ValueError: naming the array, its value and what is allowed.
+        """
+        observations, decisions = self.env.under_way()
+        own = self._own()
+        discounts = np.power(np.float32(self.accrued_discount), decisions, dtype=np.float64)
+        largest = decisions[..., None] * self.env.objective_bounds * (1.0 + ROUNDING)
+        for name, low, high in (
+            ("observations", observations, observations),
+            ("lengths", decisions, decisions),
+            ("discounts", discounts * (1.0 - ROUNDING) - TINY, discounts * (1.0 + ROUNDING) + TINY),
+            ("accrued", -largest, largest),
+            ("returns", -largest, largest),
+        ):
+            wrong = ~((own[name] >= low) & (own[name] <= high))
+            if wrong.any():
+                least, greatest = (np.broadcast_to(bound, wrong.shape)[wrong][0] for bound in (low, high))
+                raise ValueError(
+                    f"'collector.{name}' has {own[name][wrong][0]:g}; the environments' episodes allow "
+                    f"{least:g} to {greatest:g}"
+                )

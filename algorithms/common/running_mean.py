@@ -42,6 +42,12 @@ class RunningMean:
         return {"expected_return": self.value, "episodes": torch.tensor(self.count)}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for a negative count.
+        """
+        if int(state["episodes"]) < 0:
+            raise ValueError(f"'episodes' = {int(state['episodes'])} of a running mean must not be negative")
         self.value = state["expected_return"].to(self.value.device)
         self.count = int(state["episodes"])

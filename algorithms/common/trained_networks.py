@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.common.actors import GaussianActor
-from algorithms.common.checkpoints import strip_prefix
+from algorithms.common.checkpoints import restore_generator, strip_prefix
 
 if TYPE_CHECKING:
     import torch
@@ -39,24 +38,21 @@ class TrainedNetworks:
         return state if self.shuffle is None else {**state, "generator": self.shuffle.get_state()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
+        """Resume from :meth:`get_state`.
+
+        Raises:
+            ValueError: for values from which training cannot continue.
+        """
         self.set_policy(state)
         self.critic.load_state_dict(strip_prefix(state, "critic."))
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
         if self.shuffle is not None:
-            self.shuffle.set_state(state["generator"])
+            restore_generator(self.shuffle, f"vehicle_{self.vehicle}.generator", state["generator"])
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actor's weights as named tensors."""
         return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`.
-
-        Raises:
-            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
-        """
-        weights = strip_prefix(state, "actor.")
-        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
-            raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
-        self.actor.load_state_dict(weights)
+        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`."""
+        self.actor.load_state_dict(strip_prefix(state, "actor."))

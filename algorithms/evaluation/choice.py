@@ -78,7 +78,13 @@ def rank_policies(
 
     Returns:
         (K,) indices of the policies.
+
+    Raises:
+        ValueError: for a value that is not finite.
     """
+    if not np.isfinite(values).all():
+        (first, *_) = np.flatnonzero(~np.isfinite(values)).tolist()
+        raise ValueError(f"policy {first} is worth {values[first]}; every policy must be worth a finite number")
     largest = float(np.abs(values).max())
     rounded = np.round(values / largest, 9) if largest > 0.0 else values
     return np.lexsort((-(mean_returns / scales).sum(axis=1), -rounded))

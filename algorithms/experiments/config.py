@@ -32,7 +32,8 @@ def _integer(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Count = Annotated[int, Field(ge=1), BeforeValidator(_integer)]
+Count = Annotated[int, Field(ge=1, le=2**53), BeforeValidator(_integer)]
+Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
 
 
 class EnvironmentSettings(Settings):
@@ -77,7 +78,7 @@ class TrainingSettings(Settings):
     """
 
     total_timesteps: Count
-    num_envs: Count
+    num_envs: Environments
     seed: int = Field(default=0, ge=0, lt=2**31)
     device: str = "cpu"
     threads: int = Field(default=1, ge=1, le=1024)
@@ -315,6 +316,8 @@ def find_environment(env_id: str) -> EnvSpec:
         ValueError: if the module cannot be imported, or the id is not registered (with the nearest id).
     """
     module, _, name = env_id.rpartition(":")
+    if ":" in module:
+        raise ValueError(f"environment.id = {env_id!r} must be an id, or of the form module:id")
     if module:
         import_module(f"environment.id = {env_id!r}", module)
     if name not in gymnasium.registry:
@@ -324,7 +327,7 @@ def find_environment(env_id: str) -> EnvSpec:
             for spec in gymnasium.registry.values()
             if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
         ]
-        own = "" if module else f"for one of your own write 'module:{name}', which imports its module; "
+        own = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
         raise ValueError(f"environment.id = {env_id!r} is not registered; {own}{nearest(name, known)}")
     return gymnasium.registry[name]
 

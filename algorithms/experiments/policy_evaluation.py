@@ -112,7 +112,16 @@ def evaluate_front_policies(
 
     Returns:
         K evaluations, in the order of the front.
+
+    Raises:
+        ValueError: if the front is not one of this agent.
     """
+    for what, found, own in (
+        ("objectives", front.objectives, agent.env.objectives),
+        ("conditions", front.condition_names, tuple(agent.condition_names)),
+    ):
+        if found != own:
+            raise ValueError(f"the front has the {what} {found}; those of the agent are {own}")
     episodes = distinct_episodes(experiment.environment, episodes)
     env = evaluation_env(experiment, FRONT_EPISODES)
     try:

@@ -313,7 +313,8 @@ def imported_paths(values: Mapping[str, Any]) -> dict[str, str]:
         **{f"utility.vehicles.{name}.name": _section(vehicles, name).get("name") for name in vehicles},
     }
     paths = {key: name for key, name in found.items() if isinstance(name, str) and ":" in name}
-    if paths.get("environment.id", "").partition(":")[0] in ALREADY_IMPORTED:
+    # As Gymnasium does, which would import the module "gymnasium:evil" of "gymnasium:evil:ID".
+    if paths.get("environment.id", "").rpartition(":")[0] in ALREADY_IMPORTED:
         del paths["environment.id"]
     return paths
 

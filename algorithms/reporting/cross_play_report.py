@@ -111,13 +111,13 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
     height = 2 * (CELL * len(rows) + 0.085 * longest + 0.7) + 0.6
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(max(width, 8.0), max(height, 5.0)), layout="constrained")
-        figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02)
+        figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02, parse_math=False)
         for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
             values = matrix(encounters, score) * (100.0 if percent else 1.0)
             _draw(axis, values, colours, (0.0, 100.0) if percent else (float(values.min()), float(values.max())))
             axis.set_title(title)
-            axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
-            axis.set_yticks(range(len(rows)), rows, fontsize=8)
+            axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8, parse_math=False)
+            axis.set_yticks(range(len(rows)), rows, fontsize=8, parse_math=False)
             axis.set_xlabel("driver of vehicle 1")
             axis.set_ylabel("driver of vehicle 0")
         figure.savefig(path, dpi=LARGE_DPI)

@@ -115,12 +115,21 @@ def final_scores(run: Path) -> dict[str, Estimate]:
         return {}
     try:
         return {
-            f"{policy}/{name}": Estimate(estimate["value"], estimate.get("low"), estimate.get("high"))
+            f"{policy}/{name}": Estimate(
+                _number(estimate["value"]),
+                *(None if estimate.get(end) is None else _number(estimate[end]) for end in ("low", "high")),
+            )
             for policy, estimates in json.loads(file.read_bytes())["policies"].items()
             for name, estimate in estimates.items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ValueError(f"{str(file)!r} is not a final evaluation: {type(error).__name__}: {error}") from None
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{value!r} must be a number")
+    return float(value)
 
 
 def final_metrics(run: Path) -> dict[str, float]:

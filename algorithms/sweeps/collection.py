@@ -34,6 +34,7 @@ from algorithms.evaluation.front import EVALUATION_FILE
 from algorithms.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
 from algorithms.experiments.run_files import changed_files
+from algorithms.reporting.seed_tables import final_scores
 from algorithms.reporting.style import MAX_POINTS
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
@@ -318,17 +319,13 @@ def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFram
     found: list[tuple[Any, ...]] = []
     problems = []
     for row in rows:
-        path = sweep / row.directory / EVALUATION_FILE
         try:
             found += [
-                (row.id, *split_name(f"{policy}/{name}"), *(estimate[number] for number in NUMBERS))
-                for policy, summary in json.loads(path.read_text(encoding="utf-8"))["policies"].items()
-                for name, estimate in summary.items()
+                (row.id, *split_name(name), *(getattr(estimate, number) for number in NUMBERS))
+                for name, estimate in final_scores(sweep / row.directory).items()
             ]
-        except FileNotFoundError:
-            continue
-        except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
-            problems.append(f"{path}: {error}")
+        except ValueError as error:
+            problems.append(str(error))
     types = {**dict.fromkeys(("run", *SCORE_KEYS), pl.String()), **dict.fromkeys(NUMBERS, pl.Float64())}
     return pl.DataFrame(found, types, orient="row"), problems
 

@@ -9,9 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.atomic_io import atomic_write
+from algorithms.common.atomic_io import atomic_write, check_depth
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment, override
@@ -25,6 +26,14 @@ if TYPE_CHECKING:
 
 FILE = "manifest.jsonl"
 RUNS = "runs"
+FIELDS: dict[str, tuple[type, ...]] = {  # of a line
+    "id": (str,),
+    "directory": (str,),
+    "cell": (dict,),
+    "seed": (int,),
+    "trial": (int, NoneType),
+    "config": (dict,),
+}
 MAX_PROBLEMS = 5  # invalid cells that an error message lists
 ID_DIGITS = 12
 
@@ -250,6 +259,30 @@ def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
     with path.open("rb") as lines:
         for number, line in enumerate(lines, 1):
             try:
-                yield ManifestRow(**json.loads(line))
-            except (TypeError, ValueError) as error:
-                raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {error}") from None
+                row = ManifestRow(**json.loads(line))
+                _check_row(row, sweep)
+            except (TypeError, ValueError, OSError, RecursionError) as error:
+                reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+                raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {reason}") from None
+            yield row
+
+
+def _check_row(row: ManifestRow, sweep: Path) -> None:
+    """Refuse a row that no sweep writes, such as one whose run is elsewhere.
+
+    Raises:
+        ValueError: naming the field, its value and what is allowed.
+        RecursionError: if it is nested too deeply.
+        OSError: if the directory cannot be looked up.
+    """
+    for name, allowed in FIELDS.items():
+        value = getattr(row, name)
+        if not isinstance(value, allowed) or isinstance(value, bool):
+            types = " or ".join(each.__name__ for each in allowed)
+            raise ValueError(f"{name} = {value!r} must be of type {types}")
+    folder, _, name = row.directory.partition("/")
+    if folder != RUNS or name in ("", ".", "..") or "/" in name:
+        raise ValueError(f"directory = {row.directory!r} must be {RUNS}/NAME")
+    if (place := (sweep / row.directory).resolve()) != sweep.resolve() / row.directory:
+        raise ValueError(f"directory = {row.directory!r} is a link to {str(place)!r}; it must be in the sweep itself")
+    check_depth([row.cell, row.config])

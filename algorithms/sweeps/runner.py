@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from algorithms.experiments.dashboard import Dashboard, count_states, summary_of
 from algorithms.experiments.interrupts import Interrupts
-from algorithms.experiments.run_directory import is_run, read_status
+from algorithms.experiments.run_directory import imported_paths, is_run, read_status
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
 from algorithms.sweeps.verification import verify
@@ -97,8 +97,10 @@ class SweepRunner:
         """Check the files of finished runs, then :meth:`run`, which makes again what is broken; returns its exit code.
 
         Raises:
-            ValueError: if the directory has no manifest; this and other errors also as in :meth:`run`.
+            ValueError: if the directory has no manifest, or that of another sweep; this and other errors also as in
+                :meth:`run`.
         """
+        self._check_manifest()
         verify(self._directory, self._say)
         return self.run()
 
@@ -135,7 +137,7 @@ class SweepRunner:
         search = self._settings.search
         scores: dict[str, float | None] = {}
         if search is not None and is_sweep(self._directory):
-            self._refuse_other_sweep(expand(self._settings, scores))  # whose scores may not have the search's metric
+            self._check_manifest()  # the scores of another sweep may not have the search's metric
             rows = read_manifest(self._directory)
             scores |= read_scores([row.job(self._directory) for row in rows], search.metric)
             self._remember_failures(rows, search.batch)
@@ -152,6 +154,19 @@ class SweepRunner:
                 f"{str(self._directory)!r} has another sweep: none of its {len(before)} runs, such as "
                 f"{next(iter(before.values()))}, is in this one; choose another --output, or delete that sweep"
             )
+
+    def _check_manifest(self) -> None:
+        """Refuse a manifest of another sweep, or one that names code that this sweep does not, before it is opened."""
+        rows = expand(self._settings, {})
+        self._refuse_other_sweep(rows)
+        known = {name for row in rows for name in imported_paths(row.config).values()}
+        for row in iterate_manifest(self._directory):
+            for key, name in imported_paths(row.config).items():
+                if name not in known:
+                    raise ValueError(
+                        f"the manifest of {str(self._directory)!r} has {key} = {name!r}, code that this sweep does not "
+                        "name; choose another --output, or delete that sweep"
+                    )
 
     def _remember_failures(self, rows: Sequence[ManifestRow], batch_size: int) -> None:
         """Do not retry failed runs of earlier batches: later batches were chosen with these failures."""

@@ -84,7 +84,7 @@ class Streams:
 
     @staticmethod
     def check(state: dict[str, NDArray[Any]]) -> None:
-        """Refuse blocks and cursors that :meth:`draw` cannot take.
+        """Refuse blocks and cursors that :meth:`draw` cannot take, and generators that repeat themselves too soon.
 
         Raises:
             ValueError: naming the array, its value and its range.
@@ -96,6 +96,9 @@ class Streams:
         ):
             if not fine.all():
                 raise ValueError(f"state {name!r} has {array[~fine][0]}; it must be {allowed}")
+        increments = state["generators"][:, 3]
+        if (even := increments % 2 == 0).any():
+            raise ValueError(f"state 'generators' has the increment {increments[even][0]}; it must be odd")
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Resume from the result of :meth:`get_state`."""

@@ -688,6 +688,9 @@ def test_numbers_are_given_by_the_names_of_objectives(
         ),
         ("linear", {"weights": {3: 1}}, "weights of utility 'linear' has 3; known: energy, time"),
         ("linear", {"weights": {"time": "much"}}, "weights = ['much', 0.0] must be 2 finite numbers"),
+        ("linear", {"weights": [True, 1]}, "weights = [True, 1] must be 2 finite numbers"),
+        ("linear", {"weights": [10**400, 1]}, "must be 2 finite numbers"),
+        ("augmented_chebyshev", {"weights": [1, 1], "ideal": [1, 1], "rho": True}, "rho = True must be finite"),
         (
             "augmented_chebyshev",
             {"weights": {"time": 1}, "ideal": {"time": 1}},

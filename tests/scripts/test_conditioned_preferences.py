@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from algorithms import zoo
+from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.run_directory import Run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
     from types import ModuleType
 
 NAME = "one_waypoint_drawn_front-conditioned_mo_ppo"
@@ -55,7 +59,9 @@ def test_a_network_of_the_zoo_serves_preferences_that_it_is_given(
     [
         (["one_waypoint_front-pcn"], "must be a run of conditioned_mo_ppo, of one vehicle and linear utilities"),
         ([NAME, "--episodes", "0"], "--episodes 0 must be at least 1"),
-        ([NAME, "--preferences", "-1"], "--preferences -1 must be at least 1"),
+        ([NAME, "--episodes", "1000000000"], "--episodes = 1000000000 exceeds the "),
+        ([NAME, "--preferences", "0"], "--preferences 0 must be between 1 and 10000"),
+        ([NAME, "--preferences", "100000000000"], "--preferences 100000000000 must be between 1 and 10000"),
     ],
 )
 def test_invalid_arguments_are_refused(
@@ -64,4 +70,22 @@ def test_invalid_arguments_are_refused(
     with pytest.raises(SystemExit) as end:
         script.main(arguments)
     assert end.value.code == 2
-    assert message in " ".join(capsys.readouterr().err.split())
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_a_run_that_names_code_needs_trust(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own_code.py").write_text("from algorithms import ConditionedMOPPO as Own\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    values = read_mapping(zoo.find(NAME) / "config.yaml")
+    values["algorithm"]["name"] = "own_code:Own"
+    shutil.copytree(zoo.find(NAME), tmp_path / "run")
+    (tmp_path / "run" / "config.yaml").write_text(dump(values))
+    with pytest.raises(SystemExit):
+        script.main([str(tmp_path / "run"), "--preferences", "2", "--episodes", "1"])
+    assert "'own_code:Own', code that would be imported and run; add --trust" in capsys.readouterr().err
+    script.main([str(tmp_path / "run"), "--preferences", "2", "--episodes", "1", "--trust"])
+    assert "arrivals" in capsys.readouterr().out

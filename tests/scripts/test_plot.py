@@ -62,7 +62,9 @@ def test_a_broken_file_is_named_in_one_line(finished: Path, tmp_path: Path, call
         (run / name).write_bytes((finished / name).read_bytes())
     (run / "metrics.csv").write_bytes(b"\xff\x00\n")
     refused(call("plot", run), "metrics.csv' is not a CSV file")
-    for content in ("[" * 100_000, "[]", "{"):
+    of_value = '{"policies": {"greedy": {"utility_esr": {"value": %s}}}}'
+    values = ("null", "true", '"3"', "[3]", "9" * 400)
+    for content in ("[" * 100_000, "[]", "{", *(of_value % value for value in values)):
         (run / "evaluation.json").write_text(content)
         refused(call("table", run), "evaluation.json' is not a final evaluation")
     (run / "config.yaml").write_text("a: " + "{a: " * 5000)

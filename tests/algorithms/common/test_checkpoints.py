@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,11 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from algorithms import MOA2C, MOPPO, PCN, PPO
+from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
+from algorithms.common.checkpoints import MERSENNE_TWISTER, restore_generator
 from algorithms.common.env_adapter import make_env
 from mo_deepdrive.simulation.state import VEHICLE
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, same
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA, make_agent, same
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,8 +40,20 @@ def small_pcn(env: dict[str, Any]) -> PCN:
     return PCN(made, hidden=[4], batch_size=4, gradient_steps=1, warmup_episodes=4, buffer_size=4)
 
 
+def small_conditioned() -> ConditionedMOPPO:
+    made = make_env(ONE_WAYPOINT, 2, SHORT)
+    families = {"families": {"chebyshev": 1.0, "comfort_budget": 1.0}, "budgets": {"jerk": 10.0}}
+    return ConditionedMOPPO(made, hidden=[4], steps=2, minibatches=1, epochs=1, max_policies=4, **families)
+
+
 KINDS: dict[str, Callable[[], Any]] = {
+    "a2c": lambda: small(A2C, env=SHORT),
     "ppo": lambda: small(PPO, minibatches=1, epochs=1, env=SHORT),
+    "mo_ppo": lambda: small(MOPPO, minibatches=1, epochs=1, env=SHORT),
+    "mocac": lambda: small(MOCAC, env=SHORT),
+    "mappo": lambda: small(MAPPO, INTERSECTION, minibatches=1, epochs=1, env=SHORT),
+    "conditioned_mo_ppo": small_conditioned,
+    "left turn": lambda: small(A2C, LEFT_TURN, env=SHORT),
     "mo_a2c, continuous": lambda: small(MOA2C, env={**SHORT, **CONTINUOUS}),
     "mo_ppo, two vehicles": lambda: small(MOPPO, INTERSECTION, minibatches=1, epochs=1, env=SHORT),
     "mo_a2c, another library": lambda: small(MOA2C, SEA),
@@ -91,6 +105,12 @@ def filled(tensor: torch.Tensor) -> torch.Tensor:
     return torch.from_numpy(raw).view(tensor.dtype).reshape(tensor.shape)
 
 
+def every_number(tensor: torch.Tensor) -> list[torch.Tensor]:
+    """``tensor`` with one entry that is not finite, in every form."""
+    values = (math.nan, math.inf, -math.inf)
+    return [number(tensor, value) for value in values] if tensor.is_floating_point() and tensor.numel() else []
+
+
 VALUES: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
     "huge": lambda tensor: number(tensor, 1e30),
     "a billion": lambda tensor: number(tensor, 1e9),
@@ -135,6 +155,25 @@ def test_a_tampered_tensor_is_refused_in_one_line_or_trains(saved: tuple[str, Pa
     assert "trains" in outcomes.values()
     agent.load(path)
     assert agent.step == identity["step"]
+
+
+def test_a_number_that_is_not_finite_is_refused_by_name_in_every_tensor(
+    saved: tuple[str, Path], tmp_path: Path
+) -> None:
+    kind, path = saved
+    tensors, identity = contents(path)
+    agent = KINDS[kind]()
+    policy = KINDS[kind]().get_policy()
+    messages: dict[str, str] = {}
+    for name in tensors:
+        for changed in every_number(tensors[name]):
+            write(tmp_path / "changed", {**tensors, name: changed}, identity)
+            for policy_only in (False, True) if name in policy else (False,):
+                with pytest.raises(ValueError, match=ONE_LINE) as caught:
+                    agent.load(tmp_path / "changed", policy_only=policy_only)
+                messages[name] = str(caught.value)
+    assert len(messages) > 10
+    assert [name for name, message in messages.items() if f"{name!r} with " not in message] == []
 
 
 @pytest.mark.slow
@@ -201,6 +240,12 @@ def test_an_identity_that_is_no_mapping_is_refused(ppo: Path, tmp_path: Path, me
     assert refusal(tmp_path / "odd").startswith(message)
 
 
+def test_a_pipe_or_a_folder_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for odd in (tmp_path / "pipe", tmp_path):
+        assert refusal(odd) == "cannot be read: it is not a file"
+
+
 @pytest.mark.parametrize("step", [-1, 1.5, "8", True, None, [8], 2**63, math.nan])
 def test_a_number_of_steps_that_is_none_is_refused(ppo: Path, tmp_path: Path, step: Any) -> None:
     tensors, identity = contents(ppo)
@@ -246,6 +291,14 @@ def worlds(tensors: dict[str, torch.Tensor], **fields: Any) -> dict[str, torch.T
     return {"collector.worlds.state": torch.from_numpy(state)}
 
 
+def positioned(tensors: dict[str, torch.Tensor], name: str, **fields: float) -> dict[str, torch.Tensor]:
+    """The state of a generator of ``tensors`` with other values in its fields."""
+    state = tensors[name].numpy().copy()
+    for field, value in fields.items():
+        state.view(MERSENNE_TWISTER)[field] = value
+    return {name: torch.from_numpy(state)}
+
+
 def flags(*values: int) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.uint8).view(torch.bool)
 
@@ -281,7 +334,71 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
         lambda t: {"collector.worlds.over": flags(0, 7)},
         "has 'collector.worlds.over' with 7 for a bool",
     ),
-    "a generator": ("ppo", lambda t: {"generator": filled(t["generator"])}, "Invalid mt19937 state"),
+    "a generator": (
+        "ppo",
+        lambda t: {"generator": filled(t["generator"])},
+        "'generator' is not the state of a generator: -1 words are left, ",
+    ),
+    "the position of a generator": (
+        "mo_ppo",
+        lambda t: positioned(t, "vehicle_0.generator", left=600, next=600),
+        "'vehicle_0.generator' is not the state of a generator: 600 words are left, and number 600 of 624 is next",
+    ),
+    "the next number of a generator": (
+        "pcn",
+        lambda t: positioned(t, "draws", normal_y=math.nan),
+        "'draws' is not the state of a generator: its next normal numbers are [0.0, nan, 0.0, 0.0]",
+    ),
+    "the generator of a world": (
+        "ppo",
+        lambda t: {"collector.worlds.generators": t["collector.worlds.generators"].clone().fill_(2)},
+        "state 'generators' has the increment 2; it must be odd",
+    ),
+    "a discount": (
+        "mo_ppo",
+        lambda t: {"collector.discounts": torch.full((2, 1), 7.0)},
+        "'collector.discounts' has 7; the environments' episodes allow ",
+    ),
+    "a length": (
+        "mo_ppo",
+        lambda t: {"collector.lengths": torch.tensor([[-3], [0]])},
+        "'collector.lengths' has -3; the environments' episodes allow 0 to 0",
+    ),
+    "an accrued reward": (
+        "mo_ppo",
+        lambda t: {"collector.accrued": number(t["collector.accrued"], 1e9)},
+        "'collector.accrued' has 1e+09; the environments' episodes allow ",
+    ),
+    "an observation": (
+        "mo_ppo",
+        lambda t: {"collector.observations": number(t["collector.observations"], 3)},
+        "'collector.observations' has 3; the environments' episodes allow ",
+    ),
+    "a number of steps": (
+        "mo_ppo, two vehicles",
+        lambda t: {"vehicle_1.optimiser.0.step": torch.tensor(2.5)},
+        "the optimiser's state of parameter 0 has step = 2.5; it must be a positive integer",
+    ),
+    "a mean square": (
+        "a2c",
+        lambda t: {"vehicle_0.optimiser.1.exp_avg_sq": number(t["vehicle_0.optimiser.1.exp_avg_sq"], -1)},
+        "the optimiser's state of parameter 1 has exp_avg_sq = -1.0; it must not be negative",
+    ),
+    "a running mean": (
+        "mo_ppo",
+        lambda t: {"vehicle_0.episodes": torch.tensor(-1)},
+        "'episodes' = -1 of a running mean must not be negative",
+    ),
+    "a team": (
+        "mappo",
+        lambda t: {"team.ended": torch.ones(2, 2, dtype=torch.bool)},
+        "the teams' running episodes are broken: nobody is under way",
+    ),
+    "a preference": (
+        "conditioned_mo_ppo",
+        lambda t: {"preferences": torch.full((2, 1, 7), 0.5)},
+        "[0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5] is no preference; it must be one of chebyshev, comfort_budget, weight/",
+    ),
     "a moment": (
         "ppo",
         lambda t: {"vehicle_0.optimiser.0.exp_avg": torch.zeros(3)},
@@ -305,7 +422,7 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     "weights": (
         "mo_a2c, continuous",
         lambda t: {"vehicle_0.actor.log_std": torch.tensor([0.0, math.nan, 0.0])},
-        "the actor of vehicle 0 has weights that are not finite",
+        "has 'vehicle_0.actor.log_std' with nan; every number must be finite",
     ),
     "no episodes": (
         "pcn",
@@ -335,7 +452,7 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     "infinite returns": (
         "pcn",
         lambda t: {"store.returns": number(t["store.returns"], math.inf)},
-        "the returns of the buffer must be finite float32 of 4 objectives",
+        "has 'store.returns' with inf; every number must be finite",
     ),
     "an action": (
         "pcn",
@@ -345,7 +462,7 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     "a real action": (
         "pcn, continuous",
         lambda t: {"store.actions": number(t["store.actions"], math.nan)},
-        "the buffer has actions that are not finite",
+        "has 'store.actions' with nan; every number must be finite",
     ),
     "wide observations": (
         "pcn",
@@ -383,14 +500,16 @@ def test_a_buffer_that_is_gone_is_refused(tmp_path: Path) -> None:
     assert refusal(write(tmp_path / "broken", kept, identity), "pcn") == message
 
 
-def test_a_diverged_softmax_policy_resumes(tmp_path: Path) -> None:
-    """Its actions are valid, so the resumed run is the uninterrupted one."""
-    agent = KINDS["ppo"]()
-    train(agent, 3)
-    with torch.no_grad():
-        agent.learners[0].actor.body[0].weight.fill_(math.nan)
-    agent.save(tmp_path / "diverged")
-    again = KINDS["ppo"]()
-    again.load(tmp_path / "diverged")
-    train(again)
-    assert again.step == agent.step + 4
+@pytest.mark.parametrize("drawn", [0, 1, 623, 624, 625, 3000])
+def test_a_generator_continues_wherever_it_was(drawn: int) -> None:
+    first, second = torch.Generator().manual_seed(3), torch.Generator()
+    torch.rand(drawn, generator=first)
+    torch.randn(1, generator=first)
+    restore_generator(second, "generator", first.get_state())
+    assert torch.equal(torch.randn(9, generator=first), torch.randn(9, generator=second))
+
+
+def test_a_number_of_steps_that_no_update_ends_at_is_refused(ppo: Path, tmp_path: Path) -> None:
+    tensors, identity = contents(ppo)
+    odd = write(tmp_path / "odd", tensors, {**identity, "step": 13})
+    assert refusal(odd) == "step = 13 must be a multiple of the 4 steps of an update"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
@@ -248,6 +249,15 @@ def edit_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[str], str]:
     return edit
 
 
+def edit_cell(column: str, value: str) -> Callable[[str], str]:
+    def edit(text: str) -> str:
+        header, first, *rest = csv.reader(text.splitlines())
+        first[header.index(column)] = value
+        return "".join(",".join(row) + "\n" for row in (header, first, *rest))
+
+    return edit
+
+
 @pytest.mark.parametrize(
     ("name", "edit", "message"),
     [
@@ -261,6 +271,21 @@ def edit_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[str], str]:
             "KeyError: 'return/comfort/low'",
         ),
         ("front.csv", lambda text: text.replace("success", "arrived"), "KeyError: 'success'"),
+        ("front.csv", edit_cell("return/comfort", "nan"), "return/comfort = nan must be between -1e+100 and 1e+100"),
+        ("front.csv", edit_cell("return/comfort", "-inf"), "return/comfort = -inf must be between"),
+        ("front.csv", edit_cell("condition/horizon", "1e308"), "condition/horizon = 1e+308 must be between"),
+        ("front.csv", edit_cell("success", "1.5"), "success = 1.5 must be between 0 and 1"),
+        ("front.csv", edit_cell("length", "-3"), "length = -3 must be between 1 and 1e+100"),
+        ("front.csv", lambda text: text.replace("success", "length"), "front.csv has two columns of the same name"),
+        ("front.csv", lambda text: text + "x" * 200_000, "field larger than field limit"),
+        (
+            "evaluation.json",
+            edit_json(lambda about: about.update(gamma=math.nan)),
+            "gamma = nan must be between 0 and 1",
+        ),
+        ("evaluation.json", edit_json(lambda about: about.update(episodes=0)), "episodes = 0 must be between 1 and"),
+        ("evaluation.json", edit_json(lambda about: about.update(episodes=math.inf)), "OverflowError"),
+        ("evaluation.json", edit_json(lambda about: about.update(objectives=[{}])), "KeyError"),
         ("evaluation.json", lambda text: text[:20], "JSONDecodeError"),
         ("evaluation.json", lambda text: "[]", "TypeError"),
         ("evaluation.json", edit_json(lambda about: about.pop("gamma")), "KeyError: 'gamma'"),
@@ -277,3 +302,4 @@ def test_a_broken_front_is_refused_by_name(tmp_path: Path, name: str, edit: Call
         Front.read(tmp_path)
     assert f"the front in {str(tmp_path)!r} is broken: " in str(caught.value)
     assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1

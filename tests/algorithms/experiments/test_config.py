@@ -149,6 +149,13 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
         ("--utility.vehicles.vehicle_1={arguments: {}}", ["utility.vehicles.vehicle_1.name", "missing"]),
         ("--utility.vehicles=[a, b]", ["utility.vehicles", "dictionary"]),
         ("--training.seed.x.y=1", ["training.seed"]),
+        ("--training.num_envs=1e11", ["training.num_envs", "100000000000", "less than or equal to 1000000"]),
+        ("--training.total_timesteps=1e300", ["training.total_timesteps", "less than or equal to 9007199254740992"]),
+        ("--algorithm.hidden=[1000000000000]", ["hidden", "layer sizes must be between 1 and 16384"]),
+        ("--utility.arguments={objectives: [a]}", ["utility.arguments", "'objectives' is set by the environment"]),
+        ("--utility.arguments={cost_sign: paper}", ["utility.arguments", "'cost_sign' is set by the environment"]),
+        ('--environment.id="a\\nb"', ["environment.id = 'a\\nb'", "write 'module:a\\nb', which"]),
+        (f"--algorithm.gamma={'x' * 9999}", [f"= '{'x' * 299}...: Input should be a valid number"]),
     ],
 )
 def test_invalid_values_are_named_with_what_is_allowed(write: Write, override: str, messages: list[str]) -> None:
@@ -188,7 +195,7 @@ def test_several_problems_are_named_at_once(write: Write) -> None:
     [
         ("", "is empty"),
         ("- a\n- b\n", "holds a list"),
-        ("1: 2\n", "holds a dict"),
+        ("1: 2\n", "the key in line 1 is not a string"),
         ("a: [1\n", "is not valid YAML"),
         ("a: 1\nb: 2\na: 3\n", "'a' is duplicated, in lines 1 and 3"),
         ("training: {seed: 1, seed: 2}\n", "'seed' is duplicated"),

@@ -188,12 +188,26 @@ def test_a_run_that_names_code_is_opened_only_if_it_is_trusted(
     assert Run.open(tmp_path, trust=True).path == tmp_path
 
 
+def test_no_module_is_imported_that_hides_behind_one_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    env_id = "gymnasium:evil:mo-deepdrive-one-waypoint-v0"
+    (tmp_path / "gymnasium:evil.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    write_json(tmp_path / "config.yaml", {**VALUES, "environment": {"id": env_id}})
+    with pytest.raises(ValueError, match=f"has environment.id = '{env_id}', code that .*; add --trust if"):
+        Run.open(tmp_path)
+    with pytest.raises(ValueError, match=f"environment.id = '{env_id}' must be an id, or of the form module:id"):
+        Run.open(tmp_path, trust=True)
+    assert not (tmp_path / "imported").exists()
+
+
 def test_what_an_experiment_would_import_is_found_whatever_its_form() -> None:
     assert imported_paths(VALUES) == {}
     assert imported_paths({"environment": {"id": "mo_deepdrive:mo-deepdrive-one-waypoint-v0"}}) == {}
     assert imported_paths({"environment": {"id": "mo_deepdrive.own:x-v0"}}) == {
         "environment.id": "mo_deepdrive.own:x-v0"
     }
+    for evil in ("gymnasium:evil:x-v0", "mo_deepdrive:mo_gymnasium:x-v0", ":x-v0"):
+        assert imported_paths({"environment": {"id": evil}}) == {"environment.id": evil}
     assert imported_paths({"environment": 3, "utility": ["a:b"]}) == {}
     assert imported_paths({"utility": {"name": "mo_deepdrive:f"}}) == {"utility.name": "mo_deepdrive:f"}
     assert imported_paths({"algorithm": {"name": 3, "network": ["a:b"]}}) == {}

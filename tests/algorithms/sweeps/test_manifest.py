@@ -423,7 +423,7 @@ def test_a_manifest_is_read_as_it_was_written(tmp_path: Path) -> None:
         st.builds(
             ManifestRow,
             id=st.text(max_size=12),
-            directory=st.text(),
+            directory=st.from_regex(r"runs/[^/\0.]{1,20}", fullmatch=True),
             cell=st.dictionaries(st.text(), JSON, max_size=3),
             seed=st.integers(0, 2**31 - 1),
             trial=st.none() | st.integers(0, 1000),
@@ -463,6 +463,59 @@ def test_a_broken_manifest_is_refused_with_the_number_of_the_line(
     with pytest.raises(ValueError, match="is broken in line 3") as error:
         read_manifest(tmp_path / "sweep")
     assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "problem"),
+    [
+        ("directory", "/elsewhere/run", "directory = '/elsewhere/run' must be runs/NAME"),
+        ("directory", "runs/../../run", "directory = 'runs/../../run' must be runs/NAME"),
+        ("directory", "runs/..", "directory = 'runs/..' must be runs/NAME"),
+        ("directory", "runs/", "directory = 'runs/' must be runs/NAME"),
+        ("directory", "other/run", "directory = 'other/run' must be runs/NAME"),
+        ("directory", "runs/a\0b", "embedded null byte"),
+        ("directory", ["runs/a"], "directory = ['runs/a'] must be of type str"),
+        ("id", 3, "id = 3 must be of type str"),
+        ("seed", True, "seed = True must be of type int"),
+        ("trial", "1", "trial = '1' must be of type int or NoneType"),
+        ("cell", [], "cell = [] must be of type dict"),
+        ("config", "run", "config = 'run' must be of type dict"),
+    ],
+)
+def test_a_row_that_no_sweep_writes_is_refused_by_its_field(
+    tmp_path: Path, field: str, value: Any, problem: str
+) -> None:
+    path = write_manifest(tmp_path / "sweep", expanded(tmp_path, seeds=1))
+    first, *rest = path.read_text().splitlines()
+    path.write_text("\n".join([json.dumps({**json.loads(first), field: value}), *rest]))
+    with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
+        read_manifest(tmp_path / "sweep")
+    assert str(caught.value) == f"manifest {str(path)!r} is broken in line 1: {problem}"
+
+
+@pytest.mark.parametrize("depth", [100, 100_000])
+def test_a_row_that_is_nested_too_deeply_is_refused(tmp_path: Path, depth: int) -> None:
+    path = write_manifest(tmp_path / "sweep", expanded(tmp_path, seeds=1))
+    row = json.loads(path.read_text().splitlines()[0])
+    row["config"]["utility"]["arguments"] = {"a": "DEEP"}
+    path.write_text(json.dumps(row).replace('"DEEP"', "[" * depth + "]" * depth))
+    with pytest.raises(ValueError, match=r"^manifest '.*' is broken in line 1: it is nested too deeply$"):
+        read_manifest(tmp_path / "sweep")
+
+
+@pytest.mark.parametrize("linked", ["runs", "runs/NAME"])
+def test_a_run_that_is_a_link_is_refused(tmp_path: Path, linked: str) -> None:
+    rows = expanded(tmp_path, seeds=1)
+    path = write_manifest(tmp_path / "sweep", rows)
+    (tmp_path / "elsewhere").mkdir()
+    link = tmp_path / "sweep" / (rows[0].directory if linked == "runs/NAME" else linked)
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match=rf"is a link to '{tmp_path}/elsewhere.*'; it must be in the sweep itself"):
+        read_manifest(path.parent)
+    (tmp_path / "link").symlink_to(tmp_path / "sweep")
+    link.unlink()
+    assert read_manifest(tmp_path / "link") == rows
 
 
 def test_a_directory_without_a_manifest_is_not_a_sweep(tmp_path: Path) -> None:

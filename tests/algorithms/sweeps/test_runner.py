@@ -186,3 +186,39 @@ def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depen
     assert again.run() == 1
     assert again.batches == [[ids(sweep)[5]]]
     assert again.said.getvalue().count("made to fail") == 2
+
+
+@pytest.mark.parametrize("search", [None, SEARCH])
+def test_the_manifest_of_another_sweep_is_not_verified(tmp_path: Path, search: dict[str, Any] | None) -> None:
+    MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, grid={RATE: [0.1, 0.2]})).run()
+    before = (tmp_path / "sweep" / "manifest.jsonl").read_bytes()
+    broken = tmp_path / "sweep" / read_manifest(tmp_path / "sweep")[0].directory
+    (broken / "status.json").write_text(json.dumps({"state": "finished", "files": {"config.yaml": {}}}))
+    file = write_sweep(tmp_path, **({"grid": {RATE: [0.3]}} if search is None else {"search": search}))
+    with pytest.raises(ValueError, match=r"^'.*sweep' has another sweep: none of its 2 runs, such as "):
+        MadeUpRuns(tmp_path / "sweep", file).verify()
+    assert (tmp_path / "sweep" / "manifest.jsonl").read_bytes() == before
+    assert broken.is_dir()
+
+
+@pytest.mark.parametrize("search", [None, SEARCH])
+def test_a_manifest_that_names_code_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, search: dict[str, Any] | None
+) -> None:
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    file = write_sweep(tmp_path, **({} if search is None else {"search": search}))
+    runner = MadeUpRuns(tmp_path / "sweep", file)
+    runner.run()
+    path = tmp_path / "sweep" / "manifest.jsonl"
+    first, last = path.read_text().splitlines()[0], json.loads(path.read_text().splitlines()[-1])
+    last["config"]["algorithm"]["name"] = "evil:Algorithm"
+    path.write_text(f"{first}\n{json.dumps(last)}\n")
+    status = {"state": "finished", "files": {"config.yaml": {}}}
+    (tmp_path / "sweep" / last["directory"] / "status.json").write_text(json.dumps(status))
+    again = MadeUpRuns(tmp_path / "sweep", file)
+    message = "has algorithm.name = 'evil:Algorithm', code that this sweep does not name; choose another"
+    for start in (again.verify,) if search is None else (again.verify, again.run):
+        with pytest.raises(ValueError, match=message):
+            start()
+    assert not (tmp_path / "imported").exists()
