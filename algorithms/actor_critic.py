@@ -114,6 +114,7 @@ class ActorCritic(Agent):
 
     learner: ClassVar[type[Learner]]
     trains_with_partners = True
+    finite = ("collector.", "expected_return")
 
     def __init__(
         self,

@@ -95,8 +95,8 @@ class Agent(ABC):
     - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
       optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
 
-    It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
-    :attr:`varying_shapes`. It may use the attributes below and
+    It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity`,
+    :attr:`varying_shapes` and :attr:`finite`. It may use the attributes below and
 
     - :class:`algorithms.common.rollout.Collector`: T steps of all environments as one rollout, and the episodes that
       ended; its state is part of the agent's unless every update resets it.
@@ -121,6 +121,8 @@ class Agent(ABC):
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
+        finite: parts of the names of tensors whose numbers must be finite in a checkpoint; weights are not among them
+            in this package, because a run that has diverged can be resumed.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
         utilities: one per vehicle; empty where none is known.
@@ -142,6 +144,7 @@ class Agent(ABC):
     observes_accrued_reward: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
+    finite: ClassVar[tuple[str, ...]] = ()
     config: Any
 
     def __init_subclass__(cls, **options: Any):
@@ -387,7 +390,8 @@ class Agent(ABC):
         may_differ = ("num_envs", PARTNERS) if policy_only else ()
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
-        tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
+        varying, finite = (EPISODES, *self.varying_shapes), (EPISODES, *self.finite)
+        tensors = check_tensors(path, tensors, expected, varying, finite, whole=not policy_only)
         counts = self.step, self.updates
         before = {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
         try:

@@ -321,6 +321,7 @@ class ConditionedMOPPO(FrontAgent):
 
     name = "conditioned_mo_ppo"
     Config = ConditionedMOPPOConfig
+    finite = ("collector.", "ideal", "preferences")
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, **hyperparameters)

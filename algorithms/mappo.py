@@ -306,6 +306,7 @@ class MAPPO(ActorCritic):
     Config = MAPPOConfig
     learner = MAPPOLearner
     observes_accrued_reward = False
+    finite = (*ActorCritic.finite, "team.")
 
     def __init__(self, env: VectorEnv, utility: Utility | Sequence[Utility], **options: Any):
         super().__init__(env, utility, **options)

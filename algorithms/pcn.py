@@ -137,6 +137,7 @@ class PCN(FrontAgent):
     name = "pcn"
     Config = PCNConfig
     varying_shapes = ("optimiser.", "store.", "attained.")
+    finite = ("store.", "attained.", "bounds", "inputs")
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, **hyperparameters)
@@ -474,11 +475,14 @@ class PCN(FrontAgent):
 
         Raises:
             ValueError: if a part of the best episodes or of the buffer is missing, has the wrong shape or type, or has
-                values that no episode has.
+                values that no episode has; for weights that are not finite where actions are continuous.
         """
         attained = strip_prefix(state, "attained.")
         self._attained = self._read_attained(attained) if attained else None
-        self.network.load_state_dict(strip_prefix(state, "network."))
+        weights = strip_prefix(state, "network.")
+        if self.env.continuous and not all(bool(each.isfinite().all()) for each in weights.values()):
+            raise ValueError("the network has weights that are not finite")
+        self.network.load_state_dict(weights)
         low, high = state["bounds"].numpy()
         self.bounds = low, high
         if self._standardises:

@@ -100,8 +100,8 @@ def read_checkpoint(
     return tensors, found
 
 
-def _varies(name: str, varying: tuple[str, ...]) -> bool:
-    return any(part in name for part in varying)
+def _has_part(name: str, parts: tuple[str, ...]) -> bool:
+    return any(part in name for part in parts)
 
 
 def check_tensors(
@@ -109,6 +109,7 @@ def check_tensors(
     tensors: Mapping[str, torch.Tensor],
     expected: Mapping[str, torch.Tensor],
     varying: tuple[str, ...] = (),
+    finite: tuple[str, ...] = (),
     *,
     whole: bool,
 ) -> dict[str, torch.Tensor]:
@@ -119,6 +120,7 @@ def check_tensors(
         tensors: of the checkpoint.
         expected: those of the agent that reads.
         varying: parts of the names of tensors whose shapes and types are not checked.
+        finite: parts of the names of tensors whose numbers must be finite.
         whole: refuse tensors that are not expected.
 
     Returns:
@@ -128,7 +130,7 @@ def check_tensors(
         ValueError: naming the tensor, what it is and what it must be.
     """
     for name, tensor in expected.items():
-        if _varies(name, varying):
+        if _has_part(name, varying):
             continue
         stored = tuple(tensors[name].shape) if name in tensors else None
         if stored != tuple(tensor.shape):
@@ -139,12 +141,12 @@ def check_tensors(
             raise ValueError(
                 f"checkpoint {path} has {name!r} of {tensors[name].dtype}; this agent needs {tensor.dtype}"
             )
-    known = {name: tensor for name, tensor in tensors.items() if name in expected or _varies(name, varying)}
+    known = {name: tensor for name, tensor in tensors.items() if name in expected or _has_part(name, varying)}
     if whole and len(known) < len(tensors):
         unknown = min(tensors.keys() - known.keys())
         raise ValueError(f"checkpoint {path} has {unknown!r}, which this agent does not know")
     for name, tensor in known.items():
-        if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+        if _has_part(name, finite) and tensor.is_floating_point() and not bool(tensor.isfinite().all()):
             found = float(tensor[~tensor.isfinite()][0])
             raise ValueError(f"checkpoint {path} has {name!r} with {found}; every number must be finite")
     return known

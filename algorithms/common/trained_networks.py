@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from algorithms.common.actors import GaussianActor
 from algorithms.common.checkpoints import restore_generator, strip_prefix
 
 if TYPE_CHECKING:
@@ -54,5 +55,12 @@ class TrainedNetworks:
         return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`."""
-        self.actor.load_state_dict(strip_prefix(state, "actor."))
+        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`.
+
+        Raises:
+            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
+        """
+        weights = strip_prefix(state, "actor.")
+        if isinstance(self.actor, GaussianActor) and not all(bool(each.isfinite().all()) for each in weights.values()):
+            raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
+        self.actor.load_state_dict(weights)

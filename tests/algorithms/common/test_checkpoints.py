@@ -157,23 +157,28 @@ def test_a_tampered_tensor_is_refused_in_one_line_or_trains(saved: tuple[str, Pa
     assert agent.step == identity["step"]
 
 
-def test_a_number_that_is_not_finite_is_refused_by_name_in_every_tensor(
-    saved: tuple[str, Path], tmp_path: Path
-) -> None:
+def test_a_number_that_is_not_finite_is_refused_in_what_is_not_learnt(saved: tuple[str, Path], tmp_path: Path) -> None:
+    """Weights may have diverged in training; then a policy acts by them, unless its actions would not be finite."""
     kind, path = saved
     tensors, identity = contents(path)
     agent = KINDS[kind]()
     policy = KINDS[kind]().get_policy()
-    messages: dict[str, str] = {}
+    continuous = agent.env.continuous
+    refused: set[str] = set()
     for name in tensors:
+        learnt = any(part in name for part in ("actor.", "critic.", "network.", "optimiser."))
+        acting = any(part in name for part in ("actor.", "network."))
         for changed in every_number(tensors[name]):
             write(tmp_path / "changed", {**tensors, name: changed}, identity)
             for policy_only in (False, True) if name in policy else (False,):
+                if learnt and not (acting and continuous):
+                    continue
                 with pytest.raises(ValueError, match=ONE_LINE) as caught:
                     agent.load(tmp_path / "changed", policy_only=policy_only)
-                messages[name] = str(caught.value)
-    assert len(messages) > 10
-    assert [name for name, message in messages.items() if f"{name!r} with " not in message] == []
+                named = "weights that are not finite" if learnt else f"{name!r} with "
+                assert named in str(caught.value)
+                refused.add(name)
+    assert len(refused) >= 5
 
 
 @pytest.mark.slow
@@ -422,7 +427,7 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     "weights": (
         "mo_a2c, continuous",
         lambda t: {"vehicle_0.actor.log_std": torch.tensor([0.0, math.nan, 0.0])},
-        "has 'vehicle_0.actor.log_std' with nan; every number must be finite",
+        "the actor of vehicle 0 has weights that are not finite",
     ),
     "no episodes": (
         "pcn",
@@ -513,3 +518,16 @@ def test_a_number_of_steps_that_no_update_ends_at_is_refused(ppo: Path, tmp_path
     tensors, identity = contents(ppo)
     odd = write(tmp_path / "odd", tensors, {**identity, "step": 13})
     assert refusal(odd) == "step = 13 must be a multiple of the 4 steps of an update"
+
+
+def test_a_diverged_softmax_policy_resumes(tmp_path: Path) -> None:
+    """Its actions are valid, so the resumed run is the uninterrupted one."""
+    agent = KINDS["ppo"]()
+    train(agent, 3)
+    with torch.no_grad():
+        agent.learners[0].actor.body[0].weight.fill_(math.nan)
+    agent.save(tmp_path / "diverged")
+    again = KINDS["ppo"]()
+    again.load(tmp_path / "diverged")
+    train(again)
+    assert again.step == agent.step + 4
