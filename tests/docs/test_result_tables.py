@@ -140,9 +140,21 @@ def of_pairs(name: str, row: Row) -> Callable[[str], Row]:
 
 def tuned_pairs(row: Row) -> dict[str, list[float]]:
     found = of_pairs("intersection_tuned.csv", row)
-    return {
+    utilities = {
         "utility of vehicle 0": numbers(found("vehicle_0")["utility_esr"]),
         "of vehicle 1": numbers(found("vehicle_1")["utility_esr"]),
+    }
+    runs = matching("intersection_runs.csv", **{key: found("")[key] for key in ("utility", "algorithm", "policy")})
+    return utilities | counted(runs) if runs else utilities
+
+
+def counted(runs: list[Row]) -> dict[str, list[float]]:
+    """How many pairs solve the intersection, and the ranges over the pairs."""
+    success, collisions = column(runs, "success"), column(runs, "collisions")
+    return {
+        "pairs that solve it": [float(((success >= 0.97) & (collisions <= 0.01)).sum())],
+        "both arrive (%)": [100 * success.min(), 100 * success.max()],
+        "collisions (%)": [100 * collisions.min(), 100 * collisions.max()],
     }
 
 
