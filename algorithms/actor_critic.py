@@ -114,7 +114,7 @@ class ActorCritic(Agent):
 
     learner: ClassVar[type[Learner]]
     trains_with_partners = True
-    finite = ("collector.", "expected_return")
+    finite: ClassVar[tuple[str, ...]] = ("collector.", "expected_return")
 
     def __init__(
         self,
