@@ -27,12 +27,17 @@ if TYPE_CHECKING:
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
 
 
+LARGEST_COUNT = 10**15
+
+
 def _integer(value: Any) -> Any:
     """A float without a fraction as an integer, so that a million may be written as 1e6; 1.5 remains an error."""
+    if isinstance(value, (int, float)) and value > LARGEST_COUNT:
+        raise ValueError(f"must be at most {LARGEST_COUNT:,}")
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-Count = Annotated[int, Field(ge=1, le=2**53), BeforeValidator(_integer)]
+Count = Annotated[int, Field(ge=1), BeforeValidator(_integer)]
 Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
 
 

@@ -125,7 +125,7 @@ def choices(num_envs: int = 4, **arguments: Any) -> VectorEnv:
     ("changed", "message"),
     [
         ({"hidden": []}, "'hidden' = []"),
-        ({"hidden": [8, 0]}, "'hidden' = [8, 0]: layer sizes must be positive"),
+        ({"hidden": [8, 0]}, "'hidden' = [8, 0]: layer sizes must be between 1 and 16384"),
         (
             {"objective_scales": [1.0, 0.0, 1.0, 1.0]},
             "'objective_scales' = [1.0, 0.0, 1.0, 1.0]: scales must be positive",

@@ -150,7 +150,7 @@ def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
         ("--utility.vehicles=[a, b]", ["utility.vehicles", "dictionary"]),
         ("--training.seed.x.y=1", ["training.seed"]),
         ("--training.num_envs=1e11", ["training.num_envs", "100000000000", "less than or equal to 1000000"]),
-        ("--training.total_timesteps=1e300", ["training.total_timesteps", "less than or equal to 9007199254740992"]),
+        ("--training.total_timesteps=1e300", ["training.total_timesteps", "must be at most 1,000,000,000,000,000"]),
         ("--algorithm.hidden=[1000000000000]", ["hidden", "layer sizes must be between 1 and 16384"]),
         ("--utility.arguments={objectives: [a]}", ["utility.arguments", "'objectives' is set by the environment"]),
         ("--utility.arguments={cost_sign: paper}", ["utility.arguments", "'cost_sign' is set by the environment"]),
