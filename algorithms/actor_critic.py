@@ -266,11 +266,7 @@ class ActorCritic(Agent):
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         restore_generator(self.generator, "generator", state["generator"])
-        self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
-        per_update = self.config.steps * self.env.num_envs
-        if self.step % per_update:
-            raise ValueError(f"step = {self.step} must be a multiple of the {per_update} steps of an update")
-        self.updates = self.step // per_update
+        self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def get_policy(self) -> dict[str, torch.Tensor]:
         """The actors' weights."""

@@ -495,11 +495,7 @@ class ConditionedMOPPO(FrontAgent):
         self._seen_any = bool(state["seen_any"])
         restore_generator(self.generator, "generator", state["generator"])
         restore_generator(self.draws, "draws", state["draws"])
-        self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
-        per_update = self.config.steps * self.env.num_envs
-        if self.step % per_update:
-            raise ValueError(f"step = {self.step} must be a multiple of the {per_update} steps of an update")
-        self.updates = self.step // per_update
+        self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:
         return {"ideal": self.preferences.ideal}

@@ -40,7 +40,7 @@ from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import restore_generator, strip_prefix
+from algorithms.common.checkpoints import all_finite, restore_generator, strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
     FinalLearningRate,
@@ -480,7 +480,7 @@ class PCN(FrontAgent):
         attained = strip_prefix(state, "attained.")
         self._attained = self._read_attained(attained) if attained else None
         weights = strip_prefix(state, "network.")
-        if self.env.continuous and not all(bool(each.isfinite().all()) for each in weights.values()):
+        if self.env.continuous and not all_finite(weights):
             raise ValueError("the network has weights that are not finite")
         self.network.load_state_dict(weights)
         low, high = state["bounds"].numpy()

@@ -10,7 +10,6 @@ learn on the parallel environment, in which a vehicle that has ended waits for t
 
 from __future__ import annotations
 
-import csv
 import importlib
 import sys
 from pathlib import Path
@@ -24,6 +23,7 @@ from rich.console import Console
 
 import mo_deepdrive
 from algorithms.commands.peers import seed_everything
+from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.evaluation import evaluate
 from algorithms.evaluation.metrics import vehicle_name
 from algorithms.experiments.cli import check_file, make_parser
@@ -170,14 +170,6 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def write(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Write a table of dicts with the same keys."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, rows[0], lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line ``arguments``, those of the process if None, and return the exit code."""
     options = parse_arguments(arguments)
@@ -202,7 +194,8 @@ def main(arguments: list[str] | None = None) -> int:
             row = {"learner": name, "seed": options.seed, **cost, "actions": "greedy" if greedy else "sampled"}
             rows.append({**row, **score(act, action_type, greedy, options.episodes)})
             Console().print(rows[-1])
-        write(options.output, rows)  # after every learner: each takes minutes
+        # After every learner: each takes minutes.
+        atomic_write(options.output, csv_bytes([[*rows[0]], *([*row.values()] for row in rows)]))
     return 0
 
 

@@ -152,6 +152,11 @@ def check_tensors(
     return known
 
 
+def all_finite(tensors: Mapping[str, torch.Tensor]) -> bool:
+    """Whether every number of the tensors is finite."""
+    return all(bool(tensor.isfinite().all()) for tensor in tensors.values())
+
+
 def restore_generator(generator: torch.Generator, name: str, state: torch.Tensor) -> None:
     """Let ``generator`` continue from ``state``, the tensor ``name`` of a checkpoint.
 

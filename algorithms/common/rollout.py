@@ -297,7 +297,7 @@ class Collector:
         """:meth:`get_state` as tensors, for a checkpoint."""
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in self.get_state().items()}
 
-    def resume(self, tensors: Mapping[str, torch.Tensor], step: int, env_seed: int) -> None:
+    def resume(self, tensors: Mapping[str, torch.Tensor], step: int, env_seed: int) -> int:
         """Resume from :meth:`tensors`.
 
         Args:
@@ -305,9 +305,12 @@ class Collector:
             step: environment steps that had been taken.
             env_seed: of the first reset.
 
+        Returns:
+            The number of rollouts that had been collected.
+
         Raises:
-            ValueError: if steps had been taken in environments that have not been reset, or what continues does not fit
-                the environments.
+            ValueError: if steps had been taken in environments that have not been reset, what continues does not fit
+                the environments, or no rollout ends at ``step``.
         """
         self.set_state({name: tensor.numpy() for name, tensor in tensors.items()})
         worlds = self.env.get_state()
@@ -318,6 +321,10 @@ class Collector:
         if not self.env.native:
             # Other libraries' environments cannot be saved, so new episodes start with different seeds.
             self.reset(env_seed + step)
+        rollouts, rest = divmod(step, per_update := self.steps * self.env.num_envs)
+        if rest:
+            raise ValueError(f"step = {step} must be a multiple of the {per_update} steps of an update")
+        return rollouts
 
     def _check(self) -> None:
         """Refuse what does not fit the episodes that are under way in our environments.
