@@ -267,6 +267,14 @@ def test_a_copy_continues_exactly_from_the_state_of_the_original(
 # ------------------------------------------------------------------------------------------------------- objectives
 
 
+def test_states_of_one_form_have_one_dtype_object(make_single: Make, make_vector: Make) -> None:
+    # Numba compares the fields of two equal dtypes at every call, and every call of a step takes twice as long.
+    first, second = (make_single("one_waypoint").unwrapped.batch.state.dtype for _ in range(2))
+    assert first is second
+    assert make_vector("intersection", num_envs=3).unwrapped.batch.state.dtype is first
+    assert make_single("static_obstacle").unwrapped.batch.state.dtype is not first
+
+
 @pytest.mark.parametrize("scenario", IDS)
 def test_selected_objectives_are_in_the_given_order(make_single: Make, scenario: str) -> None:
     full = make_single(scenario)
