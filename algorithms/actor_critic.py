@@ -1,7 +1,8 @@
 """What A2C, MO-A2C, PPO, MO-PPO, MOCAC and MAPPO share apart from the algorithm: collecting, acting, checkpoints.
 
 An :class:`ActorCritic` has one :class:`Learner` per vehicle. All learners act on one rollout, and each then learns from
-its own vehicle's part of it. Vehicles that do not learn are driven by partners, whose weights are no part of the agent.
+its own vehicle's part of it. Vehicles that do not learn are driven by partners, and guides may begin the episodes of
+those that do; the weights of both are no part of the agent.
 The file of an algorithm defines its Learner, from the networks to the update.
 """
 
@@ -15,7 +16,7 @@ import torch
 
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import PARTNERS, restore_generator, strip_prefix
+from algorithms.common.checkpoints import GUIDES, PARTNERS, restore_generator, strip_prefix
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, Rollout, VehicleRollout
 from algorithms.common.trained_networks import TrainedNetworks
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.guides import Guide
     from algorithms.evaluation.team import Population
     from mo_deepdrive.utilities import Utility
 
@@ -103,17 +105,20 @@ class ActorCritic(Agent):
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
         partners: what drives the vehicles that do not learn, by their indices.
+        guides: what begins episodes of vehicles that learn.
         **hyperparameters: fields of the class's Config.
 
     Attributes:
         learners: one per vehicle that learns, in the order of the vehicles.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters, spaces or utilities, or partners that drive elsewhere.
+        ValueError: for unknown or invalid hyperparameters, spaces or utilities, or partners and guides that cannot
+            drive here.
     """
 
     learner: ClassVar[type[Learner]]
     trains_with_partners = True
+    trains_with_guides = True
     finite: ClassVar[tuple[str, ...]] = ("collector.", "expected_return")
 
     def __init__(
@@ -124,10 +129,12 @@ class ActorCritic(Agent):
         seed: int = 0,
         device: str = "cpu",
         partners: Mapping[int, Population] | None = None,
+        guides: Sequence[Guide] = (),
         **hyperparameters: Any,
     ):
         super().__init__(env, utility, seed=seed, device=device, **hyperparameters)
         self.partners = dict(partners or {})
+        self.guides = tuple(guides)
         for partner in self.partners.values():
             check_same_task(partner.members[0].env, self.env)
         self.learners = [
@@ -135,11 +142,29 @@ class ActorCritic(Agent):
             for v, each in enumerate(self.utilities)
             if v not in self.partners
         ]
+        for guide in self.guides:
+            self._check(guide)
         self.collector = Collector(self.env, self.gamma, self.config.steps)
         if self.config.cost_growth and not self.env.costs.any():
             raise ValueError(
                 f"cost_growth = {self.config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
                 f"{self.env.objectives} is known to be a cost"
+            )
+
+    def _check(self, guide: Guide) -> None:
+        """Check that a guide can begin the episodes of a vehicle that learns."""
+        vehicle = vehicle_name(guide.vehicle)
+        if not self.trains_with_guides:
+            raise ValueError(f"algorithm {self.name!r} cannot train with guides")
+        check_same_task(guide.driver.members[0].env, self.env)
+        if guide.vehicle in self.partners:
+            raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
+        if sum(each.vehicle == guide.vehicle for each in self.guides) > 1:
+            raise ValueError(f"{vehicle} has several guides")
+        if guide.driver.observes_accrued_reward and guide.driver.gamma != self.accrued_discount:
+            raise ValueError(
+                f"the guide of {vehicle} observes rewards accrued with the discount {guide.driver.gamma}; "
+                f"here it is {self.accrued_discount}"
             )
 
     @property
@@ -190,7 +215,10 @@ class ActorCritic(Agent):
         return self.env.environment_actions(self.act(observations, so_far, None))[0]
 
     def _explore(self, observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
-        return self.act(observations, accrued_reward, self.generator)
+        actions = self.act(observations, accrued_reward, self.generator)
+        for guide in self.guides:
+            guide.drive(actions, observations, accrued_reward, self.generator)
+        return actions
 
     def begin(self) -> None:
         """Reset the environments."""
@@ -200,7 +228,11 @@ class ActorCritic(Agent):
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
         self.collector.reward_shares = self.reward_shares(progress)
+        for guide in self.guides:
+            guide.begin_rollout(progress)
         rollout, episodes = self.collector.collect(self._explore)
+        for guide in self.guides:
+            guide.hide(rollout)
         self.episodes.append(episodes)
         self.step += config.steps * self.env.num_envs
         self.updates += 1
@@ -238,6 +270,7 @@ class ActorCritic(Agent):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
         drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
+        guides = {vehicle_name(guide.vehicle): guide.identity() for guide in self.guides}
         return {
             **super().identity(),
             "hidden": list(self.config.hidden),
@@ -245,15 +278,18 @@ class ActorCritic(Agent):
             "network": self.config.network,
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
-            # Files of earlier versions, which knew no partners, lack the entry.
+            # Files of earlier versions, which knew neither, lack the entries.
             **({PARTNERS: drivers} if drivers else {}),
+            **({GUIDES: guides} if guides else {}),
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generator, environments and running episodes."""
+        """Learners, generator, guides, environments and running episodes."""
         state = {"generator": self.generator.get_state()}
         for learner in self.learners:
             state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
+        for guide in self.guides:
+            state |= {f"guide_{guide.vehicle}.{name}": tensor for name, tensor in guide.get_state().items()}
         state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
         return state
 
@@ -265,6 +301,8 @@ class ActorCritic(Agent):
         """
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
+        for guide in self.guides:
+            guide.set_state(strip_prefix(state, f"guide_{guide.vehicle}."))
         restore_generator(self.generator, "generator", state["generator"])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 

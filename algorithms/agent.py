@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from algorithms.common.checkpoints import (
+    GUIDES,
     PARTNERS,
     POLICY_ONLY,
     STEP,
@@ -119,6 +120,7 @@ class Agent(ABC):
         known_utility: whether the agent learns for a known utility, or a front for every utility.
         observes_accrued_reward: whether ``act`` depends on the accrued reward.
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
+        trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
         finite: parts of the names of tensors whose numbers must be finite in a checkpoint; weights are not among them
@@ -143,6 +145,7 @@ class Agent(ABC):
     known_utility: ClassVar[bool] = True
     observes_accrued_reward: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
+    trains_with_guides: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
     finite: ClassVar[tuple[str, ...]] = ()
     config: Any
@@ -387,7 +390,7 @@ class Agent(ABC):
             ValueError: if the file is missing or broken, belongs to another algorithm, environment or network, has
                 values from which training cannot continue, or holds the policy alone where more is needed.
         """
-        may_differ = ("num_envs", PARTNERS) if policy_only else ()
+        may_differ = ("num_envs", PARTNERS, GUIDES) if policy_only else ()
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
         varying, finite = (EPISODES, *self.varying_shapes), (EPISODES, *self.finite)

@@ -306,6 +306,7 @@ class MAPPO(ActorCritic):
     Config = MAPPOConfig
     learner = MAPPOLearner
     observes_accrued_reward = False
+    trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
     finite = (*ActorCritic.finite, "team.")
 
     def __init__(self, env: VectorEnv, utility: Utility | Sequence[Utility], **options: Any):

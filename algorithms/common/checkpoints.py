@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
 PARTNERS = "partners"  # entry of the identity: what identifies the drivers of vehicles that do not learn
+GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
 STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
 ADDED = {"activation": "relu", UPDATES: 0}  # entries that files of earlier versions lack
 MOST_STEPS = 2**63 - 1

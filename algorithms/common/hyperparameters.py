@@ -75,6 +75,22 @@ class ActorCriticSettings(NetworkSettings):
     new_defaults: ClassVar[dict[str, Any]] = {**NetworkSettings.new_defaults, "cost_growth": 0.0}
 
 
+class GuideSettings(Settings):
+    """When a guide (:mod:`algorithms.common.guides`) begins episodes of a vehicle that learns.
+
+    Attributes:
+        driver: a run, a policy of the zoo or a scripted driver.
+        share: of the episodes, how many begin with the guide at the start of the training.
+        until: fraction of the training after which no episode does; the share falls linearly to 0.
+        decisions: most decisions of the guide in an episode; their number is drawn uniformly from 1 on.
+    """
+
+    driver: Annotated[str, Field(min_length=1)]
+    share: PositiveFraction = 0.5
+    until: PositiveFraction = 0.5
+    decisions: Count = 160
+
+
 def check_entropy_schedule(entropy_start: float, entropy_end: float) -> None:
     """Refuse a geometric schedule from or to zero.
 

@@ -72,6 +72,7 @@ class Population:
         digests: what identifies each member, for checkpoints.
 
     Attributes:
+        observes_accrued_reward: whether any member does.
         gamma: discount of the accrued reward that the members observe.
 
     Raises:
@@ -84,6 +85,7 @@ class Population:
         for member in members[1:]:
             check_same_task(member.env, members[0].env)
         observed = [member for member in members if getattr(member, "observes_accrued_reward", True)]
+        self.observes_accrued_reward = bool(observed)
         gammas = sorted({_gamma_of(member, vehicle) for member in observed})
         if len(gammas) > 1:
             raise ValueError(f"drivers of vehicle {vehicle} observe rewards accrued with different discounts: {gammas}")

@@ -10,6 +10,7 @@ import torch
 
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.common.guides import Guide
 from algorithms.common.threads import set_threads
 from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
 from algorithms.driving.scripted_policy import ScriptedPolicy
@@ -23,7 +24,7 @@ from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from gymnasium.vector import VectorEnv
 
@@ -34,13 +35,14 @@ if TYPE_CHECKING:
 DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
 
 
-def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool = True) -> Any:
+def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool = True, guides: bool = True) -> Any:
     """The untrained agent of an experiment, with its training environment.
 
     Args:
         experiment: what to build.
         num_envs: number of parallel environments; the experiment's if None.
         partners: whether to open the drivers of the vehicles that do not learn; else these vehicles idle.
+        guides: whether to open the drivers that begin episodes of the training.
 
     Returns:
         An instance of the algorithm's class, a subclass of :class:`algorithms.agent.Agent`.
@@ -69,6 +71,8 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
             raise ValueError(
                 f"training.num_envs = {adapter.num_envs} is less than the {most} drivers in training.partners"
             )
+    if experiment.training.guides and guides:
+        options["guides"] = _make_guides(experiment, algorithm, adapter)
     return algorithm(
         env,
         **options,
@@ -88,7 +92,7 @@ def load_policy(run: Run, *, partners: bool = True) -> Any:
     Raises:
         ValueError: if the agent cannot be built, or the checkpoint cannot be read or does not fit it.
     """
-    agent = build(run.experiment, num_envs=1, partners=partners)
+    agent = build(run.experiment, num_envs=1, partners=partners, guides=False)
     agent.load(run.checkpoint, policy_only=True)
     agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
     return agent
@@ -175,25 +179,49 @@ def _make_partners(
 ) -> dict[int, Population]:
     """What drives the vehicles that do not learn, by their indices."""
     settings = experiment.training.partners
-    vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
     if not algorithm.trains_with_partners:
         raise ValueError(f"training.partners: algorithm {experiment.algorithm['name']!r} cannot train with partners")
-    for name in settings:
-        if name not in vehicles:
-            raise ValueError(f"training.partners has {name!r}; {nearest(name, vehicles)}")
-    if len(settings) == len(vehicles):
-        raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(vehicles)}: none is left to learn")
-    action_type = experiment.environment.arguments.get("action_type", "discrete")
+    indices = _vehicles_named(settings, "training.partners", adapter)
+    if len(settings) == adapter.vehicles:
+        raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(settings)}: none is left to learn")
     found = {}
-    for name, drivers in settings.items():
-        v = vehicles.index(name)
+    for (name, drivers), v in zip(settings.items(), indices, strict=True):
         if not drivers:
             raise ValueError(f"training.partners.{name} = [] must name at least one driver")
         try:
-            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, action_type)
+            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, _action_type(experiment))
         except ValueError as error:
             raise ValueError(f"training.partners.{name}: {error}") from None
     return found
+
+
+def _make_guides(experiment: Experiment, algorithm: type[Agent], adapter: EnvAdapter) -> list[Guide]:
+    """What begins episodes of vehicles that learn."""
+    settings = experiment.training.guides
+    if not algorithm.trains_with_guides:
+        raise ValueError(f"training.guides: algorithm {experiment.algorithm['name']!r} cannot train with guides")
+    indices = _vehicles_named(settings, "training.guides", adapter)
+    found = []
+    for (name, each), v in zip(settings.items(), indices, strict=True):
+        try:
+            driver = open_population([each.driver], v, adapter, _action_type(experiment))
+        except ValueError as error:
+            raise ValueError(f"training.guides.{name}: {error}") from None
+        found.append(Guide(driver, each, adapter.num_envs))
+    return found
+
+
+def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list[int]:
+    """The indices of the vehicles that a part of the config names."""
+    vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
+    for name in names:
+        if name not in vehicles:
+            raise ValueError(f"{key} has {name!r}; {nearest(name, vehicles)}")
+    return [vehicles.index(name) for name in names]
+
+
+def _action_type(experiment: Experiment) -> str:
+    return str(experiment.environment.arguments.get("action_type", "discrete"))
 
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:

@@ -9,6 +9,7 @@ import mo_gymnasium  # noqa: F401  (registers its ids)
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer
 
 import mo_deepdrive
+from algorithms.common.hyperparameters import GuideSettings
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.evaluation.metrics import vehicle_name
 from algorithms.evaluation.splits import SPLITS, Split, check_episodes
@@ -80,6 +81,7 @@ class TrainingSettings(Settings):
         threads: threads of the networks; each needs a core of its own, or training becomes slower.
         partners: what drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo
             and scripted drivers, which take turns over the parallel environments.
+        guides: what begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings.
     """
 
     total_timesteps: Count
@@ -88,12 +90,13 @@ class TrainingSettings(Settings):
     device: str = "cpu"
     threads: int = Field(default=1, ge=1, le=1024)
     partners: dict[str, list[str]] = {}
+    guides: dict[str, GuideSettings] = {}
 
     @model_serializer(mode="wrap")
-    def _without_no_partners(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_nobody(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what earlier versions did not have, so that their runs and sweeps remain the same experiments."""
         values: dict[str, Any] = dump(self)
-        return {key: value for key, value in values.items() if key != "partners" or value}
+        return {key: value for key, value in values.items() if key not in ("partners", "guides") or value}
 
 
 class EvaluationSettings(Settings):

@@ -63,7 +63,7 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int, *, tru
     ):
         if found != expected:
             raise ValueError(f"run {path!r} has {name} = {found!r}; the front needs {expected!r}")
-    agent = build(run.experiment, num_envs=1)
+    agent = build(run.experiment, num_envs=1, guides=False)
     agent.load(run.checkpoint, policy_only=True)
     # The fixed scenario of the front, with the rewards that the run was trained on.
     arguments: dict[str, Any] = front_config(scenario, action_type).model_dump(mode="json", exclude={"scenario"})

@@ -47,7 +47,7 @@ def export(run: Run, name: str, directory: str | Path | None = None, about: Mapp
     if target.exists() and not (target.is_dir() and {path.name for path in target.iterdir()} <= FILES):
         raise ValueError(f"{str(target)!r} is not a policy; choose another name")
     experiment = _on_cpu(run.experiment)
-    agent = build(experiment, num_envs=1)
+    agent = build(experiment, num_envs=1, guides=False)
     agent.load(run.checkpoint, policy_only=True)
     agent.step = int(read_checkpoint(run.checkpoint, {})[1]["step"])
     if not experiment.known_utility:
