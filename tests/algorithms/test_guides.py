@@ -250,3 +250,21 @@ def test_a_trained_pair_may_be_the_guide() -> None:
     agent = agent_with(Guide(driver, GuideSettings(driver="intersection_linear-ppo"), 4), 4, hidden=[16], steps=8)
     agent.train(64)
     assert agent.step == 64
+
+
+def test_the_only_vehicle_may_have_a_guide() -> None:
+    values = {
+        "environment": {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {}},
+        "utility": {"name": "one_waypoint_linear"},
+        "algorithm": {"name": "ppo", "steps": 8, "hidden": [16]},
+        "training": {
+            "total_timesteps": 64,
+            "num_envs": 8,
+            "guides": {"vehicle_0": {"driver": "one_waypoint_linear-ppo", "share": 1.0, "decisions": 50}},
+        },
+    }
+    agent = build(make_experiment(values))
+    agent.train(64)
+    handover = agent.get_state()["guide_0.handover"]
+    assert handover.min() >= 1
+    assert handover.max() <= 50

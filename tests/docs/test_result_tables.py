@@ -346,13 +346,13 @@ def speeds(row: Row) -> dict[str, list[float]]:
 
     learners = ("a2c", "mo_a2c", "mo_ppo")
     if row["what"].startswith("make_vec"):
-        scenarios = ("OneWaypoint", "StaticObstacle", "Intersection")
+        scenarios = ("OneWaypoint", "StaticObstacle", "Intersection", "LeftTurn")
         return {"measured": [rate / 1e6 for rate in rates(*(f"{s}, make_vec, N = 1024, 1 thread" for s in scenarios))]}
     if row["what"].startswith("training"):
         alone = rates(*(f"{name} training, 256 x 16, 1 thread" for name in learners))
         two = rates(*(f"independent {name} training, [128, 64], 256 x 16, 1 thread" for name in learners))
         return {"measured": [*alone, 64, 32, *two, 128, 64]}
-    return {"measured": rates("OneWaypoint, mo_gymnasium.make", "minecart-v0, mo_gymnasium.make")}
+    return {"measured": rates(*(f"{name}, mo_gymnasium.make" for name in ("OneWaypoint", "LeftTurn", "minecart-v0")))}
 
 
 def mutants(row: Row) -> dict[str, list[float]]:
