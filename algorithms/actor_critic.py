@@ -17,6 +17,7 @@ import torch
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import GUIDES, PARTNERS, restore_generator, strip_prefix
+from algorithms.common.guides import Guides
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, Rollout, VehicleRollout
 from algorithms.common.trained_networks import TrainedNetworks
@@ -134,37 +135,23 @@ class ActorCritic(Agent):
     ):
         super().__init__(env, utility, seed=seed, device=device, **hyperparameters)
         self.partners = dict(partners or {})
-        self.guides = tuple(guides)
-        for partner in self.partners.values():
-            check_same_task(partner.members[0].env, self.env)
+        self.guides = Guides(guides, self.accrued_discount)
+        for driver in (*self.partners.values(), *(guide.driver for guide in self.guides)):
+            check_same_task(driver.members[0].env, self.env)
+        for guide in self.guides:
+            if guide.vehicle in self.partners:
+                vehicle = vehicle_name(guide.vehicle)
+                raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
         self.learners = [
             self.learner(self.env, v, each, self.config, self.initial, self.device)
             for v, each in enumerate(self.utilities)
             if v not in self.partners
         ]
-        for guide in self.guides:
-            self._check(guide)
         self.collector = Collector(self.env, self.gamma, self.config.steps)
         if self.config.cost_growth and not self.env.costs.any():
             raise ValueError(
                 f"cost_growth = {self.config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
                 f"{self.env.objectives} is known to be a cost"
-            )
-
-    def _check(self, guide: Guide) -> None:
-        """Check that a guide can begin the episodes of a vehicle that learns."""
-        vehicle = vehicle_name(guide.vehicle)
-        if not self.trains_with_guides:
-            raise ValueError(f"algorithm {self.name!r} cannot train with guides")
-        check_same_task(guide.driver.members[0].env, self.env)
-        if guide.vehicle in self.partners:
-            raise ValueError(f"{vehicle} has a guide, but does not learn: partners drive it")
-        if sum(each.vehicle == guide.vehicle for each in self.guides) > 1:
-            raise ValueError(f"{vehicle} has several guides")
-        if guide.driver.observes_accrued_reward and guide.driver.gamma != self.accrued_discount:
-            raise ValueError(
-                f"the guide of {vehicle} observes rewards accrued with the discount {guide.driver.gamma}; "
-                f"here it is {self.accrued_discount}"
             )
 
     @property
@@ -216,9 +203,7 @@ class ActorCritic(Agent):
 
     def _explore(self, observations: NDArray[np.float32], accrued_reward: AccruedReward) -> NDArray[Any]:
         actions = self.act(observations, accrued_reward, self.generator)
-        for guide in self.guides:
-            guide.drive(actions, observations, accrued_reward, self.generator)
-        return actions
+        return self.guides.drive(actions, observations, accrued_reward, self.generator)
 
     def begin(self) -> None:
         """Reset the environments."""
@@ -228,11 +213,9 @@ class ActorCritic(Agent):
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
         self.collector.reward_shares = self.reward_shares(progress)
-        for guide in self.guides:
-            guide.begin_rollout(progress)
+        self.guides.begin_rollout(progress)
         rollout, episodes = self.collector.collect(self._explore)
-        for guide in self.guides:
-            guide.hide(rollout)
+        self.guides.hide(rollout)
         self.episodes.append(episodes)
         self.step += config.steps * self.env.num_envs
         self.updates += 1
@@ -270,7 +253,7 @@ class ActorCritic(Agent):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
         drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
-        guides = {vehicle_name(guide.vehicle): guide.identity() for guide in self.guides}
+        guides = self.guides.identity()
         return {
             **super().identity(),
             "hidden": list(self.config.hidden),
@@ -288,8 +271,7 @@ class ActorCritic(Agent):
         state = {"generator": self.generator.get_state()}
         for learner in self.learners:
             state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
-        for guide in self.guides:
-            state |= {f"guide_{guide.vehicle}.{name}": tensor for name, tensor in guide.get_state().items()}
+        state |= self.guides.get_state()
         state |= {f"collector.{name}": tensor for name, tensor in self.collector.tensors().items()}
         return state
 
@@ -301,8 +283,7 @@ class ActorCritic(Agent):
         """
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
-        for guide in self.guides:
-            guide.set_state(strip_prefix(state, f"guide_{guide.vehicle}."))
+        self.guides.set_state(state)
         restore_generator(self.generator, "generator", state["generator"])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 

@@ -66,7 +66,8 @@ from pydantic import Field, model_validator
 from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import restore_generator, strip_prefix
+from algorithms.common.checkpoints import GUIDES, restore_generator, strip_prefix
+from algorithms.common.guides import Guides
 from algorithms.common.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -95,13 +96,17 @@ from algorithms.evaluation.metrics import (
     VALUE_LOSS,
     vehicle_prefix,
 )
+from algorithms.evaluation.team import check_same_task
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
     from algorithms.common.accrued_reward import AccruedReward
     from algorithms.common.env_adapter import EnvAdapter
+    from algorithms.common.guides import Guide
     from algorithms.common.rollout import VehicleRollout
     from algorithms.evaluation.front import Front
 
@@ -309,6 +314,7 @@ class ConditionedMOPPO(FrontAgent):
         env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
+        guides: what begins episodes.
         **hyperparameters: fields of ConditionedMOPPOConfig.
 
     Attributes:
@@ -316,17 +322,30 @@ class ConditionedMOPPO(FrontAgent):
             drives one vehicle under weights.
 
     Raises:
-        ValueError: for unknown or invalid hyperparameters or spaces, or an environment that emits magnitudes.
+        ValueError: for unknown or invalid hyperparameters or spaces, an environment that emits magnitudes, or guides
+            that cannot drive here.
     """
 
     name = "conditioned_mo_ppo"
     Config = ConditionedMOPPOConfig
+    trains_with_guides = True
     finite = ("collector.", "ideal", "preferences")
 
-    def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
+    def __init__(
+        self,
+        env: VectorEnv,
+        *,
+        seed: int = 0,
+        device: str = "cpu",
+        guides: Sequence[Guide] = (),
+        **hyperparameters: Any,
+    ):
         super().__init__(env, seed=seed, device=device, **hyperparameters)
         if self.env.cost_sign != "maximise":
             raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
+        self.guides = Guides(guides, self.accrued_discount)
+        for guide in self.guides:
+            check_same_task(guide.driver.members[0].env, self.env)
         config = self.config
         self.scales = self.env.chosen_objective_scales(config.objective_scales)
         self.preferences = Preferences(config, self.env.objectives, self.scales)
@@ -359,9 +378,12 @@ class ConditionedMOPPO(FrontAgent):
             if drawn.any():
                 self._current[drawn] = self.preferences.draw(int(drawn.sum()), rng, cost_share)
             preferences.append(self._current.copy())
-            return self.choose_actions(observations, self._current, accrued_reward, self.generator)
+            actions = self.choose_actions(observations, self._current, accrued_reward, self.generator)
+            return self.guides.drive(actions, observations, accrued_reward, self.generator)
 
+        self.guides.begin_rollout(progress)
         rollout, episodes = self.collector.collect(explore)
+        self.guides.hide(rollout)
         self.episodes.append(episodes)
         self.step += config.steps * self.env.num_envs
         self.updates += 1
@@ -455,8 +477,10 @@ class ConditionedMOPPO(FrontAgent):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share; with other scales or families a preference means something else."""
         config = self.config
+        guides = self.guides.identity()
         return {
             **super().identity(),
+            **({GUIDES: guides} if guides else {}),
             "hidden": list(config.hidden),
             "activation": config.activation,
             "network": config.network,
@@ -474,6 +498,7 @@ class ConditionedMOPPO(FrontAgent):
             "preferences": torch.from_numpy(self._current.copy()),
             "seen_any": torch.tensor(self._seen_any),
             **self._ideal_tensor(),
+            **self.guides.get_state(),
         }
         for v, learner in enumerate(self.learners):
             state |= {f"vehicle_{v}.{name}": tensor for name, tensor in learner.get_state().items()}
@@ -493,6 +518,7 @@ class ConditionedMOPPO(FrontAgent):
             self.preferences.check(state["preferences"].numpy())
         self._current[...] = state["preferences"].numpy()
         self._seen_any = bool(state["seen_any"])
+        self.guides.set_state(state)
         restore_generator(self.generator, "generator", state["generator"])
         restore_generator(self.draws, "draws", state["draws"])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)

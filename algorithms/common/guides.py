@@ -15,7 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from algorithms.common.checkpoints import strip_prefix
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from algorithms.common.accrued_reward import AccruedReward
@@ -102,3 +106,67 @@ class Guide:
                 f"there are 0 to {self.settings.decisions}"
             )
         self._handover[...] = handover
+
+
+class Guides:
+    """The guides of an agent, at most one per vehicle.
+
+    Args:
+        guides: of vehicles that learn.
+        discount: of the accrued rewards that the agent's policy observes.
+
+    Raises:
+        ValueError: if a vehicle has several, or one observes rewards that are accrued with another discount.
+    """
+
+    def __init__(self, guides: Sequence[Guide], discount: float):
+        self._of_vehicle = {guide.vehicle: guide for guide in guides}
+        if len(self._of_vehicle) < len(guides):
+            raise ValueError(f"a vehicle has several guides: they are for {sorted(guide.vehicle for guide in guides)}")
+        for guide in guides:
+            if guide.driver.observes_accrued_reward and guide.driver.gamma != discount:
+                raise ValueError(
+                    f"a guide observes rewards accrued with the discount {guide.driver.gamma}; here it is {discount}"
+                )
+
+    def __iter__(self) -> Iterator[Guide]:
+        return iter(self._of_vehicle.values())
+
+    def begin_rollout(self, progress: float) -> None:
+        """Set the shares of guided episodes for a rollout at ``progress``."""
+        for guide in self:
+            guide.begin_rollout(progress)
+
+    def drive(
+        self,
+        actions: NDArray[Any],
+        observations: NDArray[np.float32],
+        accrued_reward: AccruedReward,
+        generator: torch.Generator,
+    ) -> NDArray[Any]:
+        """The actions, those of guides where these drive; arguments are those of :meth:`Guide.drive`."""
+        for guide in self:
+            guide.drive(actions, observations, accrued_reward, generator)
+        return actions
+
+    def hide(self, rollout: Rollout) -> None:
+        """Mark what the guides did, as :meth:`Guide.hide`."""
+        for guide in self:
+            guide.hide(rollout)
+
+    def identity(self) -> dict[str, list[str]]:
+        """:meth:`Guide.identity` by vehicle."""
+        return {f"vehicle_{v}": guide.identity() for v, guide in self._of_vehicle.items()}
+
+    def get_state(self) -> dict[str, torch.Tensor]:
+        """:meth:`Guide.get_state` by vehicle."""
+        return {
+            f"guide_{v}.{name}": tensor
+            for v, guide in self._of_vehicle.items()
+            for name, tensor in guide.get_state().items()
+        }
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Resume from :meth:`get_state`, which may be a part of ``state``."""
+        for v, guide in self._of_vehicle.items():
+            guide.set_state(strip_prefix(state, f"guide_{v}."))

@@ -179,7 +179,7 @@ def test_a_policy_needs_no_guide(tmp_path: Path) -> None:
     trained(run.experiment).save(run.checkpoint)
     run.unlock()
     pair.checkpoint.unlink()
-    assert load_policy(run).guides == ()
+    assert not list(load_policy(run).guides)
     with pytest.raises(ValueError, match=r"training.guides.vehicle_0: checkpoint .* cannot be read"):
         build(run.experiment)
 
@@ -210,16 +210,46 @@ def test_a_vehicle_with_partners_has_no_guide() -> None:
         build(experiment_with(GUIDED, partners={"vehicle_0": ["rule:gap_8"]}))
 
 
-@pytest.mark.parametrize("algorithm", ["mappo", "conditioned_mo_ppo"])
-def test_other_algorithms_have_no_guides(algorithm: str) -> None:
-    experiment = experiment_with(GUIDED, "ppo")
-    settings = {"name": algorithm, "hidden": [16]}
-    known = algorithm == "mappo"
-    values = experiment.model_dump() | {"algorithm": settings} | ({} if known else {"utility": None})
-    if not known:
-        values["environment"] = {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {}}
-    with pytest.raises(ValueError, match=f"training.guides: algorithm '{algorithm}' cannot train with guides"):
-        build(make_experiment({key: value for key, value in values.items() if value is not None}))
+def front_with(guides: Any, algorithm: Any) -> Any:
+    return make_experiment(
+        {
+            "environment": {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {"fixed_destination": True}},
+            "algorithm": algorithm,
+            "training": {"total_timesteps": 400, "num_envs": 8, "guides": guides},
+        }
+    )
+
+
+def test_pcn_and_teams_have_no_guides() -> None:
+    with pytest.raises(ValueError, match=r"training.guides: algorithm 'mappo' cannot train with guides"):
+        build(experiment_with(GUIDED, "mappo"))
+    with pytest.raises(ValueError, match=r"training.guides: algorithm 'pcn' cannot train with guides"):
+        build(front_with({"vehicle_0": {"driver": "one_waypoint_linear-ppo"}}, {"name": "pcn"}))
+
+
+def test_conditioned_mo_ppo_is_guided_and_resumed_bit_for_bit(tmp_path: Path) -> None:
+    guides = {"vehicle_0": {"driver": "one_waypoint_linear-ppo", "share": 1.0, "decisions": 6}}
+    experiment = front_with(guides, {"name": "conditioned_mo_ppo", "steps": 8, "hidden": [16]})
+    whole = trained(experiment)
+    assert whole.get_state()["guide_0.handover"].max() <= 6
+    part = build(experiment)
+    part.train(400, after_update=lambda agent: agent.step >= 192)
+    part.save(tmp_path / "part")
+    resumed = build(experiment)
+    resumed.load(tmp_path / "part")
+    resumed.train(400)
+    for key, tensor in whole.get_state().items():
+        assert torch.equal(tensor, resumed.get_state()[key]), key
+
+
+def test_conditioned_mo_ppo_learns_nothing_from_what_the_guide_does() -> None:
+    guides = {"vehicle_0": {"driver": "one_waypoint_linear-ppo", "share": 1.0, "decisions": 4096}}
+    agent = build(front_with(guides, {"name": "conditioned_mo_ppo", "steps": 4, "hidden": [16]}))
+    agent.begin()
+    before = [tensor.clone() for tensor in agent.learners[0].get_policy().values()]
+    agent.update(0.0)
+    assert agent.get_state()["guide_0.handover"].min() > 4
+    assert all(map(torch.equal, before, agent.learners[0].get_policy().values()))
 
 
 def test_a_team_is_not_guided_in_python_either() -> None:
@@ -230,7 +260,7 @@ def test_a_team_is_not_guided_in_python_either() -> None:
 def test_a_vehicle_has_one_guide() -> None:
     env = make_env(INTERSECTION, 4)
     utility = make_utility("intersection_linear", EnvAdapter(env).objectives)
-    with pytest.raises(ValueError, match="vehicle_0 has several guides"):
+    with pytest.raises(ValueError, match=r"a vehicle has several guides: they are for \[0, 0\]"):
         MOPPO(env, utility, guides=[guide_of(4), guide_of(4)])
 
 
@@ -241,7 +271,7 @@ def test_a_guide_observes_rewards_that_are_accrued_as_here() -> None:
     guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
     with pytest.raises(ValueError, match=r"accrued with the discount 0.9; here it is 0.95"):
         agent_with(guide, 4, gamma=0.95)
-    assert agent_with(guide, 4, gamma=0.9).guides == (guide,)
+    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
 
 
 def test_a_trained_pair_may_be_the_guide() -> None:
