@@ -158,6 +158,19 @@ def counted(runs: list[Row]) -> dict[str, list[float]]:
     }
 
 
+def ingredients(row: Row) -> dict[str, list[float]]:
+    """A number for each seed, and how many of them are at least 90."""
+    utility = f"intersection_{row['utility'].replace('-', '')}"
+    steps = str(round(1e6 * float(row["million steps"])))
+    runs = matching("intersection_ingredients.csv", utility=utility, setting=row["changed"].strip("`"), steps=steps)
+    success = 100 * column(runs, "success")
+    return {
+        "seeds": [float(runs[0]["seed"]), float(runs[-1]["seed"])],
+        "both arrive (%), seed by seed": list(success),
+        "pairs that turn": [float((success >= 90).sum())],
+    }
+
+
 def earlier_pairs(row: Row) -> dict[str, list[float]]:
     found = of_pairs("intersection_scores.csv", row)
     return {
@@ -266,7 +279,6 @@ def pairs_apart(row: Row) -> dict[str, list[float]]:
                 for drive in records("cross_play/cross_play.csv")
                 if drive["vehicle_0"].startswith(first)
                 and drive["vehicle_1"].startswith(other)
-                and drive["vehicle_0"] != "mo_ppo_nonlinear_tuned/seed14"
                 and (drive["vehicle_0"] == drive["vehicle_1"]) in relation
             ]
             values["both arrive (%)"].append(100 * column(met, "success").mean())
@@ -388,6 +400,7 @@ TABLES = [
     Table("docs/results/README.md", "scenario | utility | algorithm | policy", one_vehicle),
     Table("docs/results/README.md", "scenario | utility | policy | difference", one_vehicle_compared),
     Table("docs/results/intersection.md", "utility | algorithm | policy | pairs", tuned_pairs),
+    Table("docs/results/intersection.md", "utility | changed | million steps", ingredients),
     Table("docs/results/intersection.md", "setting | utility | algorithm | policy | seeds", earlier_pairs),
     Table("docs/results/intersection.md", "setting | utility | algorithm | policy | vehicle", earlier_vehicles),
     Table("docs/results/fronts.md", "scenario | actions | algorithm | steps", fronts),
