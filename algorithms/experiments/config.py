@@ -293,7 +293,7 @@ def parse_overrides(arguments: Sequence[str]) -> list[tuple[str, Any]]:
 
 
 def override(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set ``section.key`` in ``values``; a mapping is merged into the existing one.
+    """Set ``section.key`` in ``values``; a mapping is merged into the existing one, which an empty one clears.
 
     Args:
         values: nested sections, changed in place.
@@ -310,7 +310,7 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
         values = values[name]
         if not isinstance(values, dict):
             raise ValueError(f"argument --{key}: {'.'.join(sections[: depth + 1])} = {values!r} is not a section")
-    if isinstance(value, dict) and isinstance(values.get(last), dict):
+    if value and isinstance(value, dict) and isinstance(values.get(last), dict):
         for name, inner in value.items():
             override(values[last], str(name), inner)
     else:

@@ -109,6 +109,14 @@ def test_overrides_change_the_experiment_and_the_last_one_counts(write: Write) -
     assert experiment.hyperparameters["learning_rate"] == 3e-4
 
 
+def test_an_empty_mapping_clears_what_the_file_has() -> None:
+    config = "intersection/mo_ppo_nonlinear_tuned"
+    assert list(load_experiment(config, []).training.guides) == ["vehicle_0"]
+    assert load_experiment(config, ["--training.guides={}"]).training.guides == {}
+    merged = load_experiment(config, ["--training.guides={'vehicle_0': {'share': 0.25}}"]).training.guides["vehicle_0"]
+    assert (merged.driver, merged.share) == ("rule:gap_6", 0.25)
+
+
 def test_the_file_of_a_sweep_is_refused_with_the_command_for_it() -> None:
     message = "'sweeps/search' is the file of a sweep; mo-deepdrive sweep --config sweeps/search trains its runs"
     with pytest.raises(ValueError, match=message):
