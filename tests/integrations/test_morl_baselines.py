@@ -298,7 +298,9 @@ def test_single_policies_train(name: str) -> None:
 )
 def test_tabular_q_learning_trains() -> None:
     def tabular() -> Any:
-        return gymnasium.wrappers.DiscretizeObservation(discrete(), 4, multidiscrete=True)
+        env = gymnasium.wrappers.DiscretizeObservation(discrete(), 4, multidiscrete=True)
+        env.action_space.seed(0)  # from which the learner explores
+        return env
 
     learner = of_library("single_policy.ser.mo_q_learning:MOQLearning")(tabular(), weights=np.full(4, 0.25), **SEEDED)
     learner.train(time.time(), STEPS, eval_env=tabular(), eval_freq=100)
