@@ -135,6 +135,8 @@ class ActorCritic(Agent):
     ):
         super().__init__(env, utility, seed=seed, device=device, **hyperparameters)
         self.partners = dict(partners or {})
+        if guides and not self.trains_with_guides:
+            raise ValueError(f"algorithm {self.name!r} cannot train with guides")
         self.guides = Guides(guides, self.accrued_discount)
         for driver in (*self.partners.values(), *(guide.driver for guide in self.guides)):
             check_same_task(driver.members[0].env, self.env)

@@ -311,8 +311,6 @@ class MAPPO(ActorCritic):
 
     def __init__(self, env: VectorEnv, utility: Utility | Sequence[Utility], **options: Any):
         super().__init__(env, utility, **options)
-        if list(self.guides):
-            raise ValueError(f"algorithm {self.name!r} cannot train with guides")
         if self.env.vehicles == 1:
             raise ValueError(f"{self.env.name} has one vehicle; algorithm {self.name!r} is for a team")
         config = self.config

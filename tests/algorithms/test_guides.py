@@ -20,6 +20,7 @@ from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION
+from tests.helpers.short_agents import check_resumed, pair_experiment, trained
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,20 +30,7 @@ MARK = 21  # the action of the guide below
 
 
 def experiment_with(guides: Any, algorithm: str = "ppo", **training: Any) -> Any:
-    return make_experiment(
-        {
-            "environment": {"id": INTERSECTION, "arguments": {"time_limit": 6.0}},
-            "utility": {"name": "intersection_linear"},
-            "algorithm": {"name": algorithm, "steps": 8, "hidden": [16]},
-            "training": {"total_timesteps": 400, "num_envs": 8, "guides": guides, **training},
-        }
-    )
-
-
-def trained(experiment: Any, steps: int = 400) -> Any:
-    agent = build(experiment)
-    agent.train(steps)
-    return agent
+    return pair_experiment(algorithm, guides=guides, **training)
 
 
 class Constant:
@@ -140,16 +128,7 @@ def test_an_agent_without_guides_is_what_it_was() -> None:
 
 @pytest.mark.parametrize("name", ["a2c", "ppo", "mo_a2c", "mo_ppo", "mocac"])
 def test_a_resumed_run_is_the_same_bit_for_bit(name: str, tmp_path: Path) -> None:
-    experiment = experiment_with(GUIDED, name)
-    whole = trained(experiment)
-    part = build(experiment)
-    part.train(400, after_update=lambda agent: agent.step >= 192)
-    part.save(tmp_path / "part")
-    resumed = build(experiment)
-    resumed.load(tmp_path / "part")
-    resumed.train(400)
-    for key, tensor in whole.get_state().items():
-        assert torch.equal(tensor, resumed.get_state()[key]), key
+    check_resumed(experiment_with(GUIDED, name), tmp_path / "part")
 
 
 @pytest.mark.parametrize("changed", [{"driver": "rule:gap_5"}, {"share": 0.4}, {"until": 0.6}, {"decisions": 11}])
@@ -230,16 +209,8 @@ def test_pcn_and_teams_have_no_guides() -> None:
 def test_conditioned_mo_ppo_is_guided_and_resumed_bit_for_bit(tmp_path: Path) -> None:
     guides = {"vehicle_0": {"driver": "one_waypoint_linear-ppo", "share": 1.0, "decisions": 6}}
     experiment = front_with(guides, {"name": "conditioned_mo_ppo", "steps": 8, "hidden": [16]})
-    whole = trained(experiment)
-    assert whole.get_state()["guide_0.handover"].max() <= 6
-    part = build(experiment)
-    part.train(400, after_update=lambda agent: agent.step >= 192)
-    part.save(tmp_path / "part")
-    resumed = build(experiment)
-    resumed.load(tmp_path / "part")
-    resumed.train(400)
-    for key, tensor in whole.get_state().items():
-        assert torch.equal(tensor, resumed.get_state()[key]), key
+    assert trained(experiment).get_state()["guide_0.handover"].max() <= 6
+    check_resumed(experiment, tmp_path / "part")
 
 
 def test_conditioned_mo_ppo_learns_nothing_from_what_the_guide_does() -> None:

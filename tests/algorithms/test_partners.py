@@ -18,6 +18,7 @@ from algorithms.experiments.build import build, load_policy, open_driver
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from tests.helpers.agents import INTERSECTION
+from tests.helpers.short_agents import check_resumed, pair_experiment, trained
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,20 +28,7 @@ PARTNERS = {"vehicle_1": [*ZOO, "rule:straight_6"]}
 
 
 def experiment_with(partners: Any, algorithm: str = "ppo", **training: Any) -> Any:
-    return make_experiment(
-        {
-            "environment": {"id": INTERSECTION, "arguments": {"time_limit": 6.0}},
-            "utility": {"name": "intersection_linear"},
-            "algorithm": {"name": algorithm, "steps": 8, "hidden": [16]},
-            "training": {"total_timesteps": 400, "num_envs": 8, "partners": partners, **training},
-        }
-    )
-
-
-def trained(experiment: Any, steps: int = 400) -> Any:
-    agent = build(experiment)
-    agent.train(steps)
-    return agent
+    return pair_experiment(algorithm, partners=partners, **training)
 
 
 @pytest.mark.parametrize("name", ["ppo", "mo_ppo", "a2c", "mo_a2c"])
@@ -73,16 +61,7 @@ def test_the_other_vehicle_may_learn_instead() -> None:
 
 @pytest.mark.parametrize("name", ["ppo", "mo_ppo"])
 def test_a_resumed_run_is_the_same_bit_for_bit(name: str, tmp_path: Path) -> None:
-    experiment = experiment_with(PARTNERS, name)
-    whole = trained(experiment)
-    part = build(experiment)
-    part.train(400, after_update=lambda agent: agent.step >= 192)
-    part.save(tmp_path / "part")
-    resumed = build(experiment)
-    resumed.load(tmp_path / "part")
-    resumed.train(400)
-    for key, tensor in whole.get_state().items():
-        assert torch.equal(tensor, resumed.get_state()[key]), key
+    check_resumed(experiment_with(PARTNERS, name), tmp_path / "part")
 
 
 def test_a_run_is_not_resumed_with_other_partners(tmp_path: Path) -> None:

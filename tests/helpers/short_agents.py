@@ -1,0 +1,48 @@
+"""Agents that train for a moment, and whether a resumed one is what it would have been without the interruption."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from algorithms.experiments.build import build
+from algorithms.experiments.config import make_experiment
+from tests.helpers.agents import INTERSECTION
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STEPS = 400
+
+
+def pair_experiment(algorithm: str = "ppo", **training: Any) -> Any:
+    """Two vehicles that learn at the intersection, with these settings of ``training``."""
+    return make_experiment(
+        {
+            "environment": {"id": INTERSECTION, "arguments": {"time_limit": 6.0}},
+            "utility": {"name": "intersection_linear"},
+            "algorithm": {"name": algorithm, "steps": 8, "hidden": [16]},
+            "training": {"total_timesteps": STEPS, "num_envs": 8, **training},
+        }
+    )
+
+
+def trained(experiment: Any) -> Any:
+    """The agent of an experiment after its training."""
+    agent = build(experiment)
+    agent.train(STEPS)
+    return agent
+
+
+def check_resumed(experiment: Any, path: Path) -> None:
+    """Check that an agent that is saved to ``path`` half-way and resumed is that of a run without interruption."""
+    whole = trained(experiment)
+    part = build(experiment)
+    part.train(STEPS, after_update=lambda agent: agent.step >= 192)
+    part.save(path)
+    resumed = build(experiment)
+    resumed.load(path)
+    resumed.train(STEPS)
+    for key, tensor in whole.get_state().items():
+        assert torch.equal(tensor, resumed.get_state()[key]), key
