@@ -21,7 +21,7 @@ from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batc
 from mo_deepdrive.simulation.measures import make_measures
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.placing import pin_nothing
-from mo_deepdrive.simulation.state import ENDS, RUNNING, SPAWN, VEHICLE, with_room
+from mo_deepdrive.simulation.state import ENDS, PARAMS, RUNNING, SPAWN, VEHICLE, with_room
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
@@ -127,6 +127,16 @@ class WorldBatch:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        obstacles, cars = self.scenario.obstacles, self.scenario.cars
+        for name, dtype in (
+            ("state", with_room(VEHICLE, obstacles, cars)),
+            ("params", PARAMS),
+            ("_spawn", with_room(SPAWN, obstacles, cars)),
+            ("_no_pins", with_room(SPAWN, obstacles, cars)),
+            ("_sight", observation.SIGHT),
+        ):
+            # The dtype of unpickled records only equals this one; Numba would compare their fields at every call.
+            setattr(self, name, getattr(self, name).view(dtype))
         self._divide(state["_parts"])
 
     def _part(self, rows: NDArray[np.int64]) -> _Part:

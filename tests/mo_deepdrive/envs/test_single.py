@@ -275,6 +275,19 @@ def test_states_of_one_form_have_one_dtype_object(make_single: Make, make_vector
     assert make_single("static_obstacle").unwrapped.batch.state.dtype is not first
 
 
+@pytest.mark.parametrize("how", COPIES)
+@pytest.mark.parametrize("scenario", IDS)
+def test_the_records_of_a_copy_have_the_dtype_objects_of_the_original(
+    make_single: Make, scenario: str, how: str
+) -> None:
+    env = make_single(scenario)
+    batch, twin = (each.unwrapped.batch for each in (env, COPIES[how](env)))
+    records = [name for name, value in vars(batch).items() if isinstance(value, np.ndarray) and value.dtype.names]
+    assert {"state", "params"} <= set(records)
+    for name in records:
+        assert getattr(twin, name).dtype is getattr(batch, name).dtype
+
+
 @pytest.mark.parametrize("scenario", IDS)
 def test_selected_objectives_are_in_the_given_order(make_single: Make, scenario: str) -> None:
     full = make_single(scenario)
