@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,8 +38,11 @@ def test_a_specialist_has_the_settings_of_the_network_and_the_utility_of_its_pre
 
 
 def test_both_drive_the_same_episodes_under_the_same_preferences(script: ModuleType, tmp_path: Path) -> None:
-    found = script.compare(script.CONFIGS[0], 0, 2, 8, 16384)
-    assert [each.steps for each in found] == [16384] * 2
+    first, second = script.compare(script.CONFIGS[0], [0, 1], 2, 8, 16384)
+    found = [*first, *second]
+    assert [(each.seed, each.steps) for each in found] == [(0, 16384), (0, 16384), (1, 16384), (1, 16384)]
+    assert [each.specialist for each in first] == [each.specialist for each in second]
+    assert [each.weights for each in first] == [each.weights for each in second]
     for each in found:
         assert sum(map(float, each.weights.split())) == pytest.approx(1.0, abs=0.002)
         assert -1.0 < each.conditioned < 1.0
@@ -51,16 +55,21 @@ def test_both_drive_the_same_episodes_under_the_same_preferences(script: ModuleT
     assert [float(row["specialist"]) for row in rows] == pytest.approx([each.specialist for each in found], abs=1e-4)
 
 
-def test_the_table_has_the_means_and_their_ratio(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_has_the_share_of_every_network(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     results = [
         script.Result("c", 0, 100, "1 0", 0.2, 0.5, 0.9, 1.0, 2.0),
         script.Result("c", 0, 100, "0 1", 0.4, 0.3, 1, 1, 2),
+        script.Result("c", 3, 100, "1 0", 0.5, 0.5, 0.9, 1.0, 2.0),
+        script.Result("c", 3, 100, "0 1", 0.1, 0.3, 1, 1, 2),
+        script.Result("d", 4, 100, "0 1", 0.1, -0.3, 1, 1, 2),
     ]
+    assert math.isnan(script.shares(results)[4])
+    results.pop()
     Console(width=100).print(script.table(results))
     shown = capsys.readouterr().out
-    assert "0.3000" in shown
-    assert "0.4000" in shown
-    assert "the network has 75.0% of the specialists' mean" in shown
+    assert "0.3500" in shown
+    assert "0.2500" in shown
+    assert "shares of the specialists' mean: 75.0% (seed 0), 75.0% (seed 3)" in shown
 
 
 @pytest.mark.parametrize(
