@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 GAMMA = 0.99  # the discount factor, besides 1.0, for which fronts are searched
+TIME = "time"  # an objective that fronts have besides the scenario's own
 DATA = resources.files("mo_deepdrive") / "data"
 # The settings that the stored fronts do not depend on: they hold all objectives, maximised.
 _SELECTION = ("objectives", "cost_sign")
@@ -64,8 +65,8 @@ def reference_front(
     Args:
         scenario: "one_waypoint" or "static_obstacle".
         action_type: "discrete", "discrete-16" or "continuous".
-        gamma: discount factor in [0, 1]; the fronts are searched for 0.99 and 1.0.
-        objectives: names, to select and order; None for all of the scenario's.
+        gamma: discount factor in [0, 1]; the fronts are searched for 0.99, for 1.0, and for 1.0 with the time.
+        objectives: names, to select and order; "time" may be among them. None for all of the scenario's.
 
     Returns:
         (K, d) returns of the non-dominated policies, discounted with ``gamma`` and maximised.
@@ -77,7 +78,7 @@ def reference_front(
     if not 0.0 <= gamma <= 1.0:
         raise ValueError(f"gamma = {gamma!r} must lie in [0, 1]")
     rewards = _rewards(scenario, action_type)
-    known = SCENARIOS[scenario].objectives
+    known = (*SCENARIOS[scenario].objectives, TIME)
     if absent := [name for name in names if name not in known]:
         raise ValueError(f"the best-known front has no {absent[0]!r}; {nearest(absent[0], known)}")
     columns = [known.index(name) for name in names]
@@ -179,4 +180,6 @@ def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> s
 @functools.cache
 def _rewards(scenario: str, action_type: str) -> NDArray[np.float32]:
     policies = shipped(scenario, action_type)
-    return replay(front_config(scenario, action_type), [decode(policy.actions, action_type) for policy in policies])
+    timed = {"objectives": (*SCENARIOS[scenario].objectives, TIME)}
+    config = front_config(scenario, action_type).model_copy(update=timed)
+    return replay(config, [decode(policy.actions, action_type) for policy in policies])

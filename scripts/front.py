@@ -22,7 +22,7 @@ from rich.table import Table
 
 from algorithms.experiments.cli import add_trust_argument
 from algorithms.planning.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
-from algorithms.planning.plans import GAMMAS
+from algorithms.planning.plans import CRITERIA
 from mo_deepdrive.config import ActionType
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -71,9 +71,9 @@ def main(arguments: list[str]) -> int:
 
     console = Console(width=120)
     table = Table("gamma", "policies before", "after", "hypervolume before", "after", "change")
-    for gamma, sizes, (before, after) in zip(GAMMAS, found.sizes, found.hypervolumes, strict=True):
+    for criterion, sizes, (before, after) in zip(CRITERIA, found.sizes, found.hypervolumes, strict=True):
         change = f"{after / before - 1.0:+.3%}" if before else "-"
-        table.add_row(str(gamma), *map(str, sizes), f"{before:.6g}", f"{after:.6g}", change)
+        table.add_row(str(criterion), *map(str, sizes), f"{before:.6g}", f"{after:.6g}", change)
     console.print(table)
     if output is None and found.loses_hypervolume:
         console.print("The shipped front is larger; nothing is written.")

@@ -14,6 +14,8 @@ import numpy as np
 from mo_deepdrive.objectives import scales
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from algorithms.planning.plans import EvaluatedPlans
@@ -21,20 +23,20 @@ if TYPE_CHECKING:
 EPSILON = 0.005  # edge of a box, as a share of each objective's nominal scale
 
 
-def epsilon_nondominated(evaluated: EvaluatedPlans, objectives: tuple[str, ...]) -> NDArray[np.int64]:
+def epsilon_nondominated(evaluated: EvaluatedPlans, objectives: Sequence[tuple[str, ...]]) -> NDArray[np.int64]:
     """Rows of the plans that the archive keeps.
 
     Args:
         evaluated: n plans.
-        objectives: names of the d objectives.
+        objectives: names of the d objectives, for each of CRITERIA.
 
     Returns:
-        (m,) sorted rows: for each of GAMMAS, one plan of every box of returns that no other box dominates. In a box
+        (m,) sorted rows: for each of CRITERIA, one plan of every box of returns that no other box dominates. In a box
         the greatest sum of scaled returns wins, then the shortest episode.
     """
     kept = []
-    for returns in evaluated.returns:
-        scaled = returns / scales(objectives)
+    for returns, names in zip(evaluated.returns, objectives, strict=True):
+        scaled = returns / scales(names)
         boxes = np.floor(scaled / EPSILON)
         order = np.lexsort((evaluated.lengths, -scaled.sum(axis=1)))
         _, best = np.unique(boxes[order], axis=0, return_index=True)

@@ -12,10 +12,10 @@ import numpy as np
 import mo_deepdrive
 from algorithms.common.atomic_io import atomic_write
 from algorithms.planning.front_search import UNKNOWN_SOURCE, FrontSearch
-from algorithms.planning.subset_selection import select_front
+from algorithms.planning.plans import CRITERIA, Criterion
 from mo_deepdrive.action_sequences import decode as decode_actions
 from mo_deepdrive.action_sequences import encode as encode_actions
-from mo_deepdrive.reference_fronts import KnownPolicy
+from mo_deepdrive.reference_fronts import GAMMA, KnownPolicy
 from mo_deepdrive.reference_fronts import read as read_front
 from mo_deepdrive.reference_fronts import write as format_front
 
@@ -62,8 +62,8 @@ class FrontImprovement:
     Attributes:
         settings: of the search.
         policies: of the front found.
-        sizes: policies on the shipped front and on the one found, for each of GAMMAS.
-        hypervolumes: of the shipped front and of the one found, for each of GAMMAS.
+        sizes: policies on the shipped front and on the one found, for each of CRITERIA.
+        hypervolumes: of the shipped front and of the one found, for each of CRITERIA.
     """
 
     settings: FrontSearchSettings
@@ -73,7 +73,7 @@ class FrontImprovement:
 
     @property
     def loses_hypervolume(self) -> bool:
-        """Whether the front found has a smaller hypervolume than the shipped one for any of GAMMAS."""
+        """Whether the front found has a smaller hypervolume than the shipped one for any of CRITERIA."""
         return any(after < before for before, after in self.hypervolumes)
 
     def write(self, file: Path) -> int:
@@ -131,8 +131,7 @@ def improve_front(
         search.evolve(this_search)
         on_progress(evaluator.simulated_decisions)
 
-    # The archive keeps one plan per box, so plans of the start that it dropped are candidates again.
-    after = select_front(search.archive.append(start), search.references)
+    after = search.select_front(also=start)
     volumes = zip(search.hypervolumes(before), search.hypervolumes(after), strict=True)
     return FrontImprovement(
         settings=settings,
@@ -143,19 +142,22 @@ def improve_front(
 
 
 def _nondominated_counts(evaluated: EvaluatedPlans) -> list[int]:
-    """How many plans no other dominates, for each of GAMMAS."""
+    """How many plans no other dominates, for each of CRITERIA."""
     return [int(moocore.is_nondominated(returns, maximise=True).sum()) for returns in evaluated.returns]
 
 
 def _known_policies(search: FrontSearch, evaluated: EvaluatedPlans, sources: Sequence[str]) -> list[KnownPolicy]:
     """The plans as the policies of a front's file."""
-    rows = zip(evaluated.plans, *np.round(evaluated.returns[::-1], 6).tolist(), evaluated.sources, strict=True)
+    undiscounted, discounted = (
+        np.round(evaluated.returns[CRITERIA.index(Criterion(gamma))], 6).tolist() for gamma in (1.0, GAMMA)
+    )
+    rows = zip(evaluated.plans, undiscounted, discounted, evaluated.sources, strict=True)
     return [
         KnownPolicy(
             actions=encode_actions(search.evaluator.format.to_sequence(plan)),
-            undiscounted=tuple(undiscounted),
-            discounted=tuple(discounted),
+            undiscounted=tuple(whole),
+            discounted=tuple(present),
             source=sources[source],
         )
-        for plan, undiscounted, discounted, source in rows
+        for plan, whole, present, source in rows
     ]

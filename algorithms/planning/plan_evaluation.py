@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from algorithms.planning.driving_rules import RULE, follow_rule
-from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFormat, Plans
+from algorithms.planning.plans import CRITERIA, FULL_SCALE, EvaluatedPlans, PlanFormat, Plans
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.reference_fronts import front_config
@@ -53,8 +53,8 @@ def simulate_plans(
         controls: (n, 1, 3) scratch.
         discrete: (1, 1) integers, scratch.
         continuous: (1, 1, 3) scratch.
-        weights: (gammas, decisions) discount of each decision.
-        returns: (gammas, n, d), added to.
+        weights: (criteria, decisions) discount of each decision.
+        returns: (criteria, n, d), added to.
         lengths: (n,), written: decisions until the episode ended.
     """
     for i in range(len(worlds)):
@@ -101,7 +101,10 @@ class PlanEvaluator:
         self.simulated_decisions = 0
         motion, path = make_scratch(1, config.physics_steps)
         self._scratch = (motion, traffic.make_scratch(0), path)
-        self._weights = np.array([gamma ** np.arange(config.max_decisions) for gamma in GAMMAS])
+        self._weights = np.array([criterion.gamma ** np.arange(config.max_decisions) for criterion in CRITERIA])
+        params = self.batch.params[0]
+        # (criteria, decisions) the time until after each decision, discounted.
+        self._times = self._weights.cumsum(axis=1) * (params["dt"] * params["physics_steps"])
 
     def evaluate(self, plans: Plans, source: int, rules: NDArray[Any] | None = None) -> EvaluatedPlans:
         """Simulate the episodes of plans.
@@ -116,7 +119,7 @@ class PlanEvaluator:
         if rules is None:
             rules = np.zeros(n, dtype=RULE)
             rules["first_decision"] = self.format.decisions
-        returns = np.zeros((len(GAMMAS), n, d))
+        returns = np.zeros((len(CRITERIA), n, d))
         lengths = np.zeros(n, dtype=np.int64)
         simulate_plans(
             np.repeat(self.batch.state, n, axis=0),
@@ -135,4 +138,8 @@ class PlanEvaluator:
         for plan, length in zip(plans, lengths, strict=True):
             plan[length:] = self.format.idle
         self.simulated_decisions += int(lengths.sum())
-        return EvaluatedPlans(plans, lengths, returns, np.full(n, source))
+        judged = tuple(
+            np.column_stack([own, -times[lengths - 1]]) if criterion.timed else own
+            for criterion, own, times in zip(CRITERIA, returns, self._times, strict=True)
+        )
+        return EvaluatedPlans(plans, lengths, judged, np.full(n, source))

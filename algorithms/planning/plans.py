@@ -16,15 +16,40 @@ from numpy.typing import NDArray
 from mo_deepdrive.action_sequences import CONTINUOUS_UNIT
 from mo_deepdrive.action_sequences import idle as idle_action
 from mo_deepdrive.actions import CONTINUOUS, action_table
-from mo_deepdrive.reference_fronts import GAMMA
+from mo_deepdrive.reference_fronts import GAMMA, TIME
+from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-GAMMAS = (GAMMA, 1.0)  # the discount factors for which returns are maximised
 FULL_SCALE = round(1 / CONTINUOUS_UNIT)  # units of a continuous action of 1.0
 
 Plans = NDArray[np.int16]  # (n, decisions, k)
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Which returns are maximised: of the scenario's objectives, and perhaps of the time.
+
+    Attributes:
+        gamma: discount factor.
+        timed: whether time is an objective, too. Without a discount nothing else tells a drive from the same after a
+            wait.
+    """
+
+    gamma: float
+    timed: bool = False
+
+    def objectives(self, scenario: str) -> tuple[str, ...]:
+        """The names of the d objectives."""
+        return (*SCENARIOS[scenario].objectives, TIME) if self.timed else SCENARIOS[scenario].objectives
+
+    def __str__(self) -> str:
+        return f"{self.gamma}, time" if self.timed else str(self.gamma)
+
+
+# A front is searched for all of them.
+CRITERIA = (Criterion(GAMMA), Criterion(1.0), Criterion(1.0, timed=True))
 
 
 class PlanFormat:
@@ -73,24 +98,25 @@ class EvaluatedPlans:
     Attributes:
         plans: (n, decisions, k) the actions; idle after the end of the episode.
         lengths: (n,) decisions until the episode ended.
-        returns: (gammas, n, d) returns for each of GAMMAS, maximised.
+        returns: (n, d) returns for each of CRITERIA, maximised.
         sources: (n,) index of what found the plan, in a list that the caller keeps.
     """
 
     plans: Plans
     lengths: NDArray[np.int64]
-    returns: NDArray[np.float64]
+    returns: tuple[NDArray[np.float64], ...]
     sources: NDArray[np.int64]
 
     def take(self, rows: NDArray[Any]) -> EvaluatedPlans:
         """The plans at ``rows``, in this order."""
-        return EvaluatedPlans(self.plans[rows], self.lengths[rows], self.returns[:, rows], self.sources[rows])
+        returns = tuple(each[rows] for each in self.returns)
+        return EvaluatedPlans(self.plans[rows], self.lengths[rows], returns, self.sources[rows])
 
     def append(self, other: EvaluatedPlans) -> EvaluatedPlans:
         """These plans followed by those of ``other``, as a new object."""
         return EvaluatedPlans(
             np.concatenate([self.plans, other.plans]),
             np.concatenate([self.lengths, other.lengths]),
-            np.concatenate([self.returns, other.returns], axis=1),
+            tuple(np.concatenate(pair) for pair in zip(self.returns, other.returns, strict=True)),
             np.concatenate([self.sources, other.sources]),
         )

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from algorithms.planning.plans import EvaluatedPlans
 
-FRONT_SIZES = (200, 50)  # most plans of a front, and of them those selected for the second of GAMMAS
+# For each of CRITERIA, the most plans that are selected for it and those after it.
+FRONT_SIZES = (350, 150, 100)
 
 
 def dominated_volume(returns: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -51,20 +52,21 @@ def greedy_hypervolume_subset(returns: NDArray[Any], reference: NDArray[Any], si
 
 
 def select_front(evaluated: EvaluatedPlans, references: Sequence[NDArray[Any]]) -> EvaluatedPlans:
-    """The plans of a front, at most FRONT_SIZES of them.
+    """The plans of a front.
 
-    The best plan of each objective, then those that add most hypervolume. Only plans that dominate the reference
-    points of all GAMMAS are selected.
+    For each of CRITERIA, from the last to the first: the best plan of each objective, then those that add most
+    hypervolume. Only plans that dominate the reference points of all CRITERIA are selected.
 
     Args:
         evaluated: n plans.
-        references: a reference point (d,) for each of GAMMAS.
+        references: a reference point (d,) for each of CRITERIA.
 
     Returns:
         The selected plans, the greatest discounted return of the first objective first.
     """
-    dominating = (evaluated.returns >= np.array(references)[:, None]).all(axis=(0, 2))
-    evaluated = evaluated.take(np.flatnonzero(dominating))
+    pairs = zip(evaluated.returns, references, strict=True)
+    dominating = [(returns >= reference).all(axis=1) for returns, reference in pairs]
+    evaluated = evaluated.take(np.flatnonzero(np.all(dominating, axis=0)))
     rows: set[int] = set()
     for returns, reference, size in zip(evaluated.returns[::-1], references[::-1], FRONT_SIZES[::-1], strict=True):
         front = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))

@@ -14,6 +14,7 @@ from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
 from mo_deepdrive.objectives import scales, signs
 from mo_deepdrive.scenarios import SCENARIOS
+from tests.helpers.markdown_tables import tables
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +27,7 @@ SHIPPED = sorted(
     if (reference_fronts.DATA / f"front_{scenario}_{action_type}.json").is_file()
 )
 GAMMAS = (0.99, 1.0)
+TIME = "time"
 
 
 def fixed(scenario: str) -> dict[str, Any]:
@@ -60,7 +62,7 @@ def test_a_front_file_is_small_and_names_the_source_of_every_policy(scenario: st
     text = (reference_fronts.DATA / f"front_{scenario}_{action_type}.json").read_text(encoding="utf-8")
     policies = reference_fronts.read(text)
     assert len(text) < 200_000
-    assert 50 <= len(policies) <= 200
+    assert 50 <= len(policies) <= 350
     assert len({policy.actions for policy in policies}) == len(policies)
     assert all(policy.source for policy in policies)
     assert reference_fronts.write(scenario, action_type, policies) == text
@@ -76,7 +78,20 @@ def test_every_policy_is_non_dominated_for_one_of_the_gammas(scenario: str, acti
         assert not any(dominates(other, point) for point in front for other in front)
         claimed = np.array([getattr(policy, stored) for policy in policies])
         on_a_front |= np.isclose(claimed[:, None], front, rtol=1e-5, atol=2e-5).all(axis=2).any(axis=1)
+    timed = mo_deepdrive.reference_front(scenario, action_type, 1.0, (*SCENARIOS[scenario].objectives, TIME))
+    assert not any(dominates(other, point) for point in timed for other in timed)
+    on_a_front |= np.isclose(claimed[:, None], timed[:, :-1], rtol=1e-5, atol=2e-5).all(axis=2).any(axis=1)
     assert on_a_front.all()
+
+
+@pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
+def test_time_is_an_objective_of_every_front(scenario: str, action_type: str) -> None:
+    names = ("distance", "time")
+    front = mo_deepdrive.reference_front(scenario, action_type, 1.0, names)
+    assert (front[:, 1] < 0.0).all()
+    assert (front[:, 1] >= -60.001).all()
+    furthest, fastest = front[front[:, 0].argmax()], front[front[:, 1].argmax()]
+    assert furthest[1] < fastest[1]
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
@@ -114,19 +129,43 @@ def test_a_policy_earns_its_return_in_the_public_environment(make_single: Any) -
             np.testing.assert_allclose(returns, policy.undiscounted, rtol=1e-5, atol=2e-5)
 
 
-def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None:
+def hypervolume(scenario: str, action_type: str, gamma: float, objectives: tuple[str, ...]) -> float:
+    front = mo_deepdrive.reference_front(scenario, action_type, gamma, objectives)
+    point = mo_deepdrive.reference_point(scenario, action_type, gamma, objectives)
+    return float(moocore.hypervolume(front, ref=point.values, maximise=True))
+
+
+def documented(repository: Path, first: str, third: str) -> list[dict[str, str]]:
+    """The rows of the table of docs/fronts.md with these columns."""
     text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    documented = {tuple(row[:3]): row[3:6] for row in rows if row[0] in SCENARIOS}
+    [found] = [rows for rows in tables(text) if list(rows[0])[:3] == [first, "action_type", third]]
+    return found
+
+
+def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None:
+    rows = {tuple(row.values())[:3]: row for row in documented(repository, "scenario", "gamma")}
     for scenario, action_type in SHIPPED:
-        for gamma in GAMMAS:
-            front = mo_deepdrive.reference_front(scenario, action_type, gamma)
-            point = mo_deepdrive.reference_point(scenario, action_type, gamma)
-            volume = moocore.hypervolume(front, ref=point.values, maximise=True)
-            policies, arriving, documented_volume = map(float, documented.pop((scenario, action_type, str(gamma))))
-            assert (policies, arriving) == (len(front), (front[:, 1] > 0.0).sum())
-            assert documented_volume == pytest.approx(volume, rel=1e-4)
-    assert not documented
+        own = SCENARIOS[scenario].objectives
+        for shown, gamma, names in (("0.99", 0.99, own), ("1.0", 1.0, own), ("1.0, time", 1.0, (*own, TIME))):
+            front = mo_deepdrive.reference_front(scenario, action_type, gamma, names)
+            row = rows.pop((scenario, action_type, shown))
+            assert (int(row["policies"]), int(row["arriving"])) == (len(front), (front[:, 1] > 0.0).sum())
+            volume = hypervolume(scenario, action_type, gamma, names)
+            assert float(row["hypervolume"]) == pytest.approx(volume, rel=1e-4)
+    assert not rows
+
+
+def test_the_last_record_of_a_front_is_the_shipped_one(repository: Path) -> None:
+    records = documented(repository, "scenario", "date")
+    for scenario, action_type in SHIPPED:
+        own = SCENARIOS[scenario].objectives
+        mine = [row for row in records if (row["scenario"], row["action_type"]) == (scenario, action_type)]
+        assert [row["date"] for row in mine] == sorted(row["date"] for row in mine)
+        criteria = (("0.99", 0.99, own, 1.0), ("1.0", 1.0, own, 1.0), ("1.0, time (10⁶)", 1.0, (*own, TIME), 1e6))
+        for shown, gamma, names, unit in criteria:
+            volumes = [float(row[shown]) * unit for row in mine]
+            assert volumes == sorted(volumes)
+            assert volumes[-1] == pytest.approx(hypervolume(scenario, action_type, gamma, names), rel=1e-4)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
@@ -194,6 +233,13 @@ def test_an_environments_front_has_its_objectives_and_signs(make_single: Any) ->
     np.testing.assert_array_equal(np.array(paper.pareto_front(0.99)), expected * signs(tuple(names)))
     assert (np.array(paper.pareto_front(0.99)) >= 0.0).all()
     assert not np.signbit(np.array(paper.pareto_front(0.99))).any()
+
+
+def test_an_environment_with_time_has_a_front_with_time(make_single: Any) -> None:
+    names = (*SCENARIOS["one_waypoint"].objectives, TIME)
+    front = make_single(**fixed("one_waypoint"), objectives=list(names)).pareto_front(1.0)
+    np.testing.assert_array_equal(np.array(front), mo_deepdrive.reference_front(gamma=1.0, objectives=names))
+    assert len(front) > len(mo_deepdrive.reference_front(gamma=1.0))
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from algorithms.planning.archive import EPSILON, epsilon_nondominated
-from algorithms.planning.plans import GAMMAS, EvaluatedPlans
+from algorithms.planning.plans import CRITERIA, EvaluatedPlans
 from mo_deepdrive.objectives import scales
 
-OBJECTIVES = ("distance", "destination", "g_force", "jerk")
+OBJECTIVES = [criterion.objectives("one_waypoint") for criterion in CRITERIA]
 
 
-def kept_by_a_loop(returns: np.ndarray, lengths: np.ndarray) -> set[int]:
-    scaled = returns / scales(OBJECTIVES)
+def kept_by_a_loop(returns: np.ndarray, lengths: np.ndarray, names: tuple[str, ...]) -> set[int]:
+    scaled = returns / scales(names)
     best: dict[tuple[float, ...], int] = {}
     for row, box in enumerate(map(tuple, np.floor(scaled / EPSILON).tolist())):
         if box not in best or (scaled[row].sum(), -lengths[row]) > (scaled[best[box]].sum(), -lengths[best[box]]):
@@ -28,16 +28,17 @@ def test_one_plan_of_every_nondominated_box_is_kept() -> None:
     rng = np.random.default_rng(0)
     n = 400
     # On a coarse scale, so that many returns are in one box.
-    returns = rng.normal(0.0, 2.0 * EPSILON, (len(GAMMAS), n, 4)) * scales(OBJECTIVES)
+    returns = tuple(rng.normal(0.0, 2.0 * EPSILON, (n, len(names))) * scales(names) for names in OBJECTIVES)
     lengths = rng.integers(1, 600, n)
     evaluated = EvaluatedPlans(np.zeros((n, 1, 1), dtype=np.int16), lengths, returns, np.zeros(n, dtype=np.int64))
     rows = epsilon_nondominated(evaluated, OBJECTIVES)
-    assert set(rows.tolist()) == set().union(*(kept_by_a_loop(each, lengths) for each in returns))
+    kept = [kept_by_a_loop(each, lengths, names) for each, names in zip(returns, OBJECTIVES, strict=True)]
+    assert set(rows.tolist()) == set().union(*kept)
     assert (np.diff(rows) > 0).all()
 
 
 def test_of_equal_returns_the_shortest_episode_is_kept() -> None:
-    evaluated = EvaluatedPlans(
-        np.zeros((3, 1, 1), dtype=np.int16), np.array([7, 5, 6]), np.zeros((len(GAMMAS), 3, 4)), np.zeros(3, np.int64)
-    )
+    returns = tuple(np.zeros((3, len(names))) for names in OBJECTIVES)
+    plans = np.zeros((3, 1, 1), dtype=np.int16)
+    evaluated = EvaluatedPlans(plans, np.array([7, 5, 6]), returns, np.zeros(3, np.int64))
     assert epsilon_nondominated(evaluated, OBJECTIVES).tolist() == [1]

@@ -7,7 +7,7 @@ import pytest
 
 from algorithms.planning.driving_rules import random_rules
 from algorithms.planning.plan_evaluation import PlanEvaluator
-from algorithms.planning.plans import GAMMAS
+from algorithms.planning.plans import CRITERIA
 from mo_deepdrive.action_sequences import discounted_sum
 from mo_deepdrive.action_sequences import replay as replay_sequences
 from mo_deepdrive.reference_fronts import front_config
@@ -20,9 +20,11 @@ def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
     rules = random_rules(8, np.random.default_rng(1), evaluator.batch)
     evaluated = evaluator.evaluate(evaluator.format.idle_plans(8), 3, rules)
     sequences = [evaluator.format.to_sequence(plan) for plan in evaluated.plans]
-    rewards = replay_sequences(front_config(scenario, action_type), sequences)
-    for returns, gamma in zip(evaluated.returns, GAMMAS, strict=True):
-        np.testing.assert_allclose(returns, discounted_sum(rewards, gamma), rtol=1e-5, atol=2e-5)
+    for returns, criterion in zip(evaluated.returns, CRITERIA, strict=True):
+        objectives = {"objectives": criterion.objectives(scenario)}
+        config = front_config(scenario, action_type).model_copy(update=objectives)
+        expected = discounted_sum(replay_sequences(config, sequences), criterion.gamma)
+        np.testing.assert_allclose(returns, expected, rtol=1e-5, atol=2e-5)
     assert evaluated.sources.tolist() == [3] * 8
     assert evaluator.simulated_decisions == evaluated.lengths.sum()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from algorithms.planning.plans import FULL_SCALE, GAMMAS, EvaluatedPlans, PlanFormat
+from algorithms.planning.plans import CRITERIA, FULL_SCALE, EvaluatedPlans, PlanFormat
 from algorithms.planning.trained_runs import record_run
 from mo_deepdrive.action_sequences import decode as decode_actions
 from mo_deepdrive.action_sequences import encode as encode_actions
@@ -48,12 +48,13 @@ def test_continuous_actions_of_a_run_are_rounded_to_what_can_be_written(make_run
 def test_evaluated_plans_are_appended_and_taken_row_by_row() -> None:
     def evaluated(n: int, source: int) -> EvaluatedPlans:
         plans = np.arange(n * 4, dtype=np.int16).reshape(n, 4, 1)
-        returns = np.arange(len(GAMMAS) * n * 2, dtype=np.float64).reshape(len(GAMMAS), n, 2)
-        return EvaluatedPlans(plans, np.arange(n), returns, np.full(n, source))
+        returns = np.arange(len(CRITERIA) * n * 2, dtype=np.float64).reshape(len(CRITERIA), n, 2)
+        return EvaluatedPlans(plans, np.arange(n), tuple(returns), np.full(n, source))
 
     first, second = evaluated(3, 0), evaluated(2, 1)
     taken = first.append(second).take(np.array([4, 0]))
     np.testing.assert_array_equal(taken.plans, [second.plans[1], first.plans[0]])
-    np.testing.assert_array_equal(taken.returns, np.stack([second.returns[:, 1], first.returns[:, 0]], axis=1))
+    for found, of_first, of_second in zip(taken.returns, first.returns, second.returns, strict=True):
+        np.testing.assert_array_equal(found, [of_second[1], of_first[0]])
     assert taken.lengths.tolist() == [1, 0]
     assert taken.sources.tolist() == [1, 0]

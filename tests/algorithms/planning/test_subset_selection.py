@@ -6,7 +6,7 @@ import moocore
 import numpy as np
 
 from algorithms.planning.plan_evaluation import PlanEvaluator
-from algorithms.planning.plans import GAMMAS
+from algorithms.planning.plans import CRITERIA
 from algorithms.planning.subset_selection import dominated_volume, greedy_hypervolume_subset, select_front
 from mo_deepdrive.reference_points import reference_point
 
@@ -29,7 +29,10 @@ def test_plans_that_do_not_dominate_the_reference_points_are_not_selected() -> N
     evaluator = PlanEvaluator("one_waypoint", "continuous")
     gentle, hard = np.array([[0.0, 0.1, -1.0]] * 30), np.array([[0.0, 1.0, -1.0], [0.0, -0.9, -1.0]] * 30)
     evaluated = evaluator.evaluate(evaluator.format.from_sequences([gentle, hard, np.zeros((0, 3))]), 0)
-    references = [reference_point("one_waypoint", "continuous", gamma).values for gamma in GAMMAS]
+    references = [
+        reference_point("one_waypoint", "continuous", criterion.gamma, criterion.objectives("one_waypoint")).values
+        for criterion in CRITERIA
+    ]
     assert (evaluated.returns[0][1] < references[0]).any()
     selected = select_front(evaluated, references)
     np.testing.assert_array_equal(selected.plans, evaluated.plans[[0, 2]])
