@@ -99,6 +99,21 @@ def score_rules(
     ]
 
 
+def load_turner(run: Run) -> Agent:
+    """The trained agent of a run in LeftTurn.
+
+    Raises:
+        ValueError: for a run of another environment or of other objectives.
+    """
+    agent: Agent = load_policy(run)
+    if agent.env.name != SCENARIO.id or agent.env.objectives != SCENARIO.objectives:
+        raise ValueError(
+            f"{str(run.path)!r} is of {agent.env.name} with the objectives {', '.join(agent.env.objectives)}; "
+            f"expected {SCENARIO.id} with {', '.join(SCENARIO.objectives)}"
+        )
+    return agent
+
+
 def score_runs(
     runs: Iterable[Run], *, episodes: int, split: Split = "test", traffic: str = "default"
 ) -> list[DriverScores]:
@@ -121,12 +136,7 @@ def score_runs(
         experiment = run.experiment
         if not experiment.known_utility:
             raise ValueError(f"{str(run.path)!r} is a front of policies, not one")
-        agent = load_policy(run)
-        if agent.env.name != SCENARIO.id or agent.env.objectives != SCENARIO.objectives:
-            raise ValueError(
-                f"{str(run.path)!r} is of {agent.env.name} with the objectives {', '.join(agent.env.objectives)}; "
-                f"expected {SCENARIO.id} with {', '.join(SCENARIO.objectives)}"
-            )
+        agent = load_turner(run)
         arguments = {**experiment.environment.arguments, "traffic": traffic, "objectives": OBJECTIVES}
         algorithm = experiment.algorithm["name"]
         for kind in (SHOWN, "greedy"):
