@@ -1,0 +1,366 @@
+"""Other libraries' algorithms beside this package's on OneWaypoint: the same CPU time, the same tuning for each.
+
+    python scripts/peer_comparison.py --minutes 10 --output peer_comparison.csv
+
+A learner has its library's defaults but for the learning rate, which is the default, three times or a third of it:
+each is tried once, with a seed of its own and on the validation split, and the best of the three is trained with the
+seeds that count, on the test split. The number of environment steps is what takes the CPU time on the machine of
+docs/peers.md, which explains the table. Every run is a new process on one thread. Runs that the file has already are
+not repeated, so a comparison can be continued. The extra ``[peers]`` brings the other libraries.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import multiprocessing
+import os
+from dataclasses import asdict, dataclass, fields
+from itertools import product
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import paired_benchmark
+import torch
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from algorithms.commands.peers import seed_everything
+from algorithms.common.atomic_io import atomic_write, csv_bytes
+from algorithms.evaluation.front import indicators
+from algorithms.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME, STOCHASTIC, SUCCESS, UTILITY_ESR
+from algorithms.evaluation.splits import SPLITS
+from algorithms.evaluation.statistics import mean
+from algorithms.experiments.build import build
+from algorithms.experiments.cli import exit_on_error, make_parser
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
+from algorithms.peers import PEERS
+from algorithms.peers.running import evaluate_front as evaluate_peer_front
+from algorithms.peers.running import prepare
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from algorithms.experiments.config import Experiment
+
+ENV_ID = "mo-deepdrive-one-waypoint-v0"
+GAMMA = 0.99
+RATES = (1.0, 3.0, 1 / 3)  # learning rates that are tried, in units of the default
+TUNING_SEED, FIRST_SEED = 100, 0
+DRAWN_EPISODES = 100  # per policy of a front, where destinations are drawn
+UTILITY, UTILITY_EPISODES = "one_waypoint_linear", 1000
+
+
+@dataclass(frozen=True)
+class Learner:
+    """An algorithm with its library's defaults.
+
+    Attributes:
+        learning_rate: the default one.
+        speed: environment steps per CPU second.
+        num_envs: in parallel.
+        settings: of the algorithm, which are not tuned.
+    """
+
+    learning_rate: float
+    speed: int
+    num_envs: int
+    settings: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is learnt.
+
+    Attributes:
+        arguments: of the environment.
+        learners: by name.
+        known_utility: whether the utility is known, or a front is to be found.
+    """
+
+    arguments: dict[str, Any]
+    learners: dict[str, Learner]
+    known_utility: bool = False
+
+    @property
+    def scores(self) -> tuple[str, str]:
+        """The two scores of a run; the first one chooses the learning rate."""
+        if self.known_utility:
+            return UTILITY_ESR, SUCCESS
+        return (
+            (HYPERVOLUME, EXPECTED_UTILITY) if self.arguments.get("fixed_destination") else (EXPECTED_UTILITY, SUCCESS)
+        )
+
+
+CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500})
+LINEAR_WEIGHTS = Learner(1e-3, 100_000, 256, {"max_policies": 100, "families": {"linear": 1.0}})
+OUR_PCN = Learner(1e-3, 6_000, 16, {})
+ENVELOPE = Learner(3e-4, 17, 1, {})
+GPI_LS = Learner(3e-4, 44, 1, {"arguments": {"gradient_updates": 1}})
+CAPQL = Learner(3e-4, 93, 1, {})
+THEIR_PCN = Learner(1e-3, 2_000, 1, {})
+FIXED, CONTINUOUS = {"fixed_destination": True}, {"action_type": "continuous"}
+TASKS = {
+    "known utility": Task(
+        {},
+        {
+            "ppo": Learner(1e-3, 170_000, 256, {}),
+            "mo_ppo": Learner(1e-3, 150_000, 256, {}),
+            "stable_baselines3.ppo": Learner(3e-4, 1_400, 8, {}),
+            "morl_baselines.nl_mo_ppo": Learner(2.5e-4, 7_000, 8, {}),
+        },
+        known_utility=True,
+    ),
+    "fixed, discrete": Task(
+        FIXED,
+        {
+            "conditioned_mo_ppo": CONDITIONED,
+            "pcn": OUR_PCN,
+            "morl_baselines.pcn": THEIR_PCN,
+            "morl_baselines.envelope": ENVELOPE,
+        },
+    ),
+    "fixed, continuous": Task(
+        FIXED | CONTINUOUS,
+        {
+            "conditioned_mo_ppo": CONDITIONED,
+            "pcn": OUR_PCN,
+            "morl_baselines.capql": CAPQL,
+            "morl_baselines.gpi_ls_continuous": GPI_LS,
+        },
+    ),
+    "drawn, discrete": Task({}, {"conditioned_mo_ppo": LINEAR_WEIGHTS, "morl_baselines.envelope": ENVELOPE}),
+    "drawn, continuous": Task(
+        CONTINUOUS,
+        {
+            "conditioned_mo_ppo": LINEAR_WEIGHTS,
+            "morl_baselines.capql": CAPQL,
+            "morl_baselines.gpi_ls_continuous": GPI_LS,
+        },
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run.
+
+    Attributes:
+        task: a key of :data:`TASKS`.
+        learner: one of the task's.
+        rate: one of :data:`RATES`.
+        seed: of the run.
+        steps: environment steps.
+    """
+
+    task: str
+    learner: str
+    rate: float
+    seed: int
+    steps: int
+
+    @property
+    def key(self) -> tuple[str, str, str, int, int]:
+        """What tells it from other runs; a learner that trains in rounds may take a few more steps than it is given."""
+        return self.task, self.learner, f"{self.rate:.3g}", self.seed, self.steps
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run achieved.
+
+    Attributes:
+        task, learner, rate, seed, steps: as of :class:`Run`.
+        taken: environment steps that were taken.
+        first, second: the scores of the task.
+        seconds: CPU time of the training.
+    """
+
+    task: str
+    learner: str
+    rate: str
+    seed: int
+    steps: int
+    taken: int
+    first: float
+    second: float
+    seconds: float
+
+    @property
+    def key(self) -> tuple[str, str, str, int, int]:
+        """As of its run."""
+        return self.task, self.learner, self.rate, self.seed, self.steps
+
+
+def make_run_experiment(run: Run) -> Experiment:
+    """The experiment of a run; tuning is scored on the validation split."""
+    task = TASKS[run.task]
+    learner = task.learners[run.learner]
+    rate = {"learning_rate": learner.learning_rate * run.rate}
+    settings = dict(learner.settings)
+    if run.learner in PEERS:
+        settings["arguments"] = {**settings.get("arguments", {}), **rate}
+    else:
+        settings |= rate
+    fixed = task.arguments.get("fixed_destination")
+    episodes = UTILITY_EPISODES if task.known_utility else 1 if fixed else DRAWN_EPISODES
+    values: dict[str, Any] = {
+        "environment": {"id": ENV_ID, "arguments": task.arguments},
+        "algorithm": {"name": run.learner, "gamma": GAMMA, **settings},
+        "training": {"total_timesteps": run.steps, "num_envs": learner.num_envs, "seed": run.seed},
+        "evaluation": {"final_episodes": episodes, "gamma": GAMMA},
+    }
+    if run.seed == TUNING_SEED:
+        values["evaluation"]["split"] = "validation"
+    if task.known_utility:
+        values["utility"] = {"name": UTILITY}
+    return make_experiment(values)
+
+
+def learn(run: Run) -> Result:
+    """Train and score a run in this process."""
+    torch.set_num_threads(1)
+    seed_everything(run.seed)  # the other libraries draw from the global generators
+    experiment = make_run_experiment(run)
+    task, settings = TASKS[run.task], experiment.evaluation
+    episodes = {"episodes": settings.final_episodes, "seed": settings.final_seed}
+    started = process_time()
+    trained: Any
+    if run.learner in PEERS:
+        peer_task = prepare(experiment, lambda _step, _metrics: None)
+        with contextlib.redirect_stdout(io.StringIO()):  # the other libraries print
+            policies = PEERS[run.learner].adapter(peer_task)
+        seconds, taken = process_time() - started, peer_task.recorder.steps
+        scales = peer_task.env.objective_scales
+        trained = policies.at(np.zeros(1, dtype=np.intp)) if task.known_utility else policies
+    else:
+        trained = build(experiment)
+        trained.train(run.steps)
+        seconds, taken = process_time() - started, trained.step
+        scales = trained.env.objective_scales
+    if task.known_utility:
+        found = evaluate_policies(trained, experiment, **episodes)[STOCHASTIC].metrics()
+    else:
+        peer = run.learner in PEERS
+        front = evaluate_peer_front(trained, experiment) if peer else evaluate_front(trained, experiment, **episodes)
+        found = indicators(front.discounted, reference_point=settings.reference_point, scales=scales)
+        found[SUCCESS] = float(front.success.mean())
+    first, second = (found[name] for name in task.scores)
+    return Result(run.task, run.learner, f"{run.rate:.3g}", run.seed, run.steps, taken, first, second, seconds)
+
+
+# ------------------------------------------------------------------------------------------------------ which runs
+
+
+def steps_of(task: str, learner: str, minutes: float) -> int:
+    """Environment steps that take so many CPU minutes."""
+    return round(TASKS[task].learners[learner].speed * 60.0 * minutes)
+
+
+def missing_runs(results: Sequence[Result], tasks: Sequence[str], minutes: float, seeds: int) -> list[Run]:
+    """The runs that can be made now: tuning first, and for learners that are tuned, the seeds that count."""
+    done = {result.key for result in results}
+    runs = []
+    for task in tasks:
+        for learner in TASKS[task].learners:
+            steps = steps_of(task, learner, minutes)
+            tuning = [Run(task, learner, rate, TUNING_SEED, steps) for rate in RATES]
+            runs += [run for run in tuning if run.key not in done]
+            if all(run.key in done for run in tuning):
+                scores = {result.key: result.first for result in results}
+                best = max(tuning, key=lambda run: scores[run.key])
+                final = [Run(task, learner, best.rate, FIRST_SEED + seed, steps) for seed in range(seeds)]
+                runs += [run for run in final if run.key not in done]
+    return runs
+
+
+def learn_in_new_processes(runs: Sequence[Run], workers: int) -> Iterator[Result]:
+    """The results of ``runs``, as they finish, each from a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=1) as pool:
+        yield from pool.imap_unordered(learn, runs, chunksize=1)
+
+
+def read_results(path: Path) -> list[Result]:
+    """The results in a file of :func:`write_results`; none if there is no file.
+
+    Raises:
+        ValueError: if it is another file.
+    """
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    try:
+        kinds = {field.name: {"int": int, "float": float, "str": str}[str(field.type)] for field in fields(Result)}
+        return [Result(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in rows]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not a file of this script: {type(error).__name__}: {error}") from None
+
+
+def write_results(path: Path, results: Sequence[Result]) -> None:
+    """Write one row per run as CSV, atomically."""
+    rows = [[field.name for field in fields(Result)]]
+    for result in results:
+        cells = asdict(result) | {"seconds": f"{result.seconds:.1f}"}
+        cells |= {name: f"{cells[name]:.6g}" for name in ("first", "second")}
+        rows.append([str(cell) for cell in cells.values()])
+    atomic_write(path, csv_bytes(rows))
+
+
+def table_rows(results: Sequence[Result]) -> list[list[str]]:
+    """The table: means over the seeds that count with 95% intervals, one row per task and learner."""
+    rows = []
+    for task, chosen in TASKS.items():
+        for learner, steps in product(chosen.learners, sorted({result.steps for result in results})):
+            mine = [
+                r for r in results if (r.task, r.learner, r.steps) == (task, learner, steps) and r.seed != TUNING_SEED
+            ]
+            if mine:
+                scores = [mean(np.array([getattr(r, name) for r in mine])).text() for name in ("first", "second")]
+                named = [f"{name} {text}" for name, text in zip(chosen.scores, scores, strict=True)]
+                seconds = f"{np.mean([r.seconds for r in mine]):.0f}"
+                rows.append([task, learner, mine[0].rate, str(len(mine)), f"{mine[0].taken:,}", seconds, *named])
+    return rows
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the command line."""
+    parser = make_parser(__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0, help="CPU minutes of a run (default: %(default)s)")
+    parser.add_argument("--seeds", type=int, default=5, help="runs of each learner that count (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", choices=TASKS, default=list(TASKS), help="tasks; default: all")
+    parser.add_argument("--workers", type=int, default=1, help="runs at the same time (default: %(default)s)")
+    parser.add_argument("--output", type=Path, required=True, help="CSV file of every run, continued if it exists")
+    arguments = parser.parse_args(argv)
+    for name, least in (("minutes", 0.001), ("seeds", 1), ("workers", 1)):
+        if getattr(arguments, name) < least:
+            parser.error(f"--{name} {getattr(arguments, name)} must be at least {least}")
+    if not arguments.output.parent.is_dir():
+        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    for learner in dict.fromkeys(name for task in arguments.only for name in TASKS[task].learners):
+        reason = PEERS[learner].unavailable_reason() if learner in PEERS else None
+        if reason is not None:
+            parser.error(f"{learner} cannot run here: {reason}")
+    os.environ.update(paired_benchmark.ONE_THREAD)
+    with exit_on_error(ValueError, OSError):
+        results = read_results(arguments.output)
+        settings = arguments.only, arguments.minutes, arguments.seeds
+        while runs := missing_runs(results, *settings):
+            for result in track(learn_in_new_processes(runs, arguments.workers), total=len(runs)):
+                results.append(result)
+                write_results(arguments.output, results)
+    splits = f"tuned on seed {TUNING_SEED} of {SPLITS['validation'].start:,} and up"
+    caption = f"mean [95% interval] over seeds; {splits}; {paired_benchmark.machine()}, one thread"
+    table = Table("task", "learner", "rate", "seeds", "steps", "CPU seconds", "score", "and", caption=caption)
+    for row in table_rows(results):
+        table.add_row(*row)
+    Console(width=160).print(table)
+
+
+if __name__ == "__main__":
+    main()

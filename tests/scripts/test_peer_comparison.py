@@ -1,0 +1,120 @@
+"""``scripts/peer_comparison.py``: which runs it makes, and what it writes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.helpers.paths import REPOSITORY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import ModuleType
+
+
+@pytest.fixture
+def script(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script as a module."""
+    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+    return load_script("peer_comparison")
+
+
+def result(script: ModuleType, run: Any, first: float) -> Any:
+    return script.Result(run.task, run.learner, f"{run.rate:.3g}", run.seed, run.steps, run.steps, first, 0.5, 1.25)
+
+
+def test_every_learner_is_tuned_with_as_many_runs_and_then_trained_with_the_best_rate(script: ModuleType) -> None:
+    tuning = script.missing_runs([], list(script.TASKS), 1.0, 5)
+    learners = [(name, learner) for name, task in script.TASKS.items() for learner in task.learners]
+    assert len(tuning) == len(script.RATES) * len(learners)
+    assert {run.seed for run in tuning} == {script.TUNING_SEED}
+    tuned = [result(script, run, 1.0 if run.rate == 3.0 else 0.0) for run in tuning]
+    final = script.missing_runs(tuned, list(script.TASKS), 1.0, 5)
+    assert [(run.task, run.learner) for run in final] == [each for each in learners for _ in range(5)]
+    assert {run.rate for run in final} == {3.0}
+    assert [run.seed for run in final[:5]] == [0, 1, 2, 3, 4]
+    done = [*tuned, *(result(script, run, 1.0) for run in final)]
+    assert script.missing_runs(done, list(script.TASKS), 1.0, 5) == []
+    assert len(script.missing_runs(done, list(script.TASKS), 1.0, 6)) == len(learners)
+    assert len(script.missing_runs(done, list(script.TASKS), 2.0, 5)) == len(tuning)
+
+
+def test_runs_have_the_same_time_and_differ_in_the_learning_rate_alone(script: ModuleType) -> None:
+    for name, task in script.TASKS.items():
+        for learner, settings in task.learners.items():
+            steps = script.steps_of(name, learner, 0.5)
+            assert steps == 30 * settings.speed
+            first, second = (
+                script.make_run_experiment(script.Run(name, learner, rate, 3, steps)).to_dict() for rate in (1.0, 3.0)
+            )
+            places = [each["algorithm"].get("arguments", each["algorithm"]) for each in (first, second)]
+            rates = [place.pop("learning_rate") for place in places]
+            assert rates == pytest.approx([settings.learning_rate, 3.0 * settings.learning_rate])
+            assert first == second
+            assert first["training"]["total_timesteps"] == steps
+
+
+def test_tuning_is_scored_on_the_validation_split_and_the_rest_on_the_test_split(script: ModuleType) -> None:
+    splits = [
+        script.make_run_experiment(
+            script.Run("drawn, discrete", "conditioned_mo_ppo", 1.0, seed, 100)
+        ).evaluation.final_seed
+        for seed in (script.TUNING_SEED, 0)
+    ]
+    assert splits == [script.SPLITS["validation"].start, script.SPLITS["test"].start]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "learner"),
+    [("known utility", "ppo"), ("fixed, continuous", "conditioned_mo_ppo"), ("drawn, discrete", "conditioned_mo_ppo")],
+)
+def test_a_run_is_trained_and_scored(script: ModuleType, task: str, learner: str) -> None:
+    found = script.learn(script.Run(task, learner, 3.0, 0, 8192))
+    assert (found.task, found.learner, found.rate, found.steps) == (task, learner, "3", 8192)
+    assert found.taken >= 8192
+    assert found.seconds > 0.0
+    low, high = (-100.0, 20.0) if task == "known utility" else (0.0, 42_000.0)
+    assert low <= found.first <= high
+    assert 0.0 <= found.second <= 1.0
+
+
+def test_results_are_continued_and_other_files_refused(script: ModuleType, tmp_path: Path) -> None:
+    run = script.Run("fixed, discrete", "pcn", 1 / 3, 100, 500)
+    file = tmp_path / "results.csv"
+    assert script.read_results(file) == []
+    script.write_results(file, [result(script, run, 0.25)])
+    [read] = script.read_results(file)
+    assert read == script.Result("fixed, discrete", "pcn", "0.333", 100, 500, 500, 0.25, 0.5, 1.2)
+    assert read.key == run.key
+    file.write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match=r"results\.csv is not a file of this script: KeyError: 'task'"):
+        script.read_results(file)
+
+
+def test_the_table_leaves_tuning_out(script: ModuleType) -> None:
+    runs = [script.Run("known utility", "ppo", 1.0, seed, 500) for seed in (script.TUNING_SEED, 0, 1, 2)]
+    results = [result(script, run, float(run.seed)) for run in runs]
+    [row] = script.table_rows(results)
+    assert row[:6] == ["known utility", "ppo", "1", "3", "500", "1"]
+    assert row[6].startswith("utility_esr 1.0 [")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--minutes", "0"], "--minutes 0.0 must be at least 0.001"),
+        (["--seeds", "0"], "--seeds 0 must be at least 1"),
+        (["--only", "intersection"], "invalid choice: 'intersection'"),
+        (["--output", "nowhere/found.csv"], "there is no folder nowhere"),
+    ],
+)
+def test_invalid_arguments_are_refused(
+    script: ModuleType, tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        script.main(["--output", str(tmp_path / "found.csv"), *arguments])
+    assert end.value.code == 2
+    assert message in " ".join(capsys.readouterr().err.split())
