@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pytest
 
+import mo_deepdrive
+from algorithms.common.pareto import hypervolume
 from algorithms.evaluation.statistics import mean
+from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.markdown_tables import tables
 from tests.helpers.paths import REPOSITORY
 
@@ -228,6 +231,26 @@ def left_turners(row: Row) -> dict[str, list[float]]:
     }
 
 
+def left_turn_front(row: Row) -> dict[str, list[float]]:
+    names = {"rules": "rules", "PPO": "left_turn_linear-ppo", "MO-PPO": "left_turn_linear-mo_ppo"}
+    names |= {"conditioned": "left_turn_front-conditioned_mo_ppo"}
+    kind = row["source"].replace(",", "").split()[0]
+    found = records("left_turn_front.csv") if kind == "all" else matching("left_turn_front.csv", source=names[kind])
+    means = np.array([[float(each[name]) for name in SCENARIOS["left_turn"].objectives] for each in found])
+    corner = mo_deepdrive.reference_point("left_turn", gamma=1.0).values
+    values = {
+        "policies": [len(found)],
+        "non-dominated": [column(found, "non_dominated").sum()],
+        "hypervolume (10⁹)": [hypervolume(means, corner) / 1e9],
+    }
+    ranges = {"arrivals (%)": ("arrived", 100), "collisions (%)": ("collision", -100), "time (s)": ("time", -1)}
+    ranges |= {"g-force (g)": ("g_force", -1), "jerk (m/s³)": ("jerk", -1)}
+    for shown, (name, times) in ranges.items():
+        shares = times * column(found, name)
+        values[shown] = [] if kind == "all" else [shares.min(), shares.max()]
+    return values
+
+
 def fronts(row: Row) -> dict[str, list[float]]:
     values: dict[str, list[float]] = {}
     environment = "deep-sea-treasure-v0"
@@ -308,6 +331,21 @@ def conditioned(row: Row) -> dict[str, list[float]]:
         shares = 100 * column(runs, name)
         values[shown] = [shares.mean(), shares.min(), shares.max()]
     return values | {"CPU seconds": [column(runs, "seconds").mean()]}
+
+
+def comfort(row: Row) -> dict[str, list[float]]:
+    """A number for each seed; the config stands in the first row of several."""
+    table = table_of("docs/learning.md", "config | objective | started by")
+    configs = [each["config"].split()[0] for each in table[: table.index(row) + 1] if each["config"]]
+    started = row["started by"].split()[0]
+    runs = matching(
+        "comfort.csv",
+        config=f"one_waypoint/{configs[-1]}",
+        cost_growth="0.25" if started == "growing" else "0",
+        guide="one_waypoint_linear-ppo" if started == "guide" else "",
+        policy="stochastic",
+    )
+    return {"utility (ESR)": list(column(runs, "utility_esr")), "arrivals (%)": list(100 * column(runs, "success"))}
 
 
 def pcn_elsewhere(row: Row) -> dict[str, list[float]]:
@@ -409,7 +447,9 @@ TABLES = [
     Table("docs/results/cross_play.md", "vehicle 1, with 22 drivers", partial(strangers, 1)),
     Table("docs/left_turn.md", "gap (s) | arrivals", rules),
     Table("docs/left_turn.md", "driver | arrivals", left_turners),
+    Table("docs/left_turn.md", "source | policies | non-dominated", left_turn_front),
     Table("docs/learning.md", "config | seeds | steps | hypervolume", conditioned),
+    Table("docs/learning.md", "config | objective | started by", comfort),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
