@@ -28,6 +28,7 @@ from algorithms.common.checkpoints import (
 )
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
+from algorithms.common.threads import limited_torch
 from algorithms.evaluation.episodes import evaluate, evaluate_each
 from algorithms.evaluation.front import Front, measure_front
 from algorithms.evaluation.metrics import (
@@ -277,6 +278,7 @@ class Agent(ABC):
 
     # -------------------------------------------------------------------------------------------------------- training
 
+    @limited_torch()
     def train(
         self,
         total_timesteps: int,
@@ -294,6 +296,8 @@ class Agent(ABC):
         after_update: Callable[[Any], bool] | None = None,
     ) -> None:
         """Learn until ``total_timesteps`` environment steps have been taken, over all parallel environments together.
+
+        On one thread, unless :func:`algorithms.common.threads.set_threads` has been called with more.
 
         Args:
             total_timesteps: also the length of schedules; a resumed run passes the same number.

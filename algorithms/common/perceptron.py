@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from algorithms.common.tape import current_tape
-from algorithms.common.threads import threads
+from algorithms.common.threads import one_blas_thread, threads
 from mo_deepdrive.simulation.jit import jit, parallel_jit
 
 if TYPE_CHECKING:
@@ -191,7 +191,8 @@ class Perceptron(nn.Sequential):
         transposed = np.empty((len(biases[-1]), len(rows)), np.float32)
         parallel = threads() > 1 and len(rows) > BLOCK
         run_forward = parallel_forward_pass if parallel else forward_pass
-        run_forward(rows, weights, biases, hidden, transposed)
+        with one_blas_thread():
+            run_forward(rows, weights, biases, hidden, transposed)
         outputs = torch.from_numpy(transposed).t()
         if tape is None:
             self._spare.append(space)
@@ -201,7 +202,8 @@ class Perceptron(nn.Sequential):
                 by_transposed = np.ascontiguousarray(by_outputs[0].T)
                 run_backward = parallel_backward_pass if parallel else backward_pass
                 by_weights, by_biases = space.gradients(len(rows))
-                run_backward(rows, weights, hidden, by_transposed, by_weights, by_biases)
+                with one_blas_thread():
+                    run_backward(rows, weights, hidden, by_transposed, by_weights, by_biases)
                 _add_blocks(tuple([gradients[weight] for weight in self.weights]), by_weights)
                 _add_blocks(tuple([gradients[bias] for bias in self.biases]), by_biases)
                 self._spare.append(space)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
 import numba
 import scipy.linalg.cython_blas  # noqa: F401  (Numba's products use it, and it must be loaded to be limited)
 import torch
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _count = 1
+_blas = ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 def set_threads(count: int) -> None:
@@ -26,3 +33,34 @@ def set_threads(count: int) -> None:
 def threads() -> int:
     """The number of threads of compiled networks."""
     return _count
+
+
+@contextmanager
+def limited_torch() -> Iterator[None]:
+    """Let torch use no more threads than compiled networks, and as many as before afterwards.
+
+    Its default is one per core, which makes small operations slower and sums depend on the machine.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(min(before, _count))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let BLAS use one thread within a ``with`` statement, and as many as before after it.
+
+    With more, every small product waits for threads that may not have a core. The context of threadpoolctl takes as
+    long as a pass over a few rows.
+    """
+    limited = [(library, count) for library in _blas if (count := library.get_num_threads()) != 1]
+    for library, _ in limited:
+        library.set_num_threads(1)
+    try:
+        yield
+    finally:
+        for library, count in limited:
+            library.set_num_threads(count)

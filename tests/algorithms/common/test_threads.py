@@ -1,0 +1,83 @@
+"""How many threads the trainers use, and that others' settings are as before afterwards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import torch
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+from algorithms.a2c import A2C
+from algorithms.common import perceptron
+from algorithms.common.env_adapter import make_env
+from algorithms.common.networks import Perceptron
+from algorithms.common.threads import limited_torch, one_blas_thread
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.utilities import make_utility
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+BLAS = ThreadpoolController().select(user_api="blas").lib_controllers
+
+
+def blas_threads() -> set[int]:
+    return {library.get_num_threads() for library in BLAS}
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """BLAS and torch use two threads, as on a machine with two cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    with threadpool_limits(2, user_api="blas"):
+        if blas_threads() != {2}:
+            pytest.skip("this BLAS has no threads")
+        yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_blas_has_one_thread_for_a_while() -> None:
+    with one_blas_thread():
+        assert blas_threads() == {1}
+    assert blas_threads() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_the_passes_of_a_network_run_on_one_blas_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    run = perceptron.forward_pass
+
+    def record(*arrays: object) -> None:
+        seen.append(blas_threads())
+        run(*arrays)
+
+    monkeypatch.setattr(perceptron, "forward_pass", record)
+    network = Perceptron(torch.nn.Linear(3, 4), torch.nn.ReLU(), torch.nn.Linear(4, 2))
+    with torch.no_grad():
+        network(torch.zeros(5, 3))
+    assert seen == [{1}]
+    assert blas_threads() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_torch_has_one_thread_while_an_agent_trains() -> None:
+    seen = []
+
+    def record(_agent: object) -> bool:
+        seen.append(torch.get_num_threads())
+        return True
+
+    env = make_env("mo-deepdrive-one-waypoint-v0", num_envs=2)
+    agent = A2C(env, make_utility("one_waypoint_linear", SCENARIOS["one_waypoint"].objectives))
+    agent.train(1, after_update=record)
+    assert seen == [1]
+    assert torch.get_num_threads() == 2
+
+
+def test_fewer_threads_stay_fewer() -> None:
+    with limited_torch():
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == 1
