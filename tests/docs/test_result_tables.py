@@ -374,6 +374,28 @@ def wall_clock(row: Row) -> dict[str, list[float]]:
     }
 
 
+def parity(row: Row) -> dict[str, list[float]]:
+    runs = matching("parity.csv", config=row["config"].strip("`"), vehicle=row["vehicle"], code="today")
+    today = column(runs, "utility")
+    before = [float(runs[0][name]) for name in ("before", "before_low", "before_high")]
+    assert row["mean of today"] == (
+        "below" if today.mean() < before[1] else "above" if today.mean() > before[2] else "within"
+    )
+    return {"before": before, "today, seed by seed": list(today)}
+
+
+def parity_of_the_commit(row: Row) -> dict[str, list[float]]:
+    found = {
+        code: list(
+            column(
+                matching("parity.csv", config=row["config"].strip("`"), vehicle=row["vehicle"], code=code), "utility"
+            )
+        )
+        for code in ("before", "today")
+    }
+    return {"that commit, seed by seed": found["before"], "today, seed by seed": found["today"]}
+
+
 def training_speeds(row: Row) -> dict[str, list[float]]:
     names = {
         "two MO-PPO learners at the intersection, 128-64": ["two-mo_ppo-128-64"],
@@ -453,6 +475,8 @@ TABLES = [
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
+    Table("docs/results/parity.md", "config | vehicle | before", parity),
+    Table("docs/results/parity.md", "config | vehicle | that commit", parity_of_the_commit),
     Table("README.md", "what | measured", speeds),
     Table("CONTRIBUTING.md", "group | mutants", mutants),
 ]
