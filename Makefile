@@ -20,7 +20,7 @@ SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTI
 # The tests that need nothing but the development environment.
 HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
-.PHONY: install train test test-fast test-ray test-peers test-integrations test-cluster test-browser test-install \
+.PHONY: install train test test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser test-install \
 	mutants lint benchmark docs linkcheck clean
 
 install: $(READY)
@@ -85,12 +85,16 @@ lint: $(READY)
 	$(VENV)/bin/codespell
 
 test: lint
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE)
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) -m "not processes"
 
 # For the inner loop: no lint, nothing that takes longer than a second, and few examples per property.
 test-fast: $(READY)
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) \
 		-m "not slow and not cluster and not browser" --hypothesis-profile fast
+
+# Worker pools and sweeps: their processes are interrupted and killed, and the results must be the same.
+test-processes: $(READY)
+	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) -m processes
 
 # Starts and stops a temporary Slurm (Debian's slurm-wlm and munge, as root) and temporary Ray clusters.
 test-cluster: $(READY)

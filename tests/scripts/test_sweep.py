@@ -46,7 +46,7 @@ RATE = "algorithm.learning_rate"
 TWO_SECONDS = {"training.total_timesteps": 200_000, "training.num_envs": 64}  # per run, after compilation
 PAGE = 4096
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
+pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
 
 
 @pytest.fixture(scope="module")

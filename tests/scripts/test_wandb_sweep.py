@@ -31,7 +31,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="needs POSIX commands and signals")]
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.slow,
+    pytest.mark.skipif(os.name != "posix", reason="needs POSIX commands and signals"),
+]
 
 DEFINITION = "configs/sweeps/wandb.yaml"
 TIMEOUT = 240

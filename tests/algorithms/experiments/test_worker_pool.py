@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 LONG = {"total_timesteps": 60_000, "num_envs": 32}  # some seconds
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
+pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
 
 
 def make(jobs: list[Job], workers: int = 1, **options: object) -> dict[Job, str]:
