@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from algorithms.experiments.config import Experiment
 
 PREFERENCES_SEED = 1  # of the preferences; those of the front have another
-CONFIGS = ("one_waypoint/conditioned_drawn", "left_turn/conditioned")
+CONFIGS = ("one_waypoint/conditioned_drawn", "static_obstacle/conditioned_drawn", "left_turn/conditioned")
 
 
 @dataclass(frozen=True)

@@ -333,6 +333,17 @@ def conditioned(row: Row) -> dict[str, list[float]]:
     return values | {"CPU seconds": [column(runs, "seconds").mean()]}
 
 
+def specialists(row: Row) -> dict[str, list[float]]:
+    weights = row["weights: distance, destination, g-force, jerk"].replace(",", "")
+    runs = matching("conditioned_specialists.csv", config="one_waypoint/conditioned_drawn", weights=weights)
+    return {
+        "networks": [column(runs, "conditioned").mean()],
+        "specialist": [column(runs, "specialist")[0]],
+        "arrivals (%)": [100 * column(runs, "arrivals").mean()],
+        "of the specialist (%)": [100 * column(runs, "specialist_arrivals")[0]],
+    }
+
+
 def comfort(row: Row) -> dict[str, list[float]]:
     """A number for each seed; the config stands in the first row of several."""
     table = table_of("docs/learning.md", "config | objective | started by")
@@ -471,6 +482,7 @@ TABLES = [
     Table("docs/left_turn.md", "driver | arrivals", left_turners),
     Table("docs/left_turn.md", "source | policies | non-dominated", left_turn_front),
     Table("docs/learning.md", "config | seeds | steps | hypervolume", conditioned),
+    Table("docs/learning.md", "weights: distance, destination", specialists),
     Table("docs/learning.md", "config | objective | started by", comfort),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
