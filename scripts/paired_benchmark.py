@@ -56,6 +56,22 @@ ONE_THREAD = dict.fromkeys(
 )
 THREADS = 1
 
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Let processes that are started within a ``with`` statement use one thread each."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
 # ------------------------------------------------------------------------------------------------ what one tree can do
 
 

@@ -15,7 +15,6 @@ import contextlib
 import csv
 import io
 import multiprocessing
-import os
 from dataclasses import asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
@@ -280,8 +279,9 @@ def missing_runs(results: Sequence[Result], tasks: Sequence[str], minutes: float
 
 
 def learn_in_new_processes(runs: Sequence[Run], workers: int) -> Iterator[Result]:
-    """The results of ``runs``, as they finish, each from a process of its own."""
-    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=1) as pool:
+    """The results of ``runs``, as they finish, each from a process of its own with one thread."""
+    context = multiprocessing.get_context("spawn")
+    with paired_benchmark.one_thread_each(), context.Pool(workers, maxtasksperchild=1) as pool:
         yield from pool.imap_unordered(learn, runs, chunksize=1)
 
 
@@ -346,7 +346,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         reason = PEERS[learner].unavailable_reason() if learner in PEERS else None
         if reason is not None:
             parser.error(f"{learner} cannot run here: {reason}")
-    os.environ.update(paired_benchmark.ONE_THREAD)
     with exit_on_error(ValueError, OSError):
         results = read_results(arguments.output)
         settings = arguments.only, arguments.minutes, arguments.seeds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,17 @@ def test_a_row_has_medians_and_the_median_of_the_ratios(paired: ModuleType) -> N
     assert (row.old, row.new, row.speedup, row.pairs) == (100.0, 300.0, 2.0, 3)
     assert (row.low, row.high) == (None, None), "three pairs say too little"
     assert row.cells() == ["make", "100.00", "300.00", "steps/s", "2.000"]
+
+
+def test_the_environment_is_as_before_after_processes_of_one_thread(
+    paired: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paired, "ONE_THREAD", {"MO_DEEPDRIVE_SET": "1", "MO_DEEPDRIVE_NOT_SET": "1"})
+    monkeypatch.setenv("MO_DEEPDRIVE_SET", "4")
+    with paired.one_thread_each():
+        assert os.environ["MO_DEEPDRIVE_SET"] == os.environ["MO_DEEPDRIVE_NOT_SET"] == "1"
+    assert os.environ["MO_DEEPDRIVE_SET"] == "4"
+    assert "MO_DEEPDRIVE_NOT_SET" not in os.environ
 
 
 def test_fewer_seconds_are_a_speedup(paired: ModuleType) -> None:
