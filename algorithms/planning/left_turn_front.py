@@ -36,7 +36,7 @@ GAMMA = 1.0
 
 
 @dataclass(frozen=True)
-class Driver:
+class MeasuredDriver:
     """A policy and its episodes.
 
     Attributes:
@@ -50,7 +50,7 @@ class Driver:
     evaluation: Evaluation
 
 
-def drive_rules(gaps: Iterable[float], *, episodes: int, split: Split) -> list[Driver]:
+def drive_rules(gaps: Iterable[float], *, episodes: int, split: Split) -> list[MeasuredDriver]:
     """The rule that waits for a gap in the traffic, for each of ``gaps`` (s).
 
     Raises:
@@ -58,12 +58,14 @@ def drive_rules(gaps: Iterable[float], *, episodes: int, split: Split) -> list[D
     """
     rules = [GapRule(gap=gap) for gap in gaps]
     return [
-        Driver("rules", f"gap {rule.gap:g} s", evaluate(GapDriver(rule), SCENARIO.id, split=split, episodes=episodes))
+        MeasuredDriver(
+            "rules", f"gap {rule.gap:g} s", evaluate(GapDriver(rule), SCENARIO.id, split=split, episodes=episodes)
+        )
         for rule in rules
     ]
 
 
-def drive_run(run: Run, *, episodes: int, split: Split) -> list[Driver]:
+def drive_run(run: Run, *, episodes: int, split: Split) -> list[MeasuredDriver]:
     """The policies of a run: all of its front, or the greedy one and the one that samples.
 
     Raises:
@@ -74,9 +76,9 @@ def drive_run(run: Run, *, episodes: int, split: Split) -> list[Driver]:
     if isinstance(agent, FrontAgent):
         front = Front.read(run.path)
         found = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
-        return [Driver(run.path.name, f"policy {k}", each) for k, each in enumerate(found)]
+        return [MeasuredDriver(run.path.name, f"policy {k}", each) for k, each in enumerate(found)]
     by_name = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
-    return [Driver(run.path.name, name, each) for name, each in by_name.items()]
+    return [MeasuredDriver(run.path.name, name, each) for name, each in by_name.items()]
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,12 @@ class JointFront:
         kept: (K,) whether no other driver dominates the mean return.
     """
 
-    drivers: Sequence[Driver]
+    drivers: Sequence[MeasuredDriver]
     means: Front
     kept: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, drivers: Sequence[Driver], seed: int) -> JointFront:
+    def of(cls, drivers: Sequence[MeasuredDriver], seed: int) -> JointFront:
         """The front of ``drivers``, whose first episode has ``seed``."""
         returns, lengths, succeeded = (
             np.stack([getattr(driver.evaluation, name)[:, 0] for driver in drivers])
