@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import csv
 import multiprocessing
-import os
 from dataclasses import asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
@@ -144,8 +143,8 @@ def learn(env_id: str, learner: str, seed: int, steps: int) -> Result:
 
 
 def learn_in_new_process(arguments: tuple[str, str, int, int]) -> Result:
-    """:func:`learn` in a process of its own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
+    """:func:`learn` in a process of its own with one thread."""
+    with paired_benchmark.one_thread_each(), multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(learn, arguments)
 
 
@@ -200,7 +199,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         reason = PEERS[name].unavailable_reason() if name in PEERS else None
         if reason is not None:
             parser.error(f"{name} cannot run here: {reason}")
-    os.environ.update(paired_benchmark.ONE_THREAD)
     runs = [
         (env_id, learner, FIRST_SEED + seed, arguments.steps or PROBLEMS[env_id].steps)
         for env_id, seed, learner in product(arguments.only, range(arguments.seeds), arguments.learners)

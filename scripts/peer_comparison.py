@@ -286,7 +286,7 @@ def learn_in_new_processes(runs: Sequence[Run], workers: int) -> Iterator[Result
 
 
 def read_results(path: Path) -> list[Result]:
-    """The results in a file of :func:`write_results`; none if there is no file.
+    """The results that :func:`write_results` wrote to ``path``; an empty list if the file does not exist.
 
     Raises:
         ValueError: if it is another file.

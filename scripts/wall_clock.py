@@ -15,7 +15,6 @@ import contextlib
 import csv
 import math
 import multiprocessing
-import os
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from itertools import product
@@ -348,8 +347,8 @@ def race(learner: str, env_id: str, seed: int, limit: float) -> Result:
 
 
 def race_in_new_process(arguments: tuple[str, str, int, float]) -> Result:
-    """:func:`race` in a process of its own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
+    """:func:`race` in a process of its own with one thread."""
+    with paired_benchmark.one_thread_each(), multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(race, arguments)
 
 
@@ -420,7 +419,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         reason = PEERS[name].unavailable_reason() if name in PEERS else None
         if reason is not None:
             parser.error(f"{name} cannot run here: {reason}")
-    os.environ.update(paired_benchmark.ONE_THREAD)
     limits = {ONE_WAYPOINT: 60.0 * arguments.limit, CARTPOLE: arguments.cartpole}
     runs = [
         (learner, env_id, seed, limits[env_id])

@@ -182,7 +182,7 @@ def lockable(run: Run) -> bool:
 
 
 def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path) -> None:
-    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(30)]
+    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(50)]
     generator = random.Random(0)
     kills = 0
     over = threading.Event()
@@ -207,12 +207,12 @@ def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path
         over.set()
         thread.join()
     assert failed == {}
-    assert kills >= 3
+    assert kills >= 5
     assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == sorted(wanted.path.name for wanted in jobs)
     for wanted in jobs:
         assert wanted.done
         assert_whole(wanted.path)
-    for seed in (0, 17, 29):
+    for seed in (0, 17, 49):
         whole = job(tmp_path / "whole", seed, total_timesteps=8_000, num_envs=8)
         perform(whole)
         assert_same_run(jobs[seed].path, whole.path)
