@@ -9,7 +9,7 @@ import sys
 
 import mo_deepdrive
 from algorithms.commands import COMMANDS
-from algorithms.experiments.cli import HEADLESS, INSTALLED, INVALID_INPUT, prepare_process
+from algorithms.experiments.cli import PROCESS_DEFAULTS, INSTALLED, INVALID_INPUT, prepare_process
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
 
@@ -44,7 +44,7 @@ def _run_command(name: str, arguments: list[str], program: str) -> int:
     try:
         with needed_for(program.format(name)):
             module = importlib.import_module(f"algorithms.commands.{name}")
-            prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", HEADLESS))
+            prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", PROCESS_DEFAULTS))
             code: int = module.main(arguments, program)
     except MissingExtraError as error:
         print(f"error: {error}", file=sys.stderr)

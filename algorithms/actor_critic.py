@@ -17,9 +17,10 @@ import torch
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import GUIDES, PARTNERS, restore_generator, strip_prefix
+from algorithms.common.compiled_collection import CompiledCollection
 from algorithms.common.guides import Guides
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
-from algorithms.common.rollout import Collector, Rollout, VehicleRollout
+from algorithms.common.rollout import Collector, Episodes, Rollout, VehicleRollout
 from algorithms.common.trained_networks import TrainedNetworks
 from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from algorithms.evaluation.team import check_same_task
@@ -50,6 +51,7 @@ class Learner(TrainedNetworks, ABC):
     Attributes:
         input_size: width of what the actor sees.
         others_size: width of what a centralised critic sees of the other vehicles; 0 without one.
+        observes_accrued, observes_discount: whether the actor sees R_t and g^t.
         observation_scales, objective_scales: (o,) and (d,) nominal magnitudes.
 
     Raises:
@@ -57,6 +59,8 @@ class Learner(TrainedNetworks, ABC):
     """
 
     input_size: int
+    observes_accrued = False
+    observes_discount = False
 
     def __init__(
         self,
@@ -78,15 +82,20 @@ class Learner(TrainedNetworks, ABC):
             raise ValueError("centralised_critic = True needs an environment with more than one vehicle")
         self.others_size = (env.vehicles - 1) * env.observation_size if config.centralised_critic else 0
 
-    @abstractmethod
     def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """What the actor sees, (..., input_size).
+        """What the actor sees, scaled, (..., input_size): s_t, and R_t and g^t where the learner observes them.
 
         Args:
-            observations: (..., o).
+            observations: (..., o) s_t.
             accrued: (..., d) accrued reward R_t.
-            discounts: (...) discount that belongs to it.
+            discounts: (...) discount g^t that belongs to it.
         """
+        parts = [observations / self.observation_scales]
+        if self.observes_accrued:
+            parts.append(accrued / self.objective_scales)
+        if self.observes_discount:
+            parts.append(discounts.unsqueeze(-1))
+        return torch.cat(parts, dim=-1)
 
     @abstractmethod
     def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
@@ -150,6 +159,7 @@ class ActorCritic(Agent):
             if v not in self.partners
         ]
         self.collector = Collector(self.env, self.gamma, self.config.steps)
+        self._compiled: CompiledCollection | None = None
         if self.config.cost_growth and not self.env.costs.any():
             raise ValueError(
                 f"cost_growth = {self.config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
@@ -183,7 +193,7 @@ class ActorCritic(Agent):
             )
             action = learner.actor.greedy(x) if generator is None else learner.actor.sample(x, generator)
             chosen[v] = action.cpu().numpy()
-        return np.stack([chosen[v] for v in range(self.env.vehicles)], axis=1)
+        return chosen[0][:, None] if len(chosen) == 1 else np.stack([chosen[v] for v in sorted(chosen)], axis=1)
 
     def eval(self, obs: NDArray[Any], accrued_reward: NDArray[Any] | None = None, discount: float = 1.0) -> Any:
         """The greedy action for one observation, as in morl-baselines.
@@ -214,10 +224,8 @@ class ActorCritic(Agent):
     def update(self, progress: float) -> dict[str, float]:
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
-        self.collector.reward_shares = self.reward_shares(progress)
-        self.guides.begin_rollout(progress)
-        rollout, episodes = self.collector.collect(self._explore)
-        self.guides.hide(rollout)
+        self.collector.buffers.shares[:] = self.reward_shares(progress)
+        rollout, episodes = self._collect(progress)
         self.episodes.append(episodes)
         self.step += config.steps * self.env.num_envs
         self.updates += 1
@@ -231,13 +239,36 @@ class ActorCritic(Agent):
         losses = self.learn(rollout, learning_rate, entropy_coefficient)
         return {LEARNING_RATE: learning_rate, ENTROPY_COEFFICIENT: entropy_coefficient, **losses}
 
-    def reward_shares(self, progress: float) -> NDArray[np.float32] | None:
-        """By what rewards are multiplied, (V, d), while costs grow; None when they have their full size."""
-        if progress >= self.config.cost_growth:
-            return None
-        shares = np.ones((self.env.vehicles, len(self.env.objectives)), dtype=np.float32)
+    def _collect(self, progress: float) -> tuple[Rollout, Episodes]:
+        """A rollout; if nothing but our compiled code acts, in one compiled call, with the same bits."""
+        if self._compiled is None and self._can_be_compiled():
+            self._compiled = CompiledCollection(
+                self.collector,
+                [learner.actor for learner in self.learners],
+                self.learners[0].objective_scales.numpy() if self.learners[0].observes_accrued else None,
+            )
+        if self._compiled is not None:
+            self._compiled.collect(self.generator)
+            return self.collector.collected()
+        self.guides.begin_rollout(progress)
         for learner in self.learners:
-            shares[learner.vehicle, self.env.costs] = progress / self.config.cost_growth
+            learner.actor.keep_passes(self.config.steps * self.env.num_envs)
+        rollout, episodes = self.collector.collect(self._explore)
+        self.guides.hide(rollout)
+        return rollout, episodes
+
+    def _can_be_compiled(self) -> bool:
+        """Whether the learners alone act, as this class defines it."""
+        own = type(self).act is ActorCritic.act and all(type(each).inputs is Learner.inputs for each in self.learners)
+        alone = not self.partners and not any(self.guides)
+        return own and alone and CompiledCollection.serves(self.collector, [each.actor for each in self.learners])
+
+    def reward_shares(self, progress: float) -> NDArray[np.float32]:
+        """By what rewards are multiplied, (V, d): 1, and less for costs while these grow."""
+        shares = np.ones((self.env.vehicles, len(self.env.objectives)), dtype=np.float32)
+        if progress < self.config.cost_growth:
+            for learner in self.learners:
+                shares[learner.vehicle, self.env.costs] = progress / self.config.cost_growth
         return shares
 
     def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:

@@ -209,11 +209,6 @@ class MAPPOLearner(Learner):
 
     # ------------------------------------------------------------------------------------------- what the networks see
 
-    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """The scaled observation (..., o); the accrued reward and the discount are not used."""
-        del accrued, discounts
-        return observations / self.observation_scales
-
     def values(self, states: torch.Tensor) -> torch.Tensor:
         """v(S) (...), in the units of the team's utility."""
         outputs: torch.Tensor = self.critic(states)

@@ -147,6 +147,8 @@ class MOPPOLearner(Learner):
     ):
         super().__init__(env, vehicle, utility, config, generator, device)
         d = len(env.objectives)
+        # S_t of eq. 1: what the actor and the critic see.
+        self.observes_accrued, self.observes_discount = config.observe_accrued, config.observe_discount
         self.input_size = env.observation_size + d * config.observe_accrued + config.observe_discount
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         # What the critic predicts: returns, or with expected_utility their utility.
@@ -160,15 +162,6 @@ class MOPPOLearner(Learner):
         self.expected_return = RunningMean(d, device)  # E[R], for utility_gradient
 
     # ------------------------------------------------------------------------------------------- what the networks see
-
-    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """S_t of eq. 1, scaled: (..., input_size) from s_t (..., o), R_t (..., d) and g^t (...)."""
-        parts = [observations / self.observation_scales]
-        if self.config.observe_accrued:
-            parts.append(accrued / self.objective_scales)
-        if self.config.observe_discount:
-            parts.append(discounts.unsqueeze(-1))
-        return torch.cat(parts, dim=-1)
 
     def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
         """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""

@@ -159,6 +159,8 @@ class MOCACLearner(Learner):
         device: torch.device,
     ):
         super().__init__(env, vehicle, utility, config, generator, device)
+        # S_t of eq. 1: what the actor and the critic see.
+        self.observes_accrued, self.observes_discount = True, config.observe_discount
         self.input_size = env.observation_size + len(env.objectives) + config.observe_discount
         self.distribution = self._distribution(env.objectives)
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
@@ -181,13 +183,6 @@ class MOCACLearner(Learner):
         return CategoricalGrid(low, high, config.atoms, self.device)
 
     # ------------------------------------------------------------------------------------------- what the networks see
-
-    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """S_t of eq. 1, scaled: (..., input_size) from s_t (..., o), R_t (..., d) and g^t (...)."""
-        parts = [observations / self.observation_scales, accrued / self.objective_scales]
-        if self.config.observe_discount:
-            parts.append(discounts.unsqueeze(-1))
-        return torch.cat(parts, dim=-1)
 
     def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
         """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""

@@ -121,11 +121,6 @@ class PPOLearner(Learner):
 
     # ------------------------------------------------------------------------------------------- what the networks see
 
-    def inputs(self, observations: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
-        """The scaled observation (..., o); the accrued reward and the discount are not used."""
-        del accrued, discounts
-        return observations / self.observation_scales
-
     def critic_inputs(self, inputs: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
         """What the critic sees: ``inputs``, and with a centralised critic the other vehicles' observations."""
         return centralised_inputs(inputs, others, self.observation_scales) if self.others_size else inputs

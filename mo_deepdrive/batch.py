@@ -54,8 +54,8 @@ CAR_TELEMETRY = ("x", "y", "speed", "acceleration", "present")
 
 
 @dataclass(frozen=True)
-class _Part:
-    """Consecutive worlds that one thread moves: views of the buffers, and scratch."""
+class Part:
+    """Consecutive worlds that one thread moves: views of the buffers, and scratch of its own."""
 
     rows: slice
     worlds: NDArray[Any]
@@ -64,6 +64,7 @@ class _Part:
     cars: NDArray[Any]
     path: NDArray[Any]
     sight: NDArray[Any]
+    spawn: NDArray[Any]
     observations: NDArray[np.float32]
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
@@ -89,6 +90,9 @@ class WorldBatch:
         truncated: (worlds, vehicles), overwritten by every call.
         objectives: names of the d objectives.
         continuous: whether actions are continuous.
+        table: (actions, 4) of the discrete actions, none if they are continuous.
+        measures: the objectives that the kernel does not measure.
+        no_pins: (1,) of SPAWN that pins nothing.
     """
 
     def __init__(self, config: EnvConfig, worlds: int, threads: int = 1):
@@ -106,18 +110,18 @@ class WorldBatch:
         self.truncated = np.zeros((worlds, vehicles), dtype=np.bool_)
         self._controls = np.zeros((worlds, vehicles, 3))
         self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
-        self._measures = make_measures(config)
+        self.measures = make_measures(config)
         self._spawn = np.zeros(1, dtype=with_room(SPAWN, obstacles, cars))
         self._sight = np.zeros(1, dtype=observation.SIGHT)
-        self._no_pins = np.zeros_like(self._spawn)
-        pin_nothing(self._no_pins)
+        self.no_pins = np.zeros_like(self._spawn)
+        pin_nothing(self.no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
-        self._table = np.zeros((0, 4)) if self.continuous else action_sets.action_table(config.action_type)
+        self.table = np.zeros((0, 4)) if self.continuous else action_sets.action_table(config.action_type)
         self._divide(min(threads, worlds))
 
     def _divide(self, threads: int) -> None:
         """Divide the worlds into consecutive parts, one per thread."""
-        self._parts = [self._part(rows) for rows in np.array_split(np.arange(len(self.state)), threads)]
+        self._parts = self.parts(threads)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
@@ -132,18 +136,22 @@ class WorldBatch:
             ("state", with_room(VEHICLE, obstacles, cars)),
             ("params", PARAMS),
             ("_spawn", with_room(SPAWN, obstacles, cars)),
-            ("_no_pins", with_room(SPAWN, obstacles, cars)),
+            ("no_pins", with_room(SPAWN, obstacles, cars)),
             ("_sight", observation.SIGHT),
         ):
             # The dtype of unpickled records only equals this one; Numba would compare their fields at every call.
             setattr(self, name, getattr(self, name).view(dtype))
         self._divide(state["_parts"])
 
-    def _part(self, rows: NDArray[np.int64]) -> _Part:
+    def parts(self, count: int) -> list[Part]:
+        """The worlds divided into ``count`` parts of nearly equal size, for as many threads."""
+        return [self._part(rows) for rows in np.array_split(np.arange(len(self.state)), count)]
+
+    def _part(self, rows: NDArray[np.int64]) -> Part:
         part = slice(int(rows[0]), int(rows[-1]) + 1)
         cars = self.scenario.cars
         motion, path = make_scratch(self.scenario.vehicles + cars, self.config.physics_steps)
-        return _Part(
+        return Part(
             rows=part,
             worlds=self.state[part],
             controls=self._controls[part],
@@ -151,6 +159,7 @@ class WorldBatch:
             cars=traffic.make_scratch(cars),
             path=path,
             sight=np.zeros(1, dtype=observation.SIGHT),
+            spawn=np.zeros_like(self._spawn),
             observations=self.observations[part],
             rewards=self.rewards[part],
             terminated=self.terminated[part],
@@ -175,7 +184,7 @@ class WorldBatch:
                 self.state,
                 rows,
                 draw(rows),
-                self._no_pins if pins is None else pins,
+                self.no_pins if pins is None else pins,
                 self.params,
                 self._spawn,
                 fair,
@@ -229,7 +238,7 @@ class WorldBatch:
             else (
                 "iu",
                 np.int64,
-                f"integers in [0, {len(self._table)})",
+                f"integers in [0, {len(self.table)})",
             )
         )
         if actions.dtype.kind not in kinds:
@@ -238,19 +247,19 @@ class WorldBatch:
         row = (
             action_sets.find_infinite(actions)
             if self.continuous
-            else action_sets.find_unknown(actions, len(self._table))
+            else action_sets.find_unknown(actions, len(self.table))
         )
         if row >= 0:
             raise ValueError(f"action {actions[row].tolist()} of world {row} is not allowed; expected {allowed}")
         return actions
 
-    def _run(self, part: _Part, actions: NDArray[Any]) -> None:
+    def _run(self, part: Part, actions: NDArray[Any]) -> None:
         """Decode the actions of one part and move its worlds."""
         if self.continuous:
             action_sets.decode_continuous(actions[part.rows], part.controls)
         else:
-            action_sets.decode_discrete(part.worlds, actions[part.rows], self._table, part.controls)
-        if self._measures:
+            action_sets.decode_discrete(part.worlds, actions[part.rows], self.table, part.controls)
+        if self.measures:
             np.equal(part.worlds["end"], RUNNING, out=part.acting)
         step_batch(
             part.worlds,
@@ -265,7 +274,7 @@ class WorldBatch:
             part.terminated,
             part.truncated,
         )
-        for measure in self._measures:
+        for measure in self.measures:
             measure.write(part.worlds, self.params, part.acting, measure.column, measure.sign, part.rewards)
 
     def over(self) -> NDArray[np.bool_]:

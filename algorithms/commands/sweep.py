@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import HEADLESS, INSTALLED, as_called, check_directory, make_parser
+from algorithms.experiments.cli import PROCESS_DEFAULTS, INSTALLED, as_called, check_directory, make_parser
 from algorithms.experiments.interrupts import Stopped, no_space
 from algorithms.sweeps import BACKENDS
 from algorithms.sweeps.sweep_settings import load_sweep
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
 ENVIRONMENT = {
-    **HEADLESS,
+    **PROCESS_DEFAULTS,
     "TUNE_DISABLE_SIGINT_HANDLER": "1",  # this command handles signals itself
     "RAY_CHDIR_TO_TRIAL_DIR": "0",
     "RAY_NUM_REDIS_GET_RETRIES": "1",  # report an unreachable cluster within a minute

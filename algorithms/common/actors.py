@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import numba
 import numpy as np
 import torch
 from torch import nn
 
 from algorithms.common.networks import make_network
+from algorithms.common.perceptron import BLOCK, Perceptron, blocks, shares_rows
 from algorithms.common.tape import current_tape
-from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.jit import jit, parallel_jit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -48,16 +50,24 @@ def exponential(x: float) -> float:
 
 
 @jit
-def _log_normaliser(logits: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Log Z = log sum_k exp(z_k) and H = log Z - sum_k p_k z_k of p = exp(z) / Z, each (M,), for logits z (n, M)."""
-    n, rows = logits.shape
-    top, total, weighted = logits[0].astype(np.float64), np.zeros(rows), np.zeros(rows)
+def _log_normaliser(
+    logits: NDArray[np.float32], first: int, rows: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Log Z = log sum_k exp(z_k) and H = log Z - sum_k p_k z_k of p = exp(z) / Z, each (rows,).
+
+    Args:
+        logits: (n, M) z, of which the columns from ``first`` on count.
+        first: the first column.
+        rows: number of columns.
+    """
+    n = len(logits)
+    top, total, weighted = logits[0, first : first + rows].astype(np.float64), np.zeros(rows), np.zeros(rows)
     for k in range(1, n):
         for i in range(rows):
-            top[i] = max(top[i], logits[k, i])
+            top[i] = max(top[i], logits[k, first + i])
     for k in range(n):
         for i in range(rows):
-            z = max(logits[k, i] - top[i], LOWEST)
+            z = max(logits[k, first + i] - top[i], LOWEST)
             e = exponential(z)
             total[i] += e
             weighted[i] += e * z
@@ -69,18 +79,78 @@ def _log_normaliser(logits: NDArray[np.float32]) -> tuple[NDArray[np.float64], N
 
 
 @jit
+def _categorical_block(
+    b: int,
+    logits: NDArray[np.float32],
+    actions: NDArray[np.int64],
+    log_prob: NDArray[np.float32],
+    entropy: NDArray[np.float32],
+    log_z: NDArray[np.float64],
+    h: NDArray[np.float64],
+) -> None:
+    first = b * BLOCK
+    rows = min(BLOCK, len(actions) - first)
+    log_zs, hs = _log_normaliser(logits, first, rows)
+    for i in range(rows):
+        log_prob[first + i] = logits[actions[first + i], first + i] - log_zs[i]
+        entropy[first + i], log_z[first + i], h[first + i] = hs[i], log_zs[i], hs[i]
+
+
+@jit
 def categorical_pass(
     logits: NDArray[np.float32],
     actions: NDArray[np.int64],
     log_prob: NDArray[np.float32],
     entropy: NDArray[np.float32],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Write log p_a and H (M,) of softmax(z) for logits z (n, M) and actions a (M,); log Z and H in full precision."""
-    log_z, h = _log_normaliser(logits)
-    for i in range(len(actions)):
-        log_prob[i] = logits[actions[i], i] - log_z[i]
-        entropy[i] = h[i]
-    return log_z, h
+    log_z: NDArray[np.float64],
+    h: NDArray[np.float64],
+) -> None:
+    """Write log p_a and H of softmax(z), and log Z and H in full precision.
+
+    Args:
+        logits: (n, M) z.
+        actions: (M,) a.
+        log_prob: (M,), written.
+        entropy: (M,), written.
+        log_z: (M,), written.
+        h: (M,), written.
+    """
+    for b in range(blocks(len(actions))):
+        _categorical_block(b, logits, actions, log_prob, entropy, log_z, h)
+
+
+@parallel_jit
+def parallel_categorical_pass(
+    logits: NDArray[np.float32],
+    actions: NDArray[np.int64],
+    log_prob: NDArray[np.float32],
+    entropy: NDArray[np.float32],
+    log_z: NDArray[np.float64],
+    h: NDArray[np.float64],
+) -> None:
+    """As :func:`categorical_pass`, with the blocks shared among threads."""
+    for b in numba.prange(blocks(len(actions))):
+        _categorical_block(b, logits, actions, log_prob, entropy, log_z, h)
+
+
+@jit
+def _gradient_block(
+    b: int,
+    logits: NDArray[np.float32],
+    actions: NDArray[np.int64],
+    log_z: NDArray[np.float64],
+    h: NDArray[np.float64],
+    by_log_prob: NDArray[np.float32],
+    by_entropy: NDArray[np.float32],
+    by_logits: NDArray[np.float32],
+) -> None:
+    first, last = b * BLOCK, min((b + 1) * BLOCK, len(actions))
+    for k in range(len(logits)):
+        for i in range(first, last):
+            log_p = max(logits[k, i] - log_z[i], LOWEST)
+            by_logits[k, i] = -exponential(log_p) * (by_log_prob[i] + by_entropy[i] * (log_p + h[i]))
+    for i in range(first, last):
+        by_logits[actions[i], i] += by_log_prob[i]
 
 
 @jit
@@ -94,33 +164,52 @@ def categorical_gradient(
     by_logits: NDArray[np.float32],
 ) -> None:
     """Write dL/dz (n, M), from d log p_a / dz_k = [k = a] - p_k and dH / dz_k = -p_k (log p_k + H)."""
-    n, rows = logits.shape
-    for k in range(n):
-        for i in range(rows):
-            log_p = max(logits[k, i] - log_z[i], LOWEST)
-            by_logits[k, i] = -exponential(log_p) * (by_log_prob[i] + by_entropy[i] * (log_p + h[i]))
-    for i in range(rows):
-        by_logits[actions[i], i] += by_log_prob[i]
+    for b in range(blocks(len(actions))):
+        _gradient_block(b, logits, actions, log_z, h, by_log_prob, by_entropy, by_logits)
+
+
+@parallel_jit
+def parallel_categorical_gradient(
+    logits: NDArray[np.float32],
+    actions: NDArray[np.int64],
+    log_z: NDArray[np.float64],
+    h: NDArray[np.float64],
+    by_log_prob: NDArray[np.float32],
+    by_entropy: NDArray[np.float32],
+    by_logits: NDArray[np.float32],
+) -> None:
+    """As :func:`categorical_gradient`, with the blocks shared among threads."""
+    for b in numba.prange(blocks(len(actions))):
+        _gradient_block(b, logits, actions, log_z, h, by_log_prob, by_entropy, by_logits)
 
 
 @jit
-def categorical_sample(logits: NDArray[np.float32], uniform: NDArray[np.float32], actions: NDArray[np.int64]) -> None:
-    """Write the first action (M,) whose cumulative probability is above a uniform number (M,) in [0, 1)."""
-    n, rows = logits.shape
-    top, total, cumulative = logits[0].astype(np.float64), np.zeros(rows), np.zeros(rows)
+def categorical_sample(
+    logits: NDArray[np.float32], first: int, uniform: NDArray[np.float32], actions: NDArray[np.int64]
+) -> None:
+    """Write the first action (M,) whose cumulative probability is above a uniform number (M,) in [0, 1).
+
+    Args:
+        logits: (n, rows), of which the M columns from ``first`` on count.
+        first: the first column.
+        uniform: (M,).
+        actions: (M,), written.
+    """
+    n, rows = len(logits), len(actions)
+    top, total, cumulative = logits[0, first : first + rows].astype(np.float64), np.zeros(rows), np.empty((n, rows))
     for k in range(1, n):
         for i in range(rows):
-            top[i] = max(top[i], logits[k, i])
+            top[i] = max(top[i], logits[k, first + i])
     for k in range(n):
         for i in range(rows):
-            total[i] += exponential(max(logits[k, i] - top[i], LOWEST))
+            total[i] += exponential(max(logits[k, first + i] - top[i], LOWEST))
+            cumulative[k, i] = total[i]
     for i in range(rows):
         actions[i] = 0
         total[i] *= uniform[i]
     for k in range(n - 1):
         for i in range(rows):
-            cumulative[i] += exponential(max(logits[k, i] - top[i], LOWEST))
-            actions[i] += 1 if cumulative[i] <= total[i] else 0
+            actions[i] += 1 if cumulative[k, i] <= total[i] else 0
 
 
 @jit
@@ -177,24 +266,41 @@ def _transposed(outputs: torch.Tensor) -> NDArray[np.float32]:
     return array
 
 
-class CategoricalActor(nn.Module):
-    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
+class _Actor(nn.Module):
+    """What both kinds of policies share.
 
     Args:
-        body: network from (..., inputs) to n logits.
+        body: network from (..., inputs) to the parameters of the distribution.
     """
 
     def __init__(self, body: nn.Module):
         super().__init__()
         self.body = body
 
+    def keep_passes(self, rows: int) -> None:
+        """Let what is computed in order to act on the next ``rows`` rows serve to learn from all of them."""
+        if isinstance(self.body, Perceptron):
+            self.body.keep_passes(rows)
+
+
+class CategoricalActor(_Actor):
+    """Softmax policy over n discrete actions; actions are int64 tensors of shape (...).
+
+    Args:
+        body: network from (..., inputs) to n logits.
+    """
+
+    def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """The random numbers (rows, 1) of :meth:`sample`: uniform in [0, 1)."""
+        return torch.rand(rows, generator=generator, device=generator.device).unsqueeze(-1)
+
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row, by inversion: the first whose cumulative probability is above a uniform number."""
         logits: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
-        uniform = torch.rand(len(logits), generator=generator, device=x.device)
+        uniform = self.noise(len(logits), generator).squeeze(-1)
         if _is_compiled(logits):
             actions = np.empty(x.shape[:-1], np.int64)
-            categorical_sample(_transposed(logits), uniform.numpy(), actions.reshape(-1))
+            categorical_sample(_transposed(logits), 0, uniform.numpy(), actions.reshape(-1))
             return torch.from_numpy(actions)
         cumulative = logits.softmax(-1).cumsum(-1)
         below = cumulative[:, :-1] <= uniform.unsqueeze(-1) * cumulative[:, -1:]
@@ -214,14 +320,18 @@ class CategoricalActor(nn.Module):
             return log_prob.view(actions.shape), -(log_p.exp() * log_p).sum(-1).view(actions.shape)
         z, a = _transposed(logits), actions.reshape(-1).numpy()
         log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
-        log_z, h = categorical_pass(z, a, log_probs, entropies)
+        log_z, h = np.empty(len(a)), np.empty(len(a))
+        parallel = shares_rows(len(a))
+        run_forward = parallel_categorical_pass if parallel else categorical_pass
+        run_forward(z, a, log_probs, entropies, log_z, h)
         results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
 
         def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
             del gradients  # no parameters but the network's
             by_logits = np.empty_like(z)
             by_log_prob, by_entropy = by_results
-            categorical_gradient(z, a, log_z, h, by_log_prob, by_entropy, by_logits)
+            run_backward = parallel_categorical_gradient if parallel else categorical_gradient
+            run_backward(z, a, log_z, h, by_log_prob, by_entropy, by_logits)
             return by_logits.T
 
         if tape := current_tape():
@@ -229,7 +339,7 @@ class CategoricalActor(nn.Module):
         return _shaped(results, actions.shape)
 
 
-class GaussianActor(nn.Module):
+class GaussianActor(_Actor):
     """Diagonal Gaussian policy with a free log standard deviation; actions are float tensors (..., k).
 
     The environment clips actions to its box; the log-probability is that of the unclipped sample.
@@ -240,14 +350,19 @@ class GaussianActor(nn.Module):
     """
 
     def __init__(self, body: nn.Module, actions: int):
-        super().__init__()
-        self.body = body
+        super().__init__(body)
         self.log_std = nn.Parameter(torch.full((actions,), -0.5))
+
+    def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """The random numbers (rows, k) of :meth:`sample`: standard normal."""
+        return torch.randn(
+            (rows, len(self.log_std)), generator=generator, device=generator.device, dtype=self.log_std.dtype
+        )
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row."""
         mean: torch.Tensor = self.body(x)
-        return mean + self.log_std.exp() * torch.randn(mean.shape, generator=generator, device=x.device, dtype=x.dtype)
+        return mean + self.log_std.exp() * self.noise(mean[..., 0].numel(), generator).view(mean.shape)
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The mean action per row."""

@@ -20,11 +20,11 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import observation
-from mo_deepdrive.envs.vector import DrivingVectorEnv
+from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
 from mo_deepdrive.limits import objective_bound
 from mo_deepdrive.objectives import scales as objective_scales
 from mo_deepdrive.objectives import signs as objective_signs
-from mo_deepdrive.simulation.state import RUNNING
+from mo_deepdrive.simulation.state import ARRIVED, RUNNING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,6 +104,7 @@ class EnvAdapter:
         objective_bounds: (d,) largest magnitudes of a reward; infinite where they are not known.
         actions: number of discrete actions, or of continuous axes.
         continuous: whether actions are continuous.
+        bare: our environment, if it is neither wrapped nor of a subclass, whose own ``step`` would have to be called.
 
     Raises:
         ValueError: for spaces that the trainers do not handle, or an attribute ``objectives`` that does not give every
@@ -157,6 +158,7 @@ class EnvAdapter:
             raise ValueError(f"action space {space} is neither Discrete nor Box")
         self.observation_size = len(self.observation_scales)
         self._was_over = np.zeros((self.num_envs, 1), dtype=np.bool_)
+        self.bare = env if type(env) is DrivingVectorEnv else None
 
     def chosen_objective_scales(self, scales: Sequence[float] | None) -> NDArray[np.float32]:
         """``scales`` (d,), or the environment's own where they are None.
@@ -184,6 +186,8 @@ class EnvAdapter:
         Args:
             actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box).
         """
+        if self.bare is not None:
+            return self._bare_step(self.bare, actions)
         actions = self.environment_actions(actions)
         if self.native:
             return self._native_step(actions)
@@ -202,6 +206,23 @@ class EnvAdapter:
             final=observations,
             succeeded=success[:, None] & self._was_over,
             ends=ends,
+        )
+
+    def _bare_step(self, env: DrivingVectorEnv, actions: NDArray[Any]) -> Step:
+        if self.continuous:
+            actions = np.clip(actions, -1.0, 1.0)
+        taken = env.advance(actions)
+        # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
+        terminated, truncated = taken.terminated & taken.acted, taken.truncated & taken.acted
+        return Step(
+            observations=taken.observations,
+            rewards=taken.rewards,
+            terminated=terminated,
+            truncated=truncated,
+            acted=taken.acted,
+            final=taken.final,
+            succeeded=(terminated | truncated) & (taken.ends == ARRIVED),
+            ends=END_NAMES[taken.ends],
         )
 
     def environment_actions(self, actions: NDArray[Any]) -> NDArray[Any]:

@@ -32,15 +32,26 @@ BLOCK = 256  # rows
 
 
 @jit
-def blocks(rows: Array) -> int:
-    """Number of blocks of ``rows``."""
-    return (len(rows) + BLOCK - 1) // BLOCK
+def blocks(rows: int) -> int:
+    """Number of blocks of ``rows`` rows."""
+    return (rows + BLOCK - 1) // BLOCK
 
 
 @jit
-def _forward_block(b: int, rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array) -> None:
-    """h_0 = x, z_k = W_k h_{k-1} + b_k and h_k = max(0, z_k), for the rows x of block ``b``."""
-    first, last = b * BLOCK, min((b + 1) * BLOCK, len(rows))
+def forward_rows(
+    first: int, last: int, rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array
+) -> None:
+    """h_0 = x, z_k = W_k h_{k-1} + b_k and h_k = max(0, z_k), for the rows x from ``first`` to ``last`` - 1.
+
+    Args:
+        first: the first row.
+        last: the row after the last one, at most ``first`` + BLOCK.
+        rows: (M, inputs).
+        weights: of the layers.
+        biases: of the layers.
+        hidden: (M, width) h_k of every hidden layer, written.
+        outputs: (outputs, M) z_n, written.
+    """
     n = len(weights)
     below = rows[first:last]
     for k in range(n - 1):
@@ -84,17 +95,23 @@ def _backward_block(
 
 
 @jit
-def forward_pass(rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array) -> None:
-    """Write h_k (M, width) of every hidden layer, and the outputs z_n (outputs, M), for the rows (M, inputs)."""
-    for b in range(blocks(rows)):
-        _forward_block(b, rows, weights, biases, hidden, outputs)
+def forward_pass(
+    first: int, last: int, rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array
+) -> None:
+    """As :func:`forward_rows`, for any number of rows, block by block."""
+    for b in range(blocks(last - first)):
+        start = first + b * BLOCK
+        forward_rows(start, min(start + BLOCK, last), rows, weights, biases, hidden, outputs)
 
 
 @parallel_jit
-def parallel_forward_pass(rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array) -> None:
+def parallel_forward_pass(
+    first: int, last: int, rows: Array, weights: Arrays, biases: Arrays, hidden: Arrays, outputs: Array
+) -> None:
     """As :func:`forward_pass`, with the blocks shared among threads."""
-    for b in numba.prange(blocks(rows)):
-        _forward_block(b, rows, weights, biases, hidden, outputs)
+    for b in numba.prange(blocks(last - first)):
+        start = first + b * BLOCK
+        forward_rows(start, min(start + BLOCK, last), rows, weights, biases, hidden, outputs)
 
 
 @jit
@@ -111,7 +128,7 @@ def backward_pass(
         by_weights: (blocks, outputs, inputs) per layer, written.
         by_biases: (blocks, outputs) per layer, written.
     """
-    for b in range(blocks(rows)):
+    for b in range(blocks(len(rows))):
         _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases)
 
 
@@ -120,7 +137,7 @@ def parallel_backward_pass(
     rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
 ) -> None:
     """As :func:`backward_pass`, with the blocks shared among threads."""
-    for b in numba.prange(blocks(rows)):
+    for b in numba.prange(blocks(len(rows))):
         _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases)
 
 
@@ -160,6 +177,43 @@ class _Space:
         return tuple([each[:blocks] for each in self._by_weights]), tuple([each[:blocks] for each in self._by_biases])
 
 
+def shares_rows(rows: int) -> bool:
+    """Whether threads share a pass over so many rows."""
+    return threads() > 1 and rows > BLOCK
+
+
+class KeptPasses:
+    """Forward passes over parts of some rows, which a pass over all of them need not repeat.
+
+    Args:
+        rows: of all parts together.
+        weights: of the layers, for their shapes.
+
+    Attributes:
+        rows: (rows, inputs) what has been passed, up to ``done``.
+        outputs: (outputs, rows) the results.
+        space: memory that has the hidden layers.
+        done: number of rows that have been passed.
+    """
+
+    def __init__(self, rows: int, weights: Arrays):
+        self.rows = np.empty((rows, weights[0].shape[1]), np.float32)
+        self.outputs = np.empty((len(weights[-1]), rows), np.float32)
+        self.space = _Space(rows, weights)
+        self.done = 0
+        self._parameters: Arrays = ()
+
+    def begin(self, parameters: Arrays) -> None:
+        """Begin anew, with these parameters."""
+        self.done = 0
+        self._parameters = tuple([each.copy() for each in parameters])
+
+    def have(self, rows: Array, parameters: Arrays) -> bool:
+        """Whether all passes were over these ``rows`` with these ``parameters``."""
+        same = len(rows) == self.done and np.array_equal(rows, self.rows[: self.done])
+        return same and all(map(np.array_equal, self._parameters, parameters))
+
+
 class Perceptron(nn.Sequential):
     """Linear layers with ReLU between them, with the parameters of ``nn.Sequential(Linear, ReLU, Linear, ...)``.
 
@@ -176,6 +230,7 @@ class Perceptron(nn.Sequential):
         self.weights = [layer.weight for layer in linear]
         self.biases = [layer.bias for layer in linear]
         self._spare: list[_Space] = []  # that no pass needs
+        self._kept: KeptPasses | None = None
         self._memory: tuple[tuple[int, ...], Arrays, Arrays] = ((), (), ())
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
@@ -185,33 +240,60 @@ class Perceptron(nn.Sequential):
             result: torch.Tensor = super().forward(inputs)  # type: ignore[no-untyped-call]
             return result
         rows = np.ascontiguousarray(inputs.detach().numpy()).reshape(-1, inputs.shape[-1])
-        weights, biases = self._arrays()
-        space = self._claim(len(rows), weights)
-        hidden = space.hidden(len(rows))
-        transposed = np.empty((len(biases[-1]), len(rows)), np.float32)
-        parallel = threads() > 1 and len(rows) > BLOCK
-        run_forward = parallel_forward_pass if parallel else forward_pass
-        with one_blas_thread():
-            run_forward(rows, weights, biases, hidden, transposed)
+        weights, biases = self.parameter_arrays()
+        transposed, space = self._pass(rows, weights, biases, keep=tape is None)
         outputs = torch.from_numpy(transposed).t()
         if tape is None:
-            self._spare.append(space)
+            self._release(space)
         else:
 
             def backward(by_outputs: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> None:
                 by_transposed = np.ascontiguousarray(by_outputs[0].T)
-                run_backward = parallel_backward_pass if parallel else backward_pass
+                run_backward = parallel_backward_pass if shares_rows(len(rows)) else backward_pass
                 by_weights, by_biases = space.gradients(len(rows))
                 with one_blas_thread():
-                    run_backward(rows, weights, hidden, by_transposed, by_weights, by_biases)
+                    run_backward(rows, weights, space.hidden(len(rows)), by_transposed, by_weights, by_biases)
                 _add_blocks(tuple([gradients[weight] for weight in self.weights]), by_weights)
                 _add_blocks(tuple([gradients[bias] for bias in self.biases]), by_biases)
-                self._spare.append(space)
+                self._release(space)
 
             tape.record(inputs, [outputs], backward)
         return outputs if inputs.dim() == 2 else outputs.reshape(*inputs.shape[:-1], -1)
 
-    def _arrays(self) -> tuple[Arrays, Arrays]:
+    def keep_passes(self, rows: int) -> KeptPasses:
+        """Keep the next passes without a gradient, over ``rows`` rows together.
+
+        A later pass over the same rows, with the same parameters, takes their results: what a policy has computed in
+        order to act need not be computed again in order to learn.
+        """
+        weights, biases = self.parameter_arrays()
+        if self._kept is None or len(self._kept.rows) != rows:
+            self._kept = KeptPasses(rows, weights)
+        self._kept.begin(weights + biases)
+        return self._kept
+
+    def _pass(self, rows: Array, weights: Arrays, biases: Arrays, *, keep: bool) -> tuple[Array, _Space]:
+        """Outputs (outputs, M) for ``rows`` (M, inputs), and the memory that has the hidden layers."""
+        kept, first, last = self._kept, 0, len(rows)
+        if kept is not None and kept.have(rows, weights + biases):
+            return kept.outputs[:, : kept.done], kept.space
+        if kept is not None and keep and kept.done + len(rows) <= len(kept.rows):
+            first, last = kept.done, kept.done + len(rows)
+            kept.rows[first:last] = rows
+            kept.done = last
+            rows, outputs, space = kept.rows, kept.outputs, kept.space
+        else:
+            outputs, space = np.empty((len(biases[-1]), last), np.float32), self._claim(last, weights)
+        run_forward = parallel_forward_pass if shares_rows(last - first) else forward_pass
+        with one_blas_thread():
+            run_forward(first, last, rows, weights, biases, space.hidden(last), outputs)
+        return outputs[:, first:last], space
+
+    def _release(self, space: _Space) -> None:
+        if self._kept is None or space is not self._kept.space:
+            self._spare.append(space)
+
+    def parameter_arrays(self) -> tuple[Arrays, Arrays]:
         """The memory of weights and biases, looked up again where it has moved."""
         addresses = tuple([each.data_ptr() for each in (*self.weights, *self.biases)])
         if addresses != self._memory[0]:
@@ -219,10 +301,15 @@ class Perceptron(nn.Sequential):
             self._memory = (addresses, weights, biases)
         return self._memory[1:]
 
+    @property
+    def can_be_compiled(self) -> bool:
+        """Whether there are compiled passes for these layers and parameters."""
+        weight = self.weights[0]
+        return weight.dtype == torch.float32 and weight.device.type == "cpu" and len(self.weights) > 1
+
     def _is_compiled(self, inputs: torch.Tensor, tape: Tape | None) -> bool:
         wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
-        fits = inputs.dtype == self.weights[0].dtype == torch.float32 and inputs.device.type == "cpu"
-        return wanted and fits and len(self.weights) > 1
+        return wanted and inputs.dtype == torch.float32 and inputs.device.type == "cpu" and self.can_be_compiled
 
     def _claim(self, rows: int, weights: Arrays) -> _Space:
         """Memory for ``rows`` rows, until it is spare again."""

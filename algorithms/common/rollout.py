@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from algorithms.common.accrued_reward import AccruedReward
+from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
     from algorithms.common.env_adapter import EnvAdapter
@@ -28,7 +29,7 @@ class Rollout:
 
     Attributes:
         observations: (T + 1, N, V, o) before each step, and after the last.
-        final: (T, N, V, o) true observations after each step where a vehicle's episode ended there, else undefined.
+        final: (T, N, V, o) observations after each step; where an episode ended, the last of that episode.
         actions: (T, N, V) or (T, N, V, k).
         rewards: (T, N, V, d), multiplied by the collector's shares.
         accrued: (T + 1, N, V, d) accrued reward R_t = sum_{i<t} g^i r_i of the running episode.
@@ -69,7 +70,7 @@ class VehicleRollout(Rollout):
 
     Attributes:
         others: (T + 1, N, (V - 1) * o) observations of the other vehicles.
-        final_others: (T, N, (V - 1) * o) their true observations where this vehicle's episode ended, else undefined.
+        final_others: (T, N, (V - 1) * o) their observations after each step, as ``final``.
     """
 
     others: torch.Tensor
@@ -178,6 +179,92 @@ class Episodes:
         return cls(*(np.concatenate(column) for column in columns))
 
 
+@jit
+def follow_episodes(
+    rewards: NDArray[np.float32],
+    learnt: NDArray[np.float32],
+    ended: NDArray[np.bool_],
+    acted: NDArray[np.bool_],
+    accrued_discounts: NDArray[np.float32],
+    value: NDArray[np.float32],
+    discounts: NDArray[np.float32],
+    decisions: NDArray[np.int64],
+    returns: NDArray[np.float64],
+    ended_returns: NDArray[np.float64],
+    ended_values: NDArray[np.float64],
+    ended_decisions: NDArray[np.int64],
+) -> None:
+    """Add a step to the running episodes; note those that ended, and begin new ones.
+
+    Args:
+        rewards: (N, V, d) of the environment.
+        learnt: (N, V, d) of which the accrued reward consists.
+        ended: (N, V) whether the vehicle's episode ended in this step.
+        acted: (N, V); who did not act has no episode under way.
+        accrued_discounts: (V,) g.
+        value: (N, V, d) of AccruedReward, changed.
+        discounts: (N, V) of AccruedReward, changed.
+        decisions: (N, V) of AccruedReward, changed.
+        returns: (N, V, d) undiscounted, changed.
+        ended_returns: (N, V, d) of the episodes that ended, written where ``ended``; so are the others.
+        ended_values: (N, V, d) their accrued rewards.
+        ended_decisions: (N, V).
+    """
+    n, v, d = rewards.shape
+    for i in range(n):
+        for j in range(v):
+            for k in range(d):
+                value[i, j, k] += discounts[i, j] * learnt[i, j, k]
+                returns[i, j, k] += rewards[i, j, k]
+            discounts[i, j] *= accrued_discounts[j]
+            decisions[i, j] += 1
+            if ended[i, j]:
+                for k in range(d):
+                    ended_returns[i, j, k] = returns[i, j, k]
+                    ended_values[i, j, k] = value[i, j, k]
+                ended_decisions[i, j] = decisions[i, j]
+            if ended[i, j] or not acted[i, j]:
+                for k in range(d):
+                    value[i, j, k] = 0.0
+                    returns[i, j, k] = 0.0
+                discounts[i, j] = 1.0
+                decisions[i, j] = 0
+
+
+class Buffers(NamedTuple):
+    """What a collector writes: the rollout, the episodes that end, and those that go on.
+
+    Attributes:
+        observations, final, rewards, accrued, discounts: of :class:`Rollout`.
+        flags: (3, T, N, V) terminated, truncated and acted.
+        ended, succeeded: (T, N, V) whether a vehicle's episode ended, and whether it then reached its goal.
+        ended_returns, ended_values: (T, N, V, d) undiscounted and accrued return of an episode, where one ended.
+        ended_decisions: (T, N, V) its decisions.
+        value, running_discounts, decisions: of the AccruedReward of the running episodes.
+        returns: (N, V, d) their undiscounted returns.
+        accrued_discounts: (V,) g.
+        shares: (V, d) by which rewards are multiplied.
+    """
+
+    observations: NDArray[np.float32]
+    final: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    accrued: NDArray[np.float32]
+    discounts: NDArray[np.float32]
+    flags: NDArray[np.bool_]
+    ended: NDArray[np.bool_]
+    succeeded: NDArray[np.bool_]
+    ended_returns: NDArray[np.float64]
+    ended_values: NDArray[np.float64]
+    ended_decisions: NDArray[np.int64]
+    value: NDArray[np.float32]
+    running_discounts: NDArray[np.float32]
+    decisions: NDArray[np.int64]
+    returns: NDArray[np.float64]
+    accrued_discounts: NDArray[np.float32]
+    shares: NDArray[np.float32]
+
+
 class Collector:
     """Steps environments and keeps what continues from one rollout to the next: observations and running episodes.
 
@@ -187,11 +274,10 @@ class Collector:
         steps: T, length of a rollout.
 
     Attributes:
-        reward_shares: (V, d) by which rewards are multiplied before they are accrued and learnt from; None for 1.
-            The undiscounted returns of episodes are the environment's.
+        actions: (T, N, V) or (T, N, V, k) of the rollout.
+        buffers: the rest of the rollout. ``buffers.shares`` multiplies rewards before they are accrued and learnt from;
+            the undiscounted returns of episodes are the environment's.
     """
-
-    reward_shares: NDArray[np.float32] | None = None
 
     def __init__(self, env: EnvAdapter, accrued_discount: float | NDArray[np.float32], steps: int):
         n, v, o, d = env.num_envs, env.vehicles, env.observation_size, len(env.objectives)
@@ -201,74 +287,93 @@ class Collector:
         self.observations = np.zeros((n, v, o), dtype=np.float32)
         self.accrued_reward = AccruedReward.begin(n, v, d)
         self.returns = np.zeros((n, v, d), dtype=np.float64)
-        # Reused by every rollout; final observations are written only in environments where an episode ends.
-        self._observations = np.zeros((steps + 1, n, v, o), dtype=np.float32)
-        self._final = np.zeros((steps, n, v, o), dtype=np.float32)
         action_shape = (env.actions,) if env.continuous else ()
-        self._actions = np.zeros((steps, n, v, *action_shape), dtype=np.float32 if env.continuous else np.int64)
-        self._rewards = np.zeros((steps, n, v, d), dtype=np.float32)
-        self._accrued = np.zeros((steps + 1, n, v, d), dtype=np.float32)
-        self._discounts = np.ones((steps + 1, n, v), dtype=np.float32)
-        self._flags = np.zeros((3, steps, n, v), dtype=np.bool_)
+        self.actions = np.zeros((steps, n, v, *action_shape), dtype=np.float32 if env.continuous else np.int64)
+        # Reused by every rollout.
+        self.buffers = Buffers(
+            observations=np.zeros((steps + 1, n, v, o), dtype=np.float32),
+            final=np.zeros((steps, n, v, o), dtype=np.float32),
+            rewards=np.zeros((steps, n, v, d), dtype=np.float32),
+            accrued=np.zeros((steps + 1, n, v, d), dtype=np.float32),
+            discounts=np.ones((steps + 1, n, v), dtype=np.float32),
+            flags=np.zeros((3, steps, n, v), dtype=np.bool_),
+            ended=np.zeros((steps, n, v), dtype=np.bool_),
+            succeeded=np.zeros((steps, n, v), dtype=np.bool_),
+            ended_returns=np.zeros((steps, n, v, d), dtype=np.float64),
+            ended_values=np.zeros((steps, n, v, d), dtype=np.float64),
+            ended_decisions=np.zeros((steps, n, v), dtype=np.int64),
+            value=self.accrued_reward.value,
+            running_discounts=self.accrued_reward.discounts,
+            decisions=self.accrued_reward.decisions,
+            returns=self.returns,
+            accrued_discounts=np.full(v, accrued_discount, dtype=np.float32),
+            shares=np.ones((v, d), dtype=np.float32),
+        )
 
     def reset(self, seed: int) -> None:
         """Reset every environment; the i-th is seeded with ``seed + i``."""
         self.observations = self.env.reset(seed)
-        self._restart(np.ones(self.returns.shape[:2], dtype=np.bool_))
+        self.accrued_reward.restart(np.ones(self.returns.shape[:2], dtype=np.bool_))
+        self.returns[:] = 0.0
 
     def collect(self, act: Act) -> tuple[Rollout, Episodes]:
         """Run all environments for T steps; the rollout's tensors are overwritten by the next call."""
-        ended: list[Episodes] = []
-        for t in range(self.steps):
-            self._observations[t] = self.observations
-            self._accrued[t] = self.accrued_reward.value
-            self._discounts[t] = self.accrued_reward.discounts
-            actions = act(self.observations, self.accrued_reward)
+        past, buffers = self.accrued_reward, self.buffers
+        for t in range(self.steps + 1):
+            buffers.observations[t] = self.observations
+            buffers.accrued[t] = past.value
+            buffers.discounts[t] = past.discounts
+            if t == self.steps:
+                break
+            actions = act(self.observations, past)
             step = self.env.step(actions)
-            self._actions[t] = actions
-            rewards = step.rewards if self.reward_shares is None else step.rewards * self.reward_shares
-            self._rewards[t] = rewards
-            self._flags[0, t] = step.terminated
-            self._flags[1, t] = step.truncated
-            self._flags[2, t] = step.acted
-            self.accrued_reward.add(rewards, self.accrued_discount)
-            self.returns += step.rewards
-            over = (step.terminated | step.truncated) & step.acted
-            if over.any():
-                rows = over.any(axis=1)
-                self._final[t, rows] = step.final[rows]
-                ended.append(
-                    Episodes(
-                        vehicles=np.nonzero(over)[1],
-                        returns=self.returns[over],
-                        discounted=self.accrued_reward.value[over].astype(np.float64),
-                        lengths=self.accrued_reward.decisions[over],
-                        succeeded=step.succeeded[over],
-                    )
-                )
-                self._restart(over)
-            if not step.acted.all():
-                self._restart(~step.acted)
+            self.actions[t] = actions
+            buffers.rewards[t] = step.rewards * buffers.shares
+            buffers.final[t] = step.final
+            buffers.flags[:, t] = step.terminated, step.truncated, step.acted
+            buffers.ended[t] = (step.terminated | step.truncated) & step.acted
+            buffers.succeeded[t] = step.succeeded
+            follow_episodes(
+                step.rewards,
+                buffers.rewards[t],
+                buffers.ended[t],
+                step.acted,
+                buffers.accrued_discounts,
+                past.value,
+                past.discounts,
+                past.decisions,
+                self.returns,
+                buffers.ended_returns[t],
+                buffers.ended_values[t],
+                buffers.ended_decisions[t],
+            )
             self.observations = step.observations
-        self._observations[-1] = self.observations
-        self._accrued[-1] = self.accrued_reward.value
-        self._discounts[-1] = self.accrued_reward.discounts
-        rollout = Rollout(
-            observations=torch.from_numpy(self._observations),
-            final=torch.from_numpy(self._final),
-            actions=torch.from_numpy(self._actions),
-            rewards=torch.from_numpy(self._rewards),
-            accrued=torch.from_numpy(self._accrued),
-            discounts=torch.from_numpy(self._discounts),
-            terminated=torch.from_numpy(self._flags[0]),
-            truncated=torch.from_numpy(self._flags[1]),
-            acted=torch.from_numpy(self._flags[2]),
-        )
-        return rollout, Episodes.join(ended, self.returns.shape[-1])
+        return self.collected()
 
-    def _restart(self, where: NDArray[np.bool_]) -> None:
-        self.accrued_reward.restart(where)
-        self.returns[where] = 0.0
+    def collected(self) -> tuple[Rollout, Episodes]:
+        """What the buffers have after T steps."""
+        buffers = self.buffers
+        terminated, truncated, acted = torch.from_numpy(buffers.flags)
+        rollout = Rollout(
+            observations=torch.from_numpy(buffers.observations),
+            final=torch.from_numpy(buffers.final),
+            actions=torch.from_numpy(self.actions),
+            rewards=torch.from_numpy(buffers.rewards),
+            accrued=torch.from_numpy(buffers.accrued),
+            discounts=torch.from_numpy(buffers.discounts),
+            terminated=terminated,
+            truncated=truncated,
+            acted=acted,
+        )
+        ended = buffers.ended
+        episodes = Episodes(
+            vehicles=np.nonzero(ended)[2],
+            returns=buffers.ended_returns[ended],
+            discounted=buffers.ended_values[ended],
+            lengths=buffers.ended_decisions[ended],
+            succeeded=buffers.succeeded[ended],
+        )
+        return rollout, episodes
 
     def _own(self) -> dict[str, NDArray[Any]]:
         accrued_reward = self.accrued_reward

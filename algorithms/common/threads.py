@@ -13,17 +13,22 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_count = 1
+_count = _wanted = 1
 _blas = ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 def set_threads(count: int) -> None:
-    """Let compiled networks and torch use ``count`` threads, but no more than there are cores.
+    """Let compiled code and torch use ``count`` threads, but no more than there are cores.
 
-    Compiled networks give the same results with any number. Threads wait for each other by spinning, so that each needs
-    a core of its own. BLAS gets one thread: the products in compiled code are small.
+    Training gives the same results on any number of cores, but not with any ``count``: a part of the environments per
+    thread goes through the networks at once, and the last bits of products depend on the number of rows. Each thread
+    needs a core of its own. BLAS gets one thread: the products in compiled code are small.
+
+    An idle thread spins for milliseconds, on a core that others need, unless ``GOMP_SPINCOUNT`` is 3000 or so when the
+    process starts; the command line sees to that.
     """
-    global _count
+    global _count, _wanted
+    _wanted = count
     _count = min(count, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]  # Numba has no types
     numba.set_num_threads(_count)
     torch.set_num_threads(count)
@@ -33,6 +38,11 @@ def set_threads(count: int) -> None:
 def threads() -> int:
     """The number of threads of compiled networks."""
     return _count
+
+
+def wanted_threads() -> int:
+    """The number of threads that was asked for, however many cores there are."""
+    return _wanted
 
 
 @contextmanager

@@ -33,6 +33,10 @@ class Streams:
     Args:
         seeds: one per world; None for a random seed.
         draws: how many uniforms an episode takes.
+
+    Attributes:
+        blocks: (N, BLOCK, draws) uniforms in [0, 1).
+        cursors: (N,) how many episodes of its block each world has had.
     """
 
     def __init__(self, seeds: list[int | None], draws: int):
@@ -42,8 +46,8 @@ class Streams:
             generator, used = seeding.np_random(seed)
             self._generators.append(generator)
             self._seeds.append(used)
-        self._blocks = np.zeros((len(seeds), BLOCK, draws))
-        self._cursors = np.full(len(seeds), BLOCK, dtype=np.int64)
+        self.blocks = np.zeros((len(seeds), BLOCK, draws))
+        self.cursors = np.full(len(seeds), BLOCK, dtype=np.int64)
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -60,19 +64,21 @@ class Streams:
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._generators[i], self._seeds[i] = seeding.np_random(seeds[i])
-                self._cursors[i] = BLOCK
+                self.cursors[i] = BLOCK
 
     def draw(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """The next uniforms of each world in ``rows``, shape (len(rows), draws)."""
-        cursors = self._cursors[rows]
-        empty = rows[cursors == BLOCK]
-        if len(empty):
-            for i in empty:
-                self._generators[i].random(out=self._blocks[i])
-            self._cursors[empty] = 0
-            cursors = self._cursors[rows]
-        self._cursors[rows] = cursors + 1
-        return self._blocks[rows, cursors]
+        self.refill(rows)
+        cursors = self.cursors[rows]
+        self.cursors[rows] = cursors + 1
+        return self.blocks[rows, cursors]
+
+    def refill(self, rows: NDArray[np.int64]) -> None:
+        """Draw a new block for each world in ``rows`` whose block is used up."""
+        empty = rows[self.cursors[rows] == BLOCK]
+        for i in empty:
+            self._generators[i].random(out=self.blocks[i])
+        self.cursors[empty] = 0
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Generator states (N, 4) uint64 (PCG64 state and increment, high and low words), blocks and cursors."""
@@ -80,7 +86,7 @@ class Streams:
         for row, generator in zip(words, self._generators, strict=True):
             state = generator.bit_generator.state["state"]
             row[:] = [state["state"] >> 64, state["state"] & _WORD, state["inc"] >> 64, state["inc"] & _WORD]
-        return {"generators": words, "blocks": self._blocks.copy(), "cursors": self._cursors.copy()}
+        return {"generators": words, "blocks": self.blocks.copy(), "cursors": self.cursors.copy()}
 
     @staticmethod
     def check(state: dict[str, NDArray[Any]]) -> None:
@@ -109,5 +115,5 @@ class Streams:
                 **bit_generator.state,
                 "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
             }
-        self._blocks = np.array(state["blocks"])
-        self._cursors = np.array(state["cursors"])
+        self.blocks = np.array(state["blocks"])
+        self.cursors = np.array(state["cursors"])

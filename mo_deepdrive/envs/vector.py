@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -34,6 +34,29 @@ def _form(array: Any) -> str:
     if array is None:
         return "missing"
     return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else repr(type(array).__name__)
+
+
+class Transition(NamedTuple):
+    """One decision of all worlds, without infos; no later step overwrites the arrays.
+
+    Attributes:
+        observations: (N, V, size) for the next decision.
+        final: (N, V, size) after this one, before worlds whose episode is over were reset.
+        rewards: (N, V, d).
+        terminated, truncated: (N, V), before the reset.
+        acted: (N, V) which vehicles were on the road before the decision.
+        over: (N,) worlds without a vehicle on the road after it.
+        ends: (N, V) codes of why vehicles have ended, before the reset.
+    """
+
+    observations: NDArray[np.float32]
+    final: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    acted: NDArray[np.bool_]
+    over: NDArray[np.bool_]
+    ends: NDArray[np.int64]
 
 
 class DrivingVectorEnv(VectorEnv):
@@ -143,14 +166,16 @@ class DrivingVectorEnv(VectorEnv):
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of every world."""
-        return self._seeded().seeds
+        return self.streams.seeds
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The generator of every world."""
-        return self._seeded().generators
+        return self.streams.generators
 
-    def _seeded(self) -> Streams:
+    @property
+    def streams(self) -> Streams:
+        """The random stream of every world."""
         if self._streams is None:
             self._streams = Streams([None] * self.num_envs, self.batch.scenario.draws)
         return self._streams
@@ -178,7 +203,7 @@ class DrivingVectorEnv(VectorEnv):
         self.batch.place(np.flatnonzero(mask), self._streams.draw, pins)
         self._over[mask] = False
         self._begun = True
-        return self._shaped(self.batch.observations), {}
+        return self._shaped(self.batch.observations.copy()), {}
 
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
@@ -201,6 +226,33 @@ class DrivingVectorEnv(VectorEnv):
         self, actions: NDArray[Any]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Move every world by one decision; see the class for shapes and infos."""
+        taken = self.advance(self._batched(actions))
+        infos: dict[str, Any] = {}
+        if self.vehicles > 1:
+            infos["acted"] = taken.acted
+            infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
+            infos.update(self._arrivals(taken))
+        if taken.over.any():
+            ends = self._ends(taken)
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                infos["final_obs"], infos["_final_obs"] = self._shaped(taken.final), taken.over
+                infos["final_info"], infos["_final_info"] = ends, taken.over
+            else:
+                infos.update(ends)
+        shaped = (taken.observations, taken.rewards, taken.terminated, taken.truncated)
+        observations, rewards, terminated, truncated = map(self._shaped, shaped)
+        return observations, rewards, terminated, truncated, infos
+
+    def advance(self, actions: NDArray[Any]) -> Transition:
+        """What :meth:`step` does, without infos, which take as long as the physics, and with an axis of one vehicle.
+
+        Args:
+            actions: (N, V) or (N, V, 3).
+
+        Raises:
+            ResetNeeded: before the first reset, or where a world's episode is over and this mode does not reset it.
+            ValueError: for actions that are not in the action space; no world has moved.
+        """
         batch = self.batch
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
             worlds = np.flatnonzero(self._over)[:5].tolist()
@@ -209,33 +261,20 @@ class DrivingVectorEnv(VectorEnv):
             )
         if not self._begun:
             raise ResetNeeded("step() before the first reset()")
-        streams = self._seeded()
-        infos: dict[str, Any] = {}
-        acted = ~(batch.terminated | batch.truncated) if self.vehicles > 1 else None
-        batch.step(self._batched(actions))
+        acted = ~(batch.terminated | batch.truncated)
+        batch.step(actions)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
-            batch.place(np.flatnonzero(self._over), streams.draw)
+            batch.place(np.flatnonzero(self._over), self.streams.draw)
         over = batch.over()
-        if acted is not None:
-            infos["acted"] = acted
-            infos["_acted"] = np.ones(self.num_envs, dtype=np.bool_)
-            infos.update(self._arrivals(acted))
-        rewards = self._shaped(batch.rewards)
-        terminated = self._shaped(batch.terminated)
-        truncated = self._shaped(batch.truncated)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            rows = np.flatnonzero(over)
-            if len(rows):
-                infos["final_obs"] = self._shaped(batch.observations)
-                infos["_final_obs"] = over
-                infos["final_info"] = self._ends(over)
-                infos["_final_info"] = over
-                batch.place(rows, streams.draw)
-        else:
+        final = observations = batch.observations.copy()
+        taken = batch.rewards.copy(), batch.terminated.copy(), batch.truncated.copy(), acted, over
+        ends = batch.state["end"].copy()
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._over = over
-            if over.any():
-                infos.update(self._ends(over))
-        return self._shaped(batch.observations), rewards, terminated, truncated, infos
+        elif len(rows := np.flatnonzero(over)):
+            batch.place(rows, self.streams.draw)
+            observations = batch.observations.copy()
+        return Transition(observations, final, *taken, ends)
 
     def _batched(self, actions: Any) -> NDArray[Any]:
         """``actions`` as the batch takes them: (N, vehicles) or (N, vehicles, 3)."""
@@ -244,26 +283,21 @@ class DrivingVectorEnv(VectorEnv):
             raise ValueError(f"actions have shape {array.shape}; expected {self.action_space.shape}")
         return array[:, None] if self.vehicles == 1 else array
 
-    def _shaped(self, buffer: NDArray[Any]) -> NDArray[Any]:
-        """A copy of a buffer (N, vehicles, ...), without the vehicle axis if there is only one vehicle."""
-        return buffer[:, 0].copy() if self.vehicles == 1 else buffer.copy()
+    def _shaped(self, array: NDArray[Any]) -> NDArray[Any]:
+        """An array (N, vehicles, ...) without the vehicle axis if there is only one vehicle."""
+        return array[:, 0] if self.vehicles == 1 else array
 
-    def _arrivals(self, acted: NDArray[np.bool_]) -> dict[str, Any]:
-        """Infos on the vehicles that arrived in this step; empty if no vehicle ended."""
-        ended = acted & (self.batch.terminated | self.batch.truncated)
-        rows = np.flatnonzero(ended.any(axis=1))
-        if not len(rows):
-            return {}
-        arrived = np.zeros_like(ended)
-        arrived[rows] = ended[rows] & (self.batch.state["end"][rows] == ARRIVED)
-        mask = np.zeros(self.num_envs, dtype=np.bool_)
-        mask[rows] = True
-        return {"arrived": arrived, "_arrived": mask}
+    def _arrivals(self, taken: Transition) -> dict[str, Any]:
+        """Infos on the vehicles that arrived in a step; empty if no vehicle ended."""
+        ended = taken.acted & (taken.terminated | taken.truncated)
+        mask = ended.any(axis=1)
+        return {"arrived": ended & (taken.ends == ARRIVED), "_arrived": mask} if mask.any() else {}
 
-    def _ends(self, over: NDArray[np.bool_]) -> dict[str, Any]:
-        """Why the episodes of the worlds ``over`` ended, in the form of Gymnasium's vector infos."""
+    def _ends(self, taken: Transition) -> dict[str, Any]:
+        """Why the episodes that are over ended, in the form of Gymnasium's vector infos."""
+        over = taken.over
         rows = np.flatnonzero(over)
-        codes = self.batch.state["end"][rows]
+        codes = taken.ends[rows]
         shape: tuple[int, ...] = (self.num_envs, self.vehicles)
         if self.vehicles == 1:
             codes, shape = codes[:, 0], (self.num_envs,)
@@ -302,7 +336,7 @@ class DrivingVectorEnv(VectorEnv):
             "state": self.batch.state.view(np.uint8).copy(),
             "over": self._over.copy(),
             "begun": np.array([self._begun]),
-            **self._seeded().get_state(),
+            **self.streams.get_state(),
         }
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
@@ -322,7 +356,7 @@ class DrivingVectorEnv(VectorEnv):
         self.batch.restore(np.ascontiguousarray(state["state"]).view(self.batch.state.dtype))
         self._over = state["over"].copy()
         self._begun = bool(state["begun"][0])
-        self._seeded().set_state(state)
+        self.streams.set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One RGB frame per world for ``render_mode="rgb_array"``, else None."""

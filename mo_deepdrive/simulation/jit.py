@@ -92,6 +92,11 @@ def jit(function: F) -> F:
     return _compiled(function, forceinline=True)
 
 
+def separate_jit(function: F) -> F:
+    """As :func:`jit`, but calls remain calls, so that large functions are compiled once and not in every caller."""
+    return _compiled(function)
+
+
 def parallel_jit(function: F) -> F:
     """As :func:`jit`, with the rounds of ``numba.prange`` shared among Numba's threads."""
     return _compiled(function, parallel=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.experiments.cli import (
-    HEADLESS,
+    PROCESS_DEFAULTS,
     add_evaluation_arguments,
     add_training_arguments,
     check_directory,
@@ -40,7 +40,7 @@ def test_a_process_renders_without_a_display_unless_the_user_chose_one(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     environment, path = {"SDL_VIDEODRIVER": "x11"}, ["first"]
-    prepare_process(environment, path, HEADLESS)
+    prepare_process(environment, path, PROCESS_DEFAULTS)
     assert environment == {"SDL_VIDEODRIVER": "x11", "SDL_AUDIODRIVER": "dummy"}
     assert path == ["first", str(tmp_path)]
 
