@@ -2,34 +2,29 @@
 
     python scripts/peer_comparison.py --minutes 10 --output peer_comparison.csv
 
-A learner has its library's defaults but for the learning rate, which is the default, three times or a third of it:
-each is tried once, with a seed of its own and on the validation split, and the best of the three is trained with the
-seeds that count, on the test split. The number of environment steps is what takes the CPU time on the machine of
-docs/peers.md, which explains the table. Every run is a new process on one thread. Runs that the file has already are
-not repeated, so a comparison can be continued. The extra ``[peers]`` brings the other libraries.
+A learner has its library's defaults but for the learning rate, which is tuned (scripts/tuned_comparison.py). The number
+of environment steps is what takes the CPU time on the machine of docs/peers.md, which explains the table. The extra
+``[peers]`` brings the other libraries.
 """
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import io
-import multiprocessing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import paired_benchmark
 import torch
+import tuned_comparison
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from tuned_comparison import TUNING_SEED, Result, Run
 
 from algorithms.commands.peers import seed_everything
-from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.evaluation.front import indicators
 from algorithms.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME, STOCHASTIC, SUCCESS, UTILITY_ESR
 from algorithms.evaluation.splits import SPLITS
@@ -43,14 +38,13 @@ from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from algorithms.experiments.config import Experiment
 
 ENV_ID = "mo-deepdrive-one-waypoint-v0"
 GAMMA = 0.99
-RATES = (1.0, 3.0, 1 / 3)  # learning rates that are tried, in units of the default
-TUNING_SEED, FIRST_SEED = 100, 0
+FIRST_SEED, LEAST_MINUTES = 0, 0.001
 DRAWN_EPISODES = 100  # per policy of a front, where destinations are drawn
 UTILITY, UTILITY_EPISODES = "one_waypoint_linear", 1000
 
@@ -145,57 +139,6 @@ TASKS = {
 }
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run.
-
-    Attributes:
-        task: a key of :data:`TASKS`.
-        learner: one of the task's.
-        rate: one of :data:`RATES`.
-        seed: of the run.
-        steps: environment steps.
-    """
-
-    task: str
-    learner: str
-    rate: float
-    seed: int
-    steps: int
-
-    @property
-    def key(self) -> tuple[str, str, str, int, int]:
-        """What tells it from other runs; a learner that trains in rounds may take a few more steps than it is given."""
-        return self.task, self.learner, f"{self.rate:.3g}", self.seed, self.steps
-
-
-@dataclass(frozen=True)
-class Result:
-    """What a run achieved.
-
-    Attributes:
-        task, learner, rate, seed, steps: as of :class:`Run`.
-        taken: environment steps that were taken.
-        first, second: the scores of the task.
-        seconds: CPU time of the training.
-    """
-
-    task: str
-    learner: str
-    rate: str
-    seed: int
-    steps: int
-    taken: int
-    first: float
-    second: float
-    seconds: float
-
-    @property
-    def key(self) -> tuple[str, str, str, int, int]:
-        """As of its run."""
-        return self.task, self.learner, self.rate, self.seed, self.steps
-
-
 def make_run_experiment(run: Run) -> Experiment:
     """The experiment of a run; tuning is scored on the validation split."""
     task = TASKS[run.task]
@@ -253,63 +196,9 @@ def learn(run: Run) -> Result:
     return Result(run.task, run.learner, f"{run.rate:.3g}", run.seed, run.steps, taken, first, second, seconds)
 
 
-# ------------------------------------------------------------------------------------------------------ which runs
-
-
 def steps_of(task: str, learner: str, minutes: float) -> int:
     """Environment steps that take so many CPU minutes."""
     return round(TASKS[task].learners[learner].speed * 60.0 * minutes)
-
-
-def missing_runs(results: Sequence[Result], tasks: Sequence[str], minutes: float, seeds: int) -> list[Run]:
-    """The runs that can be made now: tuning first, and for learners that are tuned, the seeds that count."""
-    done = {result.key for result in results}
-    runs = []
-    for task in tasks:
-        for learner in TASKS[task].learners:
-            steps = steps_of(task, learner, minutes)
-            tuning = [Run(task, learner, rate, TUNING_SEED, steps) for rate in RATES]
-            runs += [run for run in tuning if run.key not in done]
-            if all(run.key in done for run in tuning):
-                scores = {result.key: result.first for result in results}
-                best = max(tuning, key=lambda run: scores[run.key])
-                final = [Run(task, learner, best.rate, FIRST_SEED + seed, steps) for seed in range(seeds)]
-                runs += [run for run in final if run.key not in done]
-    return runs
-
-
-def learn_in_new_processes(runs: Sequence[Run], workers: int) -> Iterator[Result]:
-    """The results of ``runs``, as they finish, each from a process of its own with one thread."""
-    context = multiprocessing.get_context("spawn")
-    with paired_benchmark.one_thread_each(), context.Pool(workers, maxtasksperchild=1) as pool:
-        yield from pool.imap_unordered(learn, runs, chunksize=1)
-
-
-def read_results(path: Path) -> list[Result]:
-    """The results that :func:`write_results` wrote to ``path``; an empty list if the file does not exist.
-
-    Raises:
-        ValueError: if it is another file.
-    """
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    try:
-        kinds = {field.name: {"int": int, "float": float, "str": str}[str(field.type)] for field in fields(Result)}
-        return [Result(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in rows]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is not a file of this script: {type(error).__name__}: {error}") from None
-
-
-def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV, atomically."""
-    rows = [[field.name for field in fields(Result)]]
-    for result in results:
-        cells = asdict(result) | {"seconds": f"{result.seconds:.1f}"}
-        cells |= {name: f"{cells[name]:.6g}" for name in ("first", "second")}
-        rows.append([str(cell) for cell in cells.values()])
-    atomic_write(path, csv_bytes(rows))
 
 
 def table_rows(results: Sequence[Result]) -> list[list[str]]:
@@ -332,27 +221,23 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = make_parser(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0, help="CPU minutes of a run (default: %(default)s)")
-    parser.add_argument("--seeds", type=int, default=5, help="runs of each learner that count (default: %(default)s)")
-    parser.add_argument("--only", nargs="+", choices=TASKS, default=list(TASKS), help="tasks; default: all")
-    parser.add_argument("--workers", type=int, default=1, help="runs at the same time (default: %(default)s)")
-    parser.add_argument("--output", type=Path, required=True, help="CSV file of every run, continued if it exists")
+    tuned_comparison.add_arguments(parser, list(TASKS))
     arguments = parser.parse_args(argv)
-    for name, least in (("minutes", 0.001), ("seeds", 1), ("workers", 1)):
-        if getattr(arguments, name) < least:
-            parser.error(f"--{name} {getattr(arguments, name)} must be at least {least}")
-    if not arguments.output.parent.is_dir():
-        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    tuned_comparison.check_arguments(parser, arguments)
+    if arguments.minutes < LEAST_MINUTES:
+        parser.error(f"--minutes {arguments.minutes} must be at least {LEAST_MINUTES}")
     for learner in dict.fromkeys(name for task in arguments.only for name in TASKS[task].learners):
         reason = PEERS[learner].unavailable_reason() if learner in PEERS else None
         if reason is not None:
             parser.error(f"{learner} cannot run here: {reason}")
+    learners = [
+        (task, learner, steps_of(task, learner, arguments.minutes))
+        for task in arguments.only
+        for learner in TASKS[task].learners
+    ]
+    seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
     with exit_on_error(ValueError, OSError):
-        results = read_results(arguments.output)
-        settings = arguments.only, arguments.minutes, arguments.seeds
-        while runs := missing_runs(results, *settings):
-            for result in track(learn_in_new_processes(runs, arguments.workers), total=len(runs)):
-                results.append(result)
-                write_results(arguments.output, results)
+        results = tuned_comparison.complete(arguments.output, learners, seeds, learn, arguments.workers)
     splits = f"tuned on seed {TUNING_SEED} of {SPLITS['validation'].start:,} and up"
     caption = f"mean [95% interval] over seeds; {splits}; {paired_benchmark.machine()}, one thread"
     table = Table("task", "learner", "rate", "seeds", "steps", "CPU seconds", "score", "and", caption=caption)
