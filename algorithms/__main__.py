@@ -9,7 +9,7 @@ import sys
 
 import mo_deepdrive
 from algorithms.commands import COMMANDS
-from algorithms.experiments.cli import PROCESS_DEFAULTS, INSTALLED, INVALID_INPUT, prepare_process
+from algorithms.experiments.cli import INSTALLED, INVALID_INPUT, PROCESS_DEFAULTS, prepare_process
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
 

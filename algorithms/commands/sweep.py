@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import PROCESS_DEFAULTS, INSTALLED, as_called, check_directory, make_parser
+from algorithms.experiments.cli import INSTALLED, PROCESS_DEFAULTS, as_called, check_directory, make_parser
 from algorithms.experiments.interrupts import Stopped, no_space
 from algorithms.sweeps import BACKENDS
 from algorithms.sweeps.sweep_settings import load_sweep

@@ -74,6 +74,7 @@ class Worlds(NamedTuple):
     Attributes:
         first: index of the part's first world.
         blocks, cursors: of :class:`mo_deepdrive.envs.streams.Streams`.
+        attempts: (n,) invalid scenarios that have been drawn in a row.
         draws: (1, draws), scratch of a reset.
         columns, signs: of the measures.
     """
@@ -95,6 +96,7 @@ class Worlds(NamedTuple):
     table: NDArray[np.float64]
     blocks: NDArray[np.float64]
     cursors: NDArray[np.int64]
+    attempts: NDArray[np.int64]
     draws: NDArray[np.float64]
     columns: NDArray[np.int64]
     signs: NDArray[np.float64]
@@ -104,7 +106,7 @@ class Worlds(NamedTuple):
 def _replace_ended(
     state: Records, draws: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
     observations: Array, terminated: Flags, truncated: Flags, blocks: NDArray[np.float64], cursors: NDArray[np.int64],
-    reset: Callable[..., None],
+    attempts: NDArray[np.int64], reset: Callable[..., None],
 ) -> int:  # fmt: skip
     """Start new episodes in the worlds without a vehicle on the road, until one has no draws left."""
     row, fair = np.zeros(1, np.int64), np.zeros(1, np.bool_)
@@ -112,19 +114,18 @@ def _replace_ended(
         over = True
         for v in range(state.shape[1]):
             over = over and (terminated[i, v] or truncated[i, v])
-        attempts = 0
         while over:
+            if attempts[i] == MAX_REDRAWS:
+                return NO_VALID_SCENARIO
             if cursors[i] == DRAWS_IN_BLOCK:
                 return NEEDS_DRAWS
-            if attempts == MAX_REDRAWS:
-                return NO_VALID_SCENARIO
             for k in range(draws.shape[1]):
                 draws[0, k] = blocks[i, cursors[i], k]
             cursors[i] += 1
             row[0] = i
             reset(state, row, draws, pins, params, spawn, fair, sight, observations, terminated, truncated)
             over = not fair[0]
-            attempts += 1
+            attempts[i] = attempts[i] + 1 if over else 0
     return DONE
 
 
@@ -276,7 +277,7 @@ def collect_part(
         The step that has not been taken, and why; (T, DONE) at the end.
     """
     (first, state, controls, motion, cars, path, sight, spawn, observations, rewards, terminated, truncated,
-     params, pins, table, blocks, cursors, draws, columns, signs) = worlds  # fmt: skip
+     params, pins, table, blocks, cursors, attempts, draws, columns, signs) = worlds  # fmt: skip
     (all_observations, final, all_rewards, accrued, discounts, flags, ended, succeeded, ended_returns, ended_values,
      ended_decisions, value, running_discounts, decisions, returns, accrued_discounts, shares) = buffers  # fmt: skip
     rows, weights, biases, hidden, outputs, deviations, scales, accrued_scales = policies
@@ -284,7 +285,19 @@ def collect_part(
     part, acted = slice(first, first + len(state)), np.empty(terminated.shape, np.bool_)
     for t in range(start, steps + 1):
         problem = _replace_ended(
-            state, draws, pins, params, spawn, sight, observations, terminated, truncated, blocks, cursors, reset
+            state,
+            draws,
+            pins,
+            params,
+            spawn,
+            sight,
+            observations,
+            terminated,
+            truncated,
+            blocks,
+            cursors,
+            attempts,
+            reset,
         )
         if problem != DONE:
             return t, problem
@@ -397,8 +410,8 @@ class CompiledCollection:
         first, *rest = self._worlds
         if self._loop is None:
             self._loop = _compiled_loop(env.batch, (first, *shared))
-        others = [self._threads().submit(self._run, self._loop, worlds, shared) for worlds in rest]
         with one_blas_thread():
+            others = [self._threads().submit(self._run, self._loop, worlds, shared) for worlds in rest]
             self._run(self._loop, first, shared)
             for other in others:
                 other.result()
@@ -446,6 +459,7 @@ def _worlds(part: Part, batch: WorldBatch, blocks: NDArray[np.float64], cursors:
         table=batch.table,
         blocks=blocks[part.rows],
         cursors=cursors[part.rows],
+        attempts=np.zeros(len(part.worlds), dtype=np.int64),
         draws=np.zeros((1, blocks.shape[2])),
         columns=np.array([measure.column for measure in batch.measures], dtype=np.int64),
         signs=np.array([measure.sign for measure in batch.measures]),
@@ -467,7 +481,7 @@ def _compiled_loop(batch: WorldBatch, arguments: tuple[Any, ...]) -> Callable[..
         worlds.state, np.zeros(1, dtype=np.int64), worlds.draws, worlds.pins, worlds.params, worlds.spawn, acted[0],
         worlds.sight, worlds.observations, worlds.terminated, worlds.truncated,
     )  # fmt: skip
-    writes = [
+    writes: list[Any] = [
         _pointer(measure.write, (worlds.state, worlds.params, acted, measure.column, measure.sign, worlds.rewards))
         for measure in batch.measures
     ]
@@ -476,7 +490,7 @@ def _compiled_loop(batch: WorldBatch, arguments: tuple[Any, ...]) -> Callable[..
         *map(numba.typeof, arguments),
         _pointer(step_batch, step),
         _pointer(reset_batch, reset),
-        types.BaseTuple.from_types(writes),  # type: ignore[no-untyped-call]  # Numba has no types
+        types.UniTuple(writes[0], len(writes)) if writes else types.Tuple(()),  # type: ignore[no-untyped-call]
     )
     loop: Any = collect_part
     if signature not in loop.overloads:

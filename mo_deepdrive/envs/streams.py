@@ -115,5 +115,5 @@ class Streams:
                 **bit_generator.state,
                 "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
             }
-        self.blocks = np.array(state["blocks"])
-        self.cursors = np.array(state["cursors"])
+        self.blocks[:] = state["blocks"]
+        self.cursors[:] = state["cursors"]

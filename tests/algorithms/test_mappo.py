@@ -71,6 +71,7 @@ class TakeOrGive:
 
     name, vehicles, objectives, named, native = "take-or-give", 2, ("earned",), True, False
     cost_sign, actions, continuous, observation_size = "maximise", 2, False, 2
+    bare = None
 
     def __init__(self, num_envs: int):
         self.num_envs = num_envs

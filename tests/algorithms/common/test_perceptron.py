@@ -117,6 +117,54 @@ def test_memory_is_used_again() -> None:
     assert len(spaces) == 1
 
 
+def test_a_pass_over_what_was_kept_takes_its_results() -> None:
+    perceptron, reference = both((5, 8, 4, 3))
+    x = torch.randn(700, 5)
+    kept = perceptron.keep_passes(700)
+    with torch.no_grad():
+        parts = [perceptron(part) for part in x.split([300, 1, 399])]
+    assert kept.done == 700
+    assert torch.equal(torch.from_numpy(kept.outputs).t(), torch.cat(parts))
+    with recording() as tape:
+        outputs = perceptron(x.reshape(7, 100, 5))
+    assert perceptron._spare == []  # no other memory has been needed
+    assert torch.equal(outputs.reshape(700, 3), torch.cat(parts))
+    found = gradients_of(perceptron, tape, torch.ones(700, 3))
+    assert_all_close(found, torch.autograd.grad(reference(x).sum(), list(reference.parameters())))
+    with torch.no_grad():
+        assert torch.equal(perceptron(x), torch.cat(parts))
+    assert perceptron._spare == []  # what is kept is not handed out
+
+
+@pytest.mark.parametrize("change", ["parameters", "rows", "number of rows", "nothing kept since"])
+def test_a_pass_over_anything_else_is_made(change: str) -> None:
+    perceptron, reference = both((5, 8, 3))
+    x = torch.randn(20, 5)
+    perceptron.keep_passes(20)
+    with torch.no_grad():
+        perceptron(x)
+        if change == "parameters":
+            for network in (perceptron, reference):
+                network[2].bias[1] += 1.0
+        elif change == "rows":
+            x[7, 3] += 1.0
+        elif change == "number of rows":
+            x = x[:19]
+        else:
+            perceptron.keep_passes(20)
+        torch.testing.assert_close(perceptron(x), reference(x), rtol=1e-5, atol=1e-5)
+
+
+def test_more_rows_than_are_to_be_kept_are_passed_as_usual() -> None:
+    perceptron, reference = both((5, 8, 3))
+    x, y = torch.randn(20, 5), torch.randn(20, 5)
+    kept = perceptron.keep_passes(30)
+    with torch.no_grad():
+        perceptron(x)
+        torch.testing.assert_close(perceptron(y), reference(y), rtol=1e-5, atol=1e-5)
+    assert kept.done == 20
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="there is one core")
 def test_the_number_of_threads_does_not_change_a_bit() -> None:
