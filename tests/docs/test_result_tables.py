@@ -333,9 +333,9 @@ def conditioned(row: Row) -> dict[str, list[float]]:
     return values | {"CPU seconds": [column(runs, "seconds").mean()]}
 
 
-def specialists(row: Row) -> dict[str, list[float]]:
-    weights = row["weights: distance, destination, g-force, jerk"].replace(",", "")
-    runs = matching("conditioned_specialists.csv", config="one_waypoint/conditioned_drawn", weights=weights)
+def specialists(scenario: str, row: Row) -> dict[str, list[float]]:
+    weights = next(iter(row.values())).replace(",", "")
+    runs = matching("conditioned_specialists.csv", config=f"{scenario}/conditioned_drawn", weights=weights)
     return {
         "networks": [column(runs, "conditioned").mean()],
         "specialist": [column(runs, "specialist")[0]],
@@ -482,7 +482,8 @@ TABLES = [
     Table("docs/left_turn.md", "driver | arrivals", left_turners),
     Table("docs/left_turn.md", "source | policies | non-dominated", left_turn_front),
     Table("docs/learning.md", "config | seeds | steps | hypervolume", conditioned),
-    Table("docs/learning.md", "weights: distance, destination", specialists),
+    Table("docs/learning.md", "weights: distance, destination, g-force, jerk", partial(specialists, "one_waypoint")),
+    Table("docs/learning.md", "weights: distance, destination, g-force, coll", partial(specialists, "static_obstacle")),
     Table("docs/learning.md", "config | objective | started by", comfort),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
