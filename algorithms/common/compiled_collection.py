@@ -385,9 +385,11 @@ class CompiledCollection:
         """Fill the collector's buffers; ``generator`` draws the actions.
 
         Raises:
+            ResetNeeded: before the first reset.
             ValueError: for actions that are not finite, or if no valid scenario is found.
         """
         collector, env = self._collector, self._env
+        env.check_ready()
         steps, n = collector.actions.shape[:2]
         networks = [cast("Perceptron", actor.body) for actor in self._actors]
         kept = [network.keep_passes(steps * n) for network in networks]

@@ -250,17 +250,11 @@ class DrivingVectorEnv(VectorEnv):
             actions: (N, V) or (N, V, 3).
 
         Raises:
-            ResetNeeded: before the first reset, or where a world's episode is over and this mode does not reset it.
+            ResetNeeded: as :meth:`check_ready`.
             ValueError: for actions that are not in the action space; no world has moved.
         """
+        self.check_ready()
         batch = self.batch
-        if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
-            worlds = np.flatnonzero(self._over)[:5].tolist()
-            raise ResetNeeded(
-                f"step() on worlds whose episode is over or has not begun (the first ones: {worlds}); reset them first"
-            )
-        if not self._begun:
-            raise ResetNeeded("step() before the first reset()")
         acted = ~(batch.terminated | batch.truncated)
         batch.step(actions)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
@@ -275,6 +269,20 @@ class DrivingVectorEnv(VectorEnv):
             batch.place(rows, self.streams.draw)
             observations = batch.observations.copy()
         return Transition(observations, final, *taken, ends)
+
+    def check_ready(self) -> None:
+        """Refuse to step worlds that have to be reset first.
+
+        Raises:
+            ResetNeeded: before the first reset, or where a world's episode is over and this mode does not reset it.
+        """
+        if self.autoreset_mode is not AutoresetMode.NEXT_STEP and self._over.any():
+            worlds = np.flatnonzero(self._over)[:5].tolist()
+            raise ResetNeeded(
+                f"step() on worlds whose episode is over or has not begun (the first ones: {worlds}); reset them first"
+            )
+        if not self._begun:
+            raise ResetNeeded("step() before the first reset()")
 
     def _batched(self, actions: Any) -> NDArray[Any]:
         """``actions`` as the batch takes them: (N, vehicles) or (N, vehicles, 3)."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from gymnasium.error import ResetNeeded
 
 from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.common import compiled_collection
@@ -150,6 +151,11 @@ def test_a_scenario_that_is_never_valid_is_an_error(monkeypatch: pytest.MonkeyPa
     worlds.pins["obstacle"][0, :] = worlds.params["starts"][0, 0, :2]  # the bicycle is under the vehicle
     with pytest.raises(ValueError, match="no valid scenario in 1000 draws"):
         agent.update(0.0)
+
+
+def test_environments_have_to_be_reset_first() -> None:
+    with pytest.raises(ResetNeeded, match="has not begun"):
+        make_agent(PPO).update(0.0)
 
 
 class OwnInputs(MOA2CLearner):
