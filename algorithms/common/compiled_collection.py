@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float32]
     Flags = NDArray[np.bool_]
     Records = NDArray[Any]
+    Kernel = tuple[Any, ...]
+    Loop = Callable[..., tuple[int, int]]
 
 # Why the loop has stopped before the end of the rollout.
 DONE, NEEDS_DRAWS, NO_VALID_SCENARIO, NOT_FINITE = range(4)
@@ -370,7 +372,8 @@ class CompiledCollection:
         steps, n = collector.actions.shape[:2]
         k = collector.env.actions if collector.env.continuous else 1
         self._noise = np.zeros((steps, len(actors), n, k), dtype=np.float32)
-        self._loop: Callable[..., tuple[int, int]] | None = None
+        self._loop: Loop | None = None
+        self._kernel: Kernel = ()
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
@@ -411,7 +414,8 @@ class CompiledCollection:
         shared = policies, self._noise, collector.actions, collector.buffers
         first, *rest = self._worlds
         if self._loop is None:
-            self._loop = _compiled_loop(env.batch, (first, *shared))
+            self._kernel = _pointers(env.batch, first)
+            self._loop = _compiled_loop((first, *shared), self._kernel)
         with one_blas_thread():
             others = [self._threads().submit(self._run, self._loop, worlds, shared) for worlds in rest]
             self._run(self._loop, first, shared)
@@ -427,10 +431,9 @@ class CompiledCollection:
             self._pool, self._pool_process = ThreadPoolExecutor(len(self._worlds) - 1), os.getpid()
         return self._pool
 
-    def _run(self, loop: Callable[..., tuple[int, int]], worlds: Worlds, shared: tuple[Any, ...]) -> None:
+    def _run(self, loop: Loop, worlds: Worlds, shared: tuple[Any, ...]) -> None:
         env = self._env
-        kernel = step_batch, reset_batch, tuple([measure.write for measure in env.batch.measures])
-        start, problem = loop(0, worlds, *shared, *kernel)
+        start, problem = loop(0, worlds, *shared, *self._kernel)
         while problem != DONE:
             if problem == NEEDS_DRAWS:
                 over = (worlds.terminated | worlds.truncated).all(axis=1)
@@ -439,7 +442,7 @@ class CompiledCollection:
                 raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws")
             else:
                 env.batch.step(self._collector.actions[start])  # refuses the actions, and moves nothing
-            start, problem = loop(start, worlds, *shared, *kernel)
+            start, problem = loop(start, worlds, *shared, *self._kernel)
 
 
 def _worlds(part: Part, batch: WorldBatch, blocks: NDArray[np.float64], cursors: NDArray[np.int64]) -> Worlds:
@@ -468,12 +471,35 @@ def _worlds(part: Part, batch: WorldBatch, blocks: NDArray[np.float64], cursors:
     )
 
 
-def _compiled_loop(batch: WorldBatch, arguments: tuple[Any, ...]) -> Callable[..., tuple[int, int]]:
-    """:func:`collect_part` for these arguments, with the kernel's functions as pointers.
+class _Pointer(types.WrapperAddressProtocol):
+    """A pointer to a compiled function that returns nothing.
 
-    A pointer has a signature; a function that were passed as it is would be compiled again, within the loop.
+    A function that is passed as it is would be compiled again within what it is passed to, or its address looked up at
+    every call.
+
+    Args:
+        function: the function.
+        arguments: like those that it will be called with.
     """
-    worlds: Worlds = arguments[0]
+
+    def __init__(self, function: Any, arguments: Sequence[Any]):
+        arguments = tuple(map(numba.typeof, arguments))
+        function.compile(arguments)
+        compiled = function.overloads[arguments]
+        self.type = types.FunctionType(types.void(*arguments))
+        self._function = function  # keeps the code alive
+        self._address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name)
+
+    def __wrapper_address__(self) -> int:
+        return int(self._address)
+
+    def signature(self) -> Any:
+        """Of the function."""
+        return self.type.signature
+
+
+def _pointers(batch: WorldBatch, worlds: Worlds) -> Kernel:
+    """What :func:`collect_part` calls: the kernel's two functions, and what measures further objectives."""
     acted = np.zeros(worlds.terminated.shape, dtype=np.bool_)
     step = (
         worlds.state, worlds.controls, worlds.params, worlds.motion, worlds.cars, worlds.path, worlds.sight,
@@ -483,28 +509,22 @@ def _compiled_loop(batch: WorldBatch, arguments: tuple[Any, ...]) -> Callable[..
         worlds.state, np.zeros(1, dtype=np.int64), worlds.draws, worlds.pins, worlds.params, worlds.spawn, acted[0],
         worlds.sight, worlds.observations, worlds.terminated, worlds.truncated,
     )  # fmt: skip
-    writes: list[Any] = [
-        _pointer(measure.write, (worlds.state, worlds.params, acted, measure.column, measure.sign, worlds.rewards))
+    measures = [
+        _Pointer(measure.write, (worlds.state, worlds.params, acted, measure.column, measure.sign, worlds.rewards))
         for measure in batch.measures
     ]
-    signature = (
-        types.int64,
-        *map(numba.typeof, arguments),
-        _pointer(step_batch, step),
-        _pointer(reset_batch, reset),
-        types.UniTuple(writes[0], len(writes)) if writes else types.Tuple(()),  # type: ignore[no-untyped-call]
-    )
+    return _Pointer(step_batch, step), _Pointer(reset_batch, reset), tuple(measures)
+
+
+def _compiled_loop(arguments: tuple[Any, ...], kernel: Kernel) -> Loop:
+    """:func:`collect_part` for arguments like these."""
+    step, reset, measures = kernel
+    several = types.UniTuple(measures[0].type, len(measures)) if measures else types.Tuple(())  # type: ignore[no-untyped-call]
+    signature = types.int64, *map(numba.typeof, arguments), step.type, reset.type, several
     loop: Any = collect_part
     if signature not in loop.overloads:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", numba.NumbaExperimentalFeatureWarning)  # pointers to functions
             loop.compile(signature)
-    entry: Callable[..., tuple[int, int]] = loop.get_overload(signature)
+    entry: Loop = loop.get_overload(signature)
     return entry
-
-
-def _pointer(function: Any, arguments: Sequence[Any]) -> types.FunctionType:
-    """The type of a pointer to ``function``, compiled for these arguments; it returns nothing."""
-    signature = tuple(map(numba.typeof, arguments))
-    function.compile(signature)
-    return types.FunctionType(types.void(*signature))
