@@ -78,7 +78,8 @@ class TrainingSettings(Settings):
         num_envs: number of parallel environments.
         seed: seed of everything random in training.
         device: the device of the networks, in PyTorch's notation.
-        threads: threads of the networks; each needs a core of its own, or training becomes slower.
+        threads: how many collect samples and compute gradients; each needs a core of its own, or training becomes
+            slower. A run is the same, bit for bit, for the same number.
         partners: what drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo
             and scripted drivers, which take turns over the parallel environments.
         guides: what begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings.

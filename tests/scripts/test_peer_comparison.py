@@ -25,22 +25,6 @@ def result(script: ModuleType, run: Any, first: float) -> Any:
     return script.Result(run.task, run.learner, f"{run.rate:.3g}", run.seed, run.steps, run.steps, first, 0.5, 1.25)
 
 
-def test_every_learner_is_tuned_with_as_many_runs_and_then_trained_with_the_best_rate(script: ModuleType) -> None:
-    tuning = script.missing_runs([], list(script.TASKS), 1.0, 5)
-    learners = [(name, learner) for name, task in script.TASKS.items() for learner in task.learners]
-    assert len(tuning) == len(script.RATES) * len(learners)
-    assert {run.seed for run in tuning} == {script.TUNING_SEED}
-    tuned = [result(script, run, 1.0 if run.rate == 3.0 else 0.0) for run in tuning]
-    final = script.missing_runs(tuned, list(script.TASKS), 1.0, 5)
-    assert [(run.task, run.learner) for run in final] == [each for each in learners for _ in range(5)]
-    assert {run.rate for run in final} == {3.0}
-    assert [run.seed for run in final[:5]] == [0, 1, 2, 3, 4]
-    done = [*tuned, *(result(script, run, 1.0) for run in final)]
-    assert script.missing_runs(done, list(script.TASKS), 1.0, 5) == []
-    assert len(script.missing_runs(done, list(script.TASKS), 1.0, 6)) == len(learners)
-    assert len(script.missing_runs(done, list(script.TASKS), 2.0, 5)) == len(tuning)
-
-
 def test_runs_have_the_same_time_and_differ_in_the_learning_rate_alone(script: ModuleType) -> None:
     for name, task in script.TASKS.items():
         for learner, settings in task.learners.items():
@@ -79,19 +63,6 @@ def test_a_run_is_trained_and_scored(script: ModuleType, task: str, learner: str
     low, high = (-100.0, 20.0) if task == "known utility" else (0.0, 42_000.0)
     assert low <= found.first <= high
     assert 0.0 <= found.second <= 1.0
-
-
-def test_results_are_continued_and_other_files_refused(script: ModuleType, tmp_path: Path) -> None:
-    run = script.Run("fixed, discrete", "pcn", 1 / 3, 100, 500)
-    file = tmp_path / "results.csv"
-    assert script.read_results(file) == []
-    script.write_results(file, [result(script, run, 0.25)])
-    [read] = script.read_results(file)
-    assert read == script.Result("fixed, discrete", "pcn", "0.333", 100, 500, 500, 0.25, 0.5, 1.2)
-    assert read.key == run.key
-    file.write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match=r"results\.csv is not a file of this script: KeyError: 'task'"):
-        script.read_results(file)
 
 
 def test_the_table_leaves_tuning_out(script: ModuleType) -> None:
