@@ -409,6 +409,7 @@ def parity_of_the_commit(row: Row) -> dict[str, list[float]]:
 
 def training_speeds(row: Row) -> dict[str, list[float]]:
     names = {
+        "two A2C learners at the intersection, 128-64": ["two-a2c-128-64"],
         "two MO-PPO learners at the intersection, 128-64": ["two-mo_ppo-128-64"],
         "PCN, collecting alone; with 400 gradient steps per update": ["pcn-collection", "pcn"],
         "train --help": ["train-help"],
