@@ -344,6 +344,21 @@ def specialists(scenario: str, row: Row) -> dict[str, list[float]]:
     }
 
 
+def esr(row: Row) -> dict[str, list[float]]:
+    methods = ("utility_difference", "expected_utility", "mocac", "ppo")
+    learner = next(method for method in methods if method in row["method"].lower())
+    runs = matching("esr_comparison.csv", task="one_waypoint_nonlinear", learner=learner)
+    tuned = {run["rate"]: float(run["first"]) for run in runs if run["seed"] == "100"}
+    final = [run for run in runs if run["seed"] != "100"]
+    assert max(tuned, key=lambda rate: tuned[rate]) == "3"
+    assert {run["rate"] for run in final} <= {"3"}
+    return {
+        "tuning: utility with rates 1, 3, 1/3": [tuned[rate] for rate in ("1", "3", "0.333")],
+        "utility (ESR)": list(column(final, "first")),
+        "arrivals (%)": list(100 * column(final, "second")),
+    }
+
+
 def comfort(row: Row) -> dict[str, list[float]]:
     """A number for each seed; the config stands in the first row of several."""
     table = table_of("docs/learning.md", "config | objective | started by")
@@ -486,6 +501,7 @@ TABLES = [
     Table("docs/learning.md", "weights: distance, destination, g-force, jerk", partial(specialists, "one_waypoint")),
     Table("docs/learning.md", "weights: distance, destination, g-force, coll", partial(specialists, "static_obstacle")),
     Table("docs/learning.md", "config | objective | started by", comfort),
+    Table("docs/learning.md", "method | objective | tuning", esr),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
