@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 DONE, NEEDS_DRAWS, NO_VALID_SCENARIO, NOT_FINITE = range(4)
 
 
-class Policies(NamedTuple):
+class _Policies(NamedTuple):
     """What acts; one entry per vehicle where there is a tuple, with memory that learning uses again.
 
     Attributes:
@@ -70,7 +70,7 @@ class Policies(NamedTuple):
     accrued_scales: Array
 
 
-class Worlds(NamedTuple):
+class _Worlds(NamedTuple):
     """A part of the worlds: fields of :class:`mo_deepdrive.batch.Part` and of its batch, and the worlds' draws.
 
     Attributes:
@@ -253,8 +253,8 @@ def _note(
 @separate_jit
 def collect_part(
     start: int,
-    worlds: Worlds,
-    policies: Policies,
+    worlds: _Worlds,
+    policies: _Policies,
     noise: Array,
     actions: Any,
     buffers: Buffers,
@@ -398,7 +398,7 @@ class CompiledCollection:
         kept = [network.keep_passes(steps * n) for network in networks]
         arrays = [network.parameter_arrays() for network in networks]
         continuous = [actor.log_std.detach().exp() for actor in self._actors if not isinstance(actor, CategoricalActor)]
-        policies = Policies(
+        policies = _Policies(
             rows=tuple([each.rows for each in kept]),
             weights=tuple([weights for weights, _ in arrays]),
             biases=tuple([biases for _, biases in arrays]),
@@ -431,7 +431,7 @@ class CompiledCollection:
             self._pool, self._pool_process = ThreadPoolExecutor(len(self._worlds) - 1), os.getpid()
         return self._pool
 
-    def _run(self, loop: Loop, worlds: Worlds, shared: tuple[Any, ...]) -> None:
+    def _run(self, loop: Loop, worlds: _Worlds, shared: tuple[Any, ...]) -> None:
         env = self._env
         start, problem = loop(0, worlds, *shared, *self._kernel)
         while problem != DONE:
@@ -445,8 +445,8 @@ class CompiledCollection:
             start, problem = loop(start, worlds, *shared, *self._kernel)
 
 
-def _worlds(part: Part, batch: WorldBatch, blocks: NDArray[np.float64], cursors: NDArray[np.int64]) -> Worlds:
-    return Worlds(
+def _worlds(part: Part, batch: WorldBatch, blocks: NDArray[np.float64], cursors: NDArray[np.int64]) -> _Worlds:
+    return _Worlds(
         first=part.rows.start,
         state=part.worlds,
         controls=part.controls,
@@ -498,7 +498,7 @@ class _Pointer(types.WrapperAddressProtocol):
         return self.type.signature
 
 
-def _pointers(batch: WorldBatch, worlds: Worlds) -> Kernel:
+def _pointers(batch: WorldBatch, worlds: _Worlds) -> Kernel:
     """What :func:`collect_part` calls: the kernel's two functions, and what measures further objectives."""
     acted = np.zeros(worlds.terminated.shape, dtype=np.bool_)
     step = (

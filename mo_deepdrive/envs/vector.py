@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -36,7 +37,8 @@ def _form(array: Any) -> str:
     return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else repr(type(array).__name__)
 
 
-class Transition(NamedTuple):
+@dataclass
+class Transition:
     """One decision of all worlds, without infos; no later step overwrites the arrays.
 
     Attributes:
