@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import multiprocessing
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import paired_benchmark
@@ -20,7 +21,6 @@ from algorithms.common.atomic_io import atomic_write, csv_bytes
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
 RATES = (1.0, 3.0, 1 / 3)  # learning rates that are tried, in units of the default
 TUNING_SEED = 100
@@ -156,8 +156,6 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
 
 def add_arguments(parser: ArgumentParser, tasks: Sequence[str]) -> None:
     """The options that the comparisons share."""
-    from pathlib import Path
-
     parser.add_argument("--seeds", type=int, default=5, help="runs of each learner that count (default: %(default)s)")
     parser.add_argument("--only", nargs="+", choices=tasks, default=list(tasks), help="tasks; default: all")
     parser.add_argument("--workers", type=int, default=1, help="runs at the same time (default: %(default)s)")
