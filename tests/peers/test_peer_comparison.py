@@ -76,19 +76,18 @@ def test_a_comparison_is_continued(
     monkeypatch.setattr(script, "TASKS", {"known utility": script.Task({}, learners, known_utility=True)})
     made = []
 
-    def learn(runs: list[object], workers: int) -> list[object]:
-        del workers
+    def learn(_learn: object, runs: list[object], _workers: int) -> list[object]:
         made.append(len(runs))
         return [
             script.Result(run.task, run.learner, f"{run.rate:.3g}", run.seed, run.steps, run.steps, 1.0, 0.5, 2.0)
             for run in runs
         ]
 
-    monkeypatch.setattr(script, "learn_in_new_processes", learn)
+    monkeypatch.setattr(script.tuned_comparison, "_learn_in_new_processes", learn)
     arguments = ["--only", "known utility", "--seeds", "2", "--output", str(tmp_path / "found.csv")]
     script.main(arguments)
     assert made == [6, 4]
     script.main(arguments)
     assert made == [6, 4]
-    assert len(script.read_results(tmp_path / "found.csv")) == 10
+    assert len(script.tuned_comparison.read_results(tmp_path / "found.csv")) == 10
     assert "stable_baselines3.ppo" in capsys.readouterr().out
