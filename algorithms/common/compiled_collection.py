@@ -381,8 +381,7 @@ class CompiledCollection:
     def serves(collector: Collector, actors: Sequence[Actor]) -> bool:
         """Whether the collector's environments and the actors' networks are compiled."""
         compiled = all(isinstance(actor.body, Perceptron) and actor.body.can_be_compiled for actor in actors)
-        jitted = not numba.config.DISABLE_JIT  # type: ignore[attr-defined]  # Numba has no types
-        return jitted and collector.env.bare is not None and compiled
+        return collector.env.bare is not None and compiled
 
     def collect(self, generator: torch.Generator) -> None:
         """Fill the collector's buffers; ``generator`` draws the actions.

@@ -58,7 +58,15 @@ class Loss:
 def mean(outputs: torch.Tensor) -> Loss:
     """The mean of ``outputs``."""
     array = _array(outputs)
-    return Loss(float(array.mean()), [(outputs, np.full_like(array, 1.0 / array.size))])
+    return Loss(_total(array.reshape(-1)) / array.size, [(outputs, np.full_like(array, 1.0 / array.size))])
+
+
+@jit
+def _total(values: NDArray[np.float32]) -> float:
+    total = 0.0
+    for i in range(len(values)):
+        total += values[i]
+    return total
 
 
 def squared_error(outputs: torch.Tensor, targets: torch.Tensor) -> Loss:
@@ -69,9 +77,25 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor) -> Loss:
     """
     if outputs.shape != targets.shape:
         raise ValueError(f"targets have shape {tuple(targets.shape)}; the outputs have {tuple(outputs.shape)}")
-    error = _array(outputs) - _array(targets)
-    gradient = np.float32(2.0 / error.size) * error
-    return Loss(0.5 * float(np.vdot(gradient, error)), [(outputs, gradient)])
+    array = _array(outputs)
+    if array.ndim != 2:
+        array = np.ascontiguousarray(array)  # so that its rows are a view of the gradient
+    gradient = np.empty_like(array)
+    columns = array.shape[-1] if array.ndim > 1 else 1
+    rows = array.reshape(-1, columns), _array(targets).reshape(-1, columns), gradient.reshape(-1, columns)
+    return Loss(_squared_error(*rows), [(outputs, gradient)])
+
+
+@jit
+def _squared_error(outputs: NDArray[np.float32], targets: NDArray[np.float32], gradient: NDArray[np.float32]) -> float:
+    """The gradient by v is 2 (v - y) / n."""
+    total, scale = 0.0, np.float32(2.0 / outputs.size)
+    for k in range(outputs.shape[1]):
+        for i in range(len(outputs)):
+            error = outputs[i, k] - targets[i, k]
+            gradient[i, k] = scale * error
+            total += np.float64(error) * np.float64(error)
+    return total / outputs.size
 
 
 def clipped_surrogate(

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from algorithms.common.products import product
 from algorithms.common.tape import current_tape
 from algorithms.common.threads import one_blas_thread, threads
 from mo_deepdrive.simulation.jit import jit, parallel_jit
@@ -56,16 +57,17 @@ def forward_rows(
     below = rows[first:last]
     for k in range(n - 1):
         layer, bias = hidden[k][first:last], biases[k]
-        np.dot(below, weights[k].T, layer)
+        product(below, weights[k].T, layer)
         for i in range(last - first):
             for j in range(len(bias)):
                 z = layer[i, j] + bias[j]
                 layer[i, j] = 0.0 if z < 0.0 else z  # keeps a NaN
         below = layer
-    block = np.dot(weights[n - 1], below.T)
-    for j in range(len(outputs)):
+    block, bias = outputs[:, first:last], biases[n - 1]
+    product(weights[n - 1], below.T, block)
+    for j in range(len(bias)):
         for i in range(last - first):
-            outputs[j, first + i] = block[j, i] + biases[n - 1][j]
+            block[j, i] += bias[j]
 
 
 @jit
@@ -75,12 +77,14 @@ def _backward_block(
     """dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k of block ``b``, with G_{k-1} = (G_k W_k) [h_{k-1} > 0]."""
     first, last = b * BLOCK, min((b + 1) * BLOCK, len(rows))
     n = len(weights)
-    block = np.ascontiguousarray(by_outputs[:, first:last])
+    block = by_outputs[:, first:last]
     for j in range(len(block)):
         by_biases[n - 1][b, j] = block[j].sum()
-    np.dot(block, hidden[n - 2][first:last], by_weights[n - 1][b])
-    gradient = np.dot(block.T, weights[n - 1])
+    product(block, hidden[n - 2][first:last], by_weights[n - 1][b])
+    above = block.T
     for k in range(n - 2, -1, -1):
+        gradient = np.empty((last - first, weights[k + 1].shape[1]), np.float32)
+        product(above, weights[k + 1], gradient)
         layer, total = hidden[k][first:last], by_biases[k][b]
         total[:] = 0.0
         for i in range(last - first):
@@ -89,9 +93,8 @@ def _backward_block(
                 gradient[i, j] = kept
                 total[j] += kept
         below = rows[first:last] if k == 0 else hidden[k - 1][first:last]
-        np.dot(gradient.T, below, by_weights[k][b])
-        if k > 0:
-            gradient = np.dot(gradient, weights[k])
+        product(gradient.T, below, by_weights[k][b])
+        above = gradient
 
 
 @jit
@@ -304,8 +307,8 @@ class Perceptron(nn.Sequential):
     @property
     def can_be_compiled(self) -> bool:
         """Whether there are compiled passes for these layers and parameters."""
-        weight = self.weights[0]
-        return weight.dtype == torch.float32 and weight.device.type == "cpu" and len(self.weights) > 1
+        weight, jitted = self.weights[0], not numba.config.DISABLE_JIT  # type: ignore[attr-defined]  # no types
+        return jitted and weight.dtype == torch.float32 and weight.device.type == "cpu" and len(self.weights) > 1
 
     def _is_compiled(self, inputs: torch.Tensor, tape: Tape | None) -> bool:
         wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
