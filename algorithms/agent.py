@@ -28,7 +28,7 @@ from algorithms.common.checkpoints import (
 )
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
-from algorithms.common.threads import limited_torch
+from algorithms.common.threads import limited_threads
 from algorithms.evaluation.episodes import evaluate, evaluate_each
 from algorithms.evaluation.front import Front, measure_front
 from algorithms.evaluation.metrics import (
@@ -278,7 +278,7 @@ class Agent(ABC):
 
     # -------------------------------------------------------------------------------------------------------- training
 
-    @limited_torch()
+    @limited_threads()
     def train(
         self,
         total_timesteps: int,

@@ -257,7 +257,7 @@ def _is_compiled(outputs: torch.Tensor) -> bool:
     """Whether what follows on the outputs of a network is compiled: no gradient is wanted, or only the tape's."""
     tape = current_tape()
     unseen = not torch.is_grad_enabled() or (tape is not None and (outputs in tape or not outputs.requires_grad))
-    return unseen and outputs.device.type == "cpu" and outputs.dtype == torch.float32
+    return unseen and outputs.is_cpu and outputs.dtype == torch.float32
 
 
 def _transposed(outputs: torch.Tensor) -> NDArray[np.float32]:

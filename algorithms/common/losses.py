@@ -24,6 +24,7 @@ class Loss:
     Args:
         value: the scalar.
         gradients: pairs of an output and the gradient by it, in its shape.
+        factors: by which the gradients are still to be multiplied; None for 1.
 
     Example:
         >>> outputs = torch.tensor([1.0, 3.0])
@@ -34,15 +35,23 @@ class Loss:
         array([ 0.25, -1.75], dtype=float32)
     """
 
-    def __init__(self, value: float, gradients: Sequence[Gradient]):
+    def __init__(self, value: float, gradients: Sequence[Gradient], factors: Sequence[float] | None = None):
         self.value = value
-        self.gradients = list(gradients)
+        self._gradients = list(gradients)
+        self._factors = [1.0] * len(self._gradients) if factors is None else list(factors)
+
+    @property
+    def gradients(self) -> list[Gradient]:
+        """Pairs of an output and the gradient by it, in its shape."""
+        pairs = zip(self._gradients, self._factors, strict=True)
+        return [(out, by if factor == 1.0 else np.float32(factor) * by) for (out, by), factor in pairs]
 
     def __float__(self) -> float:
         return self.value
 
     def __add__(self, other: Loss) -> Loss:
-        return Loss(self.value + other.value, self.gradients + other.gradients)
+        gradients, factors = self._gradients + other._gradients, self._factors + other._factors
+        return Loss(self.value + other.value, gradients, factors)
 
     def __sub__(self, other: Loss) -> Loss:
         return self + -other
@@ -51,8 +60,7 @@ class Loss:
         return -1.0 * self
 
     def __rmul__(self, factor: float) -> Loss:
-        scale = np.float32(factor)
-        return Loss(factor * self.value, [(outputs, scale * gradient) for outputs, gradient in self.gradients])
+        return Loss(factor * self.value, self._gradients, [factor * each for each in self._factors])
 
 
 def mean(outputs: torch.Tensor) -> Loss:

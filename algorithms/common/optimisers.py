@@ -59,6 +59,7 @@ class Adam:
         self.steps = 0
         self._vector = torch.cat([parameter.detach().flatten() for parameter in self.parameters])
         self._gradient, self._mean, self._mean_square = (torch.zeros_like(self._vector) for _ in range(3))
+        self._step = torch.zeros((), device=self._vector.device)  # torch takes it as a tensor
         for parameter, values in zip(self.parameters, self._parts(self._vector), strict=True):
             parameter.data = values
         self.gradients = dict(zip(self.parameters, self._parts(self._gradient), strict=True))
@@ -81,7 +82,7 @@ class Adam:
     def minimise(self, loss: torch.Tensor | Loss, learning_rate: float, max_grad_norm: float | None = None) -> None:
         """One step down the gradient of ``loss``, whose norm is reduced to ``max_grad_norm`` where it is larger."""
         self._differentiate(loss)
-        norm = float(self._gradient.norm())
+        norm = float(torch.linalg.vector_norm(self._gradient))
         if max_grad_norm is not None and norm > max_grad_norm:
             self._gradient *= max_grad_norm / (norm + 1e-6)
         self.steps += 1
@@ -91,7 +92,7 @@ class Adam:
             [self._mean],
             [self._mean_square],
             [],
-            [torch.tensor(float(self.steps), device=self._vector.device)],
+            [self._step.fill_(self.steps)],
             lr=learning_rate,
             beta1=self.beta1,
             beta2=self.beta2,

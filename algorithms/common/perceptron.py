@@ -308,11 +308,11 @@ class Perceptron(nn.Sequential):
     def can_be_compiled(self) -> bool:
         """Whether there are compiled passes for these layers and parameters."""
         weight, jitted = self.weights[0], not numba.config.DISABLE_JIT  # type: ignore[attr-defined]  # no types
-        return jitted and weight.dtype == torch.float32 and weight.device.type == "cpu" and len(self.weights) > 1
+        return jitted and weight.dtype == torch.float32 and weight.is_cpu and len(self.weights) > 1
 
     def _is_compiled(self, inputs: torch.Tensor, tape: Tape | None) -> bool:
         wanted = not torch.is_grad_enabled() if tape is None else not inputs.requires_grad
-        return wanted and inputs.dtype == torch.float32 and inputs.device.type == "cpu" and self.can_be_compiled
+        return wanted and inputs.dtype == torch.float32 and inputs.is_cpu and self.can_be_compiled
 
     def _claim(self, rows: int, weights: Arrays) -> _Space:
         """Memory for ``rows`` rows, until it is spare again."""

@@ -12,6 +12,9 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
+
+    from threadpoolctl import LibController
 
 _count = _wanted = 1
 _blas = ThreadpoolController().select(user_api="blas").lib_controllers
@@ -45,32 +48,49 @@ def wanted_threads() -> int:
     return _wanted
 
 
-@contextmanager
-def limited_torch() -> Iterator[None]:
-    """Let torch use no more threads than compiled networks, and as many as before afterwards.
+class _OneBlasThread:
+    """Limits BLAS while it is entered, once or several times: only the first one counts, and only the last exit."""
 
-    Its default is one per core, which makes small operations slower and sums depend on the machine.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(min(before, _count))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    def __init__(self) -> None:
+        self._entered = 0
+        self._before: list[tuple[LibController, int]] = []
+
+    def __enter__(self) -> None:
+        if self._entered == 0:
+            self._before = [(library, count) for library in _blas if (count := library.get_num_threads()) != 1]
+            for library, _ in self._before:
+                library.set_num_threads(1)
+        self._entered += 1
+
+    def __exit__(self, *_: object) -> None:
+        self._entered -= 1
+        if self._entered == 0:
+            for library, count in self._before:
+                library.set_num_threads(count)
 
 
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
+_one_blas_thread = _OneBlasThread()
+
+
+def one_blas_thread() -> AbstractContextManager[None]:
     """Let BLAS use one thread within a ``with`` statement, and as many as before after it.
 
     With more, every small product waits for threads that may not have a core. The context of threadpoolctl takes as
     long as a pass over a few rows.
     """
-    limited = [(library, count) for library in _blas if (count := library.get_num_threads()) != 1]
-    for library, _ in limited:
-        library.set_num_threads(1)
+    return _one_blas_thread
+
+
+@contextmanager
+def limited_threads() -> Iterator[None]:
+    """Let torch use no more threads than compiled networks and BLAS one, and as many as before afterwards.
+
+    Torch's default is one per core, which makes small operations slower and sums depend on the machine.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(min(before, _count))
     try:
-        yield
+        with one_blas_thread():
+            yield
     finally:
-        for library, count in limited:
-            library.set_num_threads(count)
+        torch.set_num_threads(before)

@@ -12,7 +12,7 @@ from algorithms.a2c import A2C
 from algorithms.common import perceptron
 from algorithms.common.env_adapter import make_env
 from algorithms.common.networks import Perceptron
-from algorithms.common.threads import limited_torch, one_blas_thread
+from algorithms.common.threads import limited_threads, one_blas_thread
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
 
@@ -42,6 +42,12 @@ def two_threads() -> Iterator[None]:
 def test_blas_has_one_thread_for_a_while() -> None:
     with one_blas_thread():
         assert blas_threads() == {1}
+        with one_blas_thread():
+            assert blas_threads() == {1}
+        assert blas_threads() == {1}
+    assert blas_threads() == {2}
+    with one_blas_thread():
+        assert blas_threads() == {1}
     assert blas_threads() == {2}
 
 
@@ -63,21 +69,21 @@ def test_the_passes_of_a_network_run_on_one_blas_thread(monkeypatch: pytest.Monk
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_torch_has_one_thread_while_an_agent_trains() -> None:
+def test_torch_and_blas_have_one_thread_while_an_agent_trains() -> None:
     seen = []
 
     def record(_agent: object) -> bool:
-        seen.append(torch.get_num_threads())
+        seen.append({torch.get_num_threads(), *blas_threads()})
         return True
 
     env = make_env("mo-deepdrive-one-waypoint-v0", num_envs=2)
     agent = A2C(env, make_utility("one_waypoint_linear", SCENARIOS["one_waypoint"].objectives))
     agent.train(1, after_update=record)
-    assert seen == [1]
-    assert torch.get_num_threads() == 2
+    assert seen == [{1}]
+    assert {torch.get_num_threads(), *blas_threads()} == {2}
 
 
 def test_fewer_threads_stay_fewer() -> None:
-    with limited_torch():
+    with limited_threads():
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == 1
