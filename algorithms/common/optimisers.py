@@ -78,7 +78,6 @@ class Adam:
         with recording() as self._tape:
             yield
 
-    @torch.no_grad()
     def minimise(self, loss: torch.Tensor | Loss, learning_rate: float, max_grad_norm: float | None = None) -> None:
         """One step down the gradient of ``loss``, whose norm is reduced to ``max_grad_norm`` where it is larger."""
         self._differentiate(loss)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from algorithms.common.products import product
+from algorithms.common.products import add_product, product
 from algorithms.common.tape import current_tape
 from algorithms.common.threads import one_blas_thread, threads
 from mo_deepdrive.simulation.jit import jit, parallel_jit
@@ -72,28 +72,30 @@ def forward_rows(
 
 @jit
 def _backward_block(
-    b: int, rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
-) -> None:
-    """dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k of block ``b``, with G_{k-1} = (G_k W_k) [h_{k-1} > 0]."""
+    b: int, rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays,
+    part: int,
+) -> None:  # fmt: skip
+    """Add dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k of block ``b``, with G_{k-1} = (G_k W_k) [h_{k-1} > 0]."""
     first, last = b * BLOCK, min((b + 1) * BLOCK, len(rows))
     n = len(weights)
     block = by_outputs[:, first:last]
     for j in range(len(block)):
-        by_biases[n - 1][b, j] = block[j].sum()
-    product(block, hidden[n - 2][first:last], by_weights[n - 1][b])
+        by_biases[n - 1][part, j] += block[j].sum()
+    add_product(block, hidden[n - 2][first:last], by_weights[n - 1][part])
     above = block.T
     for k in range(n - 2, -1, -1):
-        gradient = np.empty((last - first, weights[k + 1].shape[1]), np.float32)
+        width = weights[k + 1].shape[1]
+        gradient, total = np.empty((last - first, width), np.float32), np.zeros(width, np.float32)
         product(above, weights[k + 1], gradient)
-        layer, total = hidden[k][first:last], by_biases[k][b]
-        total[:] = 0.0
+        layer = hidden[k][first:last]
         for i in range(last - first):
-            for j in range(len(total)):
+            for j in range(width):
                 kept = np.float32(0.0) if layer[i, j] <= 0.0 else gradient[i, j]
                 gradient[i, j] = kept
                 total[j] += kept
+        by_biases[k][part] += total
         below = rows[first:last] if k == 0 else hidden[k - 1][first:last]
-        product(gradient.T, below, by_weights[k][b])
+        add_product(gradient.T, below, by_weights[k][part])
         above = gradient
 
 
@@ -121,27 +123,39 @@ def parallel_forward_pass(
 def backward_pass(
     rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
 ) -> None:
-    """Write the gradient of every block of rows.
+    """Add the gradient.
 
     Args:
         rows: (M, inputs) of the forward pass.
         weights: of the forward pass.
         hidden: from the forward pass.
         by_outputs: (outputs, M) G_n = dL/dz_n.
-        by_weights: (blocks, outputs, inputs) per layer, written.
-        by_biases: (blocks, outputs) per layer, written.
+        by_weights: (1, outputs, inputs) per layer, added to.
+        by_biases: (1, outputs) per layer, added to.
     """
     for b in range(blocks(len(rows))):
-        _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases)
+        _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases, 0)
 
 
 @parallel_jit
 def parallel_backward_pass(
     rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays
 ) -> None:
-    """As :func:`backward_pass`, with the blocks shared among threads."""
+    """As :func:`backward_pass`, with the blocks shared among threads, and the gradient of every block apart.
+
+    Args:
+        rows: as there; so are the next three.
+        weights: of the forward pass.
+        hidden: from it.
+        by_outputs: (outputs, M).
+        by_weights: (blocks, outputs, inputs) per layer, written.
+        by_biases: (blocks, outputs) per layer, written.
+    """
     for b in numba.prange(blocks(len(rows))):
-        _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases)
+        for k in range(len(weights)):
+            by_weights[k][b] = 0.0
+            by_biases[k][b] = 0.0
+        _backward_block(b, rows, weights, hidden, by_outputs, by_weights, by_biases, b)
 
 
 @jit
@@ -165,10 +179,11 @@ class _Space:
 
     def __init__(self, rows: int, weights: Arrays):
         self.rows = rows
-        blocks = -(-rows // BLOCK)
         self._hidden = [np.empty((rows, len(weight)), np.float32) for weight in weights[:-1]]
-        self._by_weights = [np.empty((blocks, *weight.shape), np.float32) for weight in weights]
-        self._by_biases = [np.empty((blocks, len(weight)), np.float32) for weight in weights]
+        # Touched, and so really there, only if threads share a pass.
+        shapes = [(-(-rows // BLOCK), *weight.shape) for weight in weights]
+        self._by_weights = [np.empty(shape, np.float32) for shape in shapes]
+        self._by_biases = [np.empty(shape[:2], np.float32) for shape in shapes]
 
     def hidden(self, rows: int) -> Arrays:
         """(rows, width) per hidden layer."""
@@ -251,13 +266,18 @@ class Perceptron(nn.Sequential):
         else:
 
             def backward(by_outputs: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> None:
-                by_transposed = np.ascontiguousarray(by_outputs[0].T)
-                run_backward = parallel_backward_pass if shares_rows(len(rows)) else backward_pass
-                by_weights, by_biases = space.gradients(len(rows))
+                by_transposed, hidden = np.ascontiguousarray(by_outputs[0].T), space.hidden(len(rows))
+                by_weights = tuple([gradients[weight] for weight in self.weights])
+                by_biases = tuple([gradients[bias] for bias in self.biases])
                 with one_blas_thread():
-                    run_backward(rows, weights, space.hidden(len(rows)), by_transposed, by_weights, by_biases)
-                _add_blocks(tuple([gradients[weight] for weight in self.weights]), by_weights)
-                _add_blocks(tuple([gradients[bias] for bias in self.biases]), by_biases)
+                    if shares_rows(len(rows)):
+                        parts = space.gradients(len(rows))
+                        parallel_backward_pass(rows, weights, hidden, by_transposed, *parts)
+                        _add_blocks(by_weights, parts[0])
+                        _add_blocks(by_biases, parts[1])
+                    else:
+                        whole = (tuple([each[None] for each in kind]) for kind in (by_weights, by_biases))
+                        backward_pass(rows, weights, hidden, by_transposed, *whole)
                 self._release(space)
 
             tape.record(inputs, [outputs], backward)

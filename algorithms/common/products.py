@@ -44,12 +44,12 @@ def numpys_function() -> int | None:
 
 
 def numbas_function() -> Any:
-    """The same with Numba's products, where alpha is 1 and beta 0."""
+    """The same with Numba's products, where alpha is 1, and beta 0 or 1."""
     array: Any = numba.carray  # type: ignore[attr-defined]  # Numba has no types
 
     def multiply(
         _order: int, transpose_a: int, transpose_b: int, m: int, n: int, k: int, _alpha: float,
-        a: Any, lda: int, b: Any, ldb: int, _beta: float, out: Any, ldout: int,
+        a: Any, lda: int, b: Any, ldb: int, beta: float, out: Any, ldout: int,
     ) -> None:  # fmt: skip
         if transpose_a == TRANSPOSED:
             left = np.ascontiguousarray(array(a, (k, lda))[:, :m].T)
@@ -59,7 +59,10 @@ def numbas_function() -> Any:
             right = np.ascontiguousarray(array(b, (n, ldb))[:, :k].T)
         else:
             right = np.ascontiguousarray(array(b, (k, ldb))[:, :n])
-        array(out, (m, ldout))[:, :n] = np.dot(left, right)
+        result = array(out, (m, ldout))[:, :n]
+        if beta == 0.0:
+            result[:] = 0.0  # whatever it was
+        result += np.dot(left, right)
 
     return numba.cfunc(SIGNATURE)(multiply)
 
@@ -79,14 +82,7 @@ _multiply: Any = types.ExternalFunction(NAME, SIGNATURE)
 
 
 @jit
-def product(a: Array, b: Array, out: Array) -> None:
-    """Write a b; rows or columns of ``a`` and of ``b``, and rows of ``out``, are contiguous.
-
-    Args:
-        a: (m, k).
-        b: (k, n).
-        out: (m, n), written.
-    """
+def _sgemm(a: Array, b: Array, beta: np.float32, out: Array) -> None:
     (m, k), n = a.shape, b.shape[1]
     # A matrix of which the columns are contiguous is the transpose of one of which the rows are.
     columns_a, columns_b = a.strides[1] != ITEM, b.strides[1] != ITEM
@@ -102,7 +98,25 @@ def product(a: Array, b: Array, out: Array) -> None:
         max(a.strides[1] // ITEM, m) if columns_a else max(a.strides[0] // ITEM, k),
         b.ctypes,
         max(b.strides[1] // ITEM, k) if columns_b else max(b.strides[0] // ITEM, n),
-        np.float32(0.0),
+        beta,
         out.ctypes,
         max(out.strides[0] // ITEM, n),
     )
+
+
+@jit
+def product(a: Array, b: Array, out: Array) -> None:
+    """Write a b; rows or columns of ``a`` and of ``b``, and rows of ``out``, are contiguous.
+
+    Args:
+        a: (m, k).
+        b: (k, n).
+        out: (m, n), written.
+    """
+    _sgemm(a, b, np.float32(0.0), out)
+
+
+@jit
+def add_product(a: Array, b: Array, out: Array) -> None:
+    """As :func:`product`, but add a b to ``out``."""
+    _sgemm(a, b, np.float32(1.0), out)
