@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +20,7 @@ from mo_deepdrive.simulation.measures import make_measures
 from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import ENDS, PARAMS, RUNNING, SPAWN, VEHICLE, with_room
+from mo_deepdrive.thread_pool import ThreadPool
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig
@@ -117,17 +116,12 @@ class WorldBatch:
         pin_nothing(self.no_pins)
         self.continuous = config.action_type == action_sets.CONTINUOUS
         self.table = np.zeros((0, 4)) if self.continuous else action_sets.action_table(config.action_type)
-        self._divide(min(threads, worlds))
-
-    def _divide(self, threads: int) -> None:
-        """Divide the worlds into consecutive parts, one per thread."""
-        self._parts = self.parts(threads)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
+        self._threads = ThreadPool()
+        self._parts = self.parts(min(threads, worlds))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the parts, which are views of the buffers, and the thread pool: a copy makes new ones."""
-        return {**self.__dict__, "_parts": len(self._parts), "_pool": None}
+        """Without the parts, which are views of the buffers: a copy makes new ones."""
+        return {**self.__dict__, "_parts": len(self._parts)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -141,7 +135,7 @@ class WorldBatch:
         ):
             # The dtype of unpickled records only equals this one; Numba would compare their fields at every call.
             setattr(self, name, getattr(self, name).view(dtype))
-        self._divide(state["_parts"])
+        self._parts = self.parts(state["_parts"])
 
     def parts(self, count: int) -> list[Part]:
         """The worlds divided into ``count`` parts of nearly equal size, for as many threads."""
@@ -213,23 +207,11 @@ class WorldBatch:
             ValueError: for actions that are out of range, not finite or of the wrong type; no state has changed.
         """
         actions = self._checked(actions)
-        first, *rest = self._parts
-        if not rest:
-            self._run(first, actions)
-            return
-        if self._pool is None or self._pool_process != os.getpid():
-            # A forked child inherits the pool without its threads, and would wait for them for ever.
-            self._pool, self._pool_process = ThreadPoolExecutor(len(rest)), os.getpid()
-        others = [self._pool.submit(self._run, part, actions) for part in rest]
-        self._run(first, actions)
-        for other in others:
-            other.result()
+        self._threads.run(lambda part: self._run(part, actions), self._parts)
 
     def close(self) -> None:
         """End the threads; another step would start new ones."""
-        if self._pool is not None and self._pool_process == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        self._threads.close()
 
     def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
         kinds, dtype, allowed = (

@@ -7,9 +7,7 @@ the rollout is the same, bit for bit. Several threads share the environments.
 
 from __future__ import annotations
 
-import os
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numba
@@ -27,6 +25,7 @@ from mo_deepdrive.envs.streams import BLOCK as DRAWS_IN_BLOCK
 from mo_deepdrive.simulation.jit import separate_jit
 from mo_deepdrive.simulation.kernel import reset_batch, step_batch
 from mo_deepdrive.simulation.state import ARRIVED
+from mo_deepdrive.thread_pool import ThreadPool
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -374,8 +373,7 @@ class CompiledCollection:
         self._noise = np.zeros((steps, len(actors), n, k), dtype=np.float32)
         self._loop: Loop | None = None
         self._kernel: Kernel = ()
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
+        self._threads = ThreadPool()
 
     @staticmethod
     def serves(collector: Collector, actors: Sequence[Actor]) -> bool:
@@ -411,24 +409,16 @@ class CompiledCollection:
             for v, actor in enumerate(self._actors):
                 self._noise[t, v] = actor.noise(n, generator)
         shared = policies, self._noise, collector.actions, collector.buffers
-        first, *rest = self._worlds
         if self._loop is None:
+            first = self._worlds[0]
             self._kernel = _pointers(env.batch, first)
             self._loop = _compiled_loop((first, *shared), self._kernel)
+        loop = self._loop
         with one_blas_thread():
-            others = [self._threads().submit(self._run, self._loop, worlds, shared) for worlds in rest]
-            self._run(self._loop, first, shared)
-            for other in others:
-                other.result()
+            self._threads.run(lambda worlds: self._run(loop, worlds, shared), self._worlds)
         for each in kept:
             each.done = steps * n
         collector.observations = env.batch.observations.copy()
-
-    def _threads(self) -> ThreadPoolExecutor:
-        if self._pool is None or self._pool_process != os.getpid():
-            # A forked child inherits the pool without its threads, and would wait for them for ever.
-            self._pool, self._pool_process = ThreadPoolExecutor(len(self._worlds) - 1), os.getpid()
-        return self._pool
 
     def _run(self, loop: Loop, worlds: _Worlds, shared: tuple[Any, ...]) -> None:
         env = self._env
