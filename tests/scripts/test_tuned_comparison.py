@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -81,3 +82,23 @@ def test_a_comparison_makes_what_is_missing(
     assert [(run.rate, run.seed) for run in made] == [(3.0, 100), (1 / 3, 100), (1.0, 3), (1.0, 4)]
     assert [each.key for each in script.read_results(file)] == [each.key for each in results]
     assert len(results) == 1 + len(made)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seeds", "0"], "--seeds 0 must be at least 1"),
+        (["--workers", "0"], "--workers 0 must be at least 1"),
+        (["--output", "nowhere/found.csv"], "there is no folder nowhere"),
+    ],
+)
+def test_invalid_arguments_are_refused(
+    script: ModuleType, tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = ArgumentParser()
+    script.add_arguments(parser, ["a task"])
+    script.check_arguments(parser, parser.parse_args(["--output", str(tmp_path / "found.csv")]))
+    with pytest.raises(SystemExit) as end:
+        script.check_arguments(parser, parser.parse_args(["--output", str(tmp_path / "found.csv"), *arguments]))
+    assert end.value.code == 2
+    assert message in " ".join(capsys.readouterr().err.split())
