@@ -3,6 +3,7 @@
     python scripts/benchmark.py --quick --output benchmark.csv
     python scripts/benchmark.py --sweep
     python scripts/benchmark.py --against main --output pairs.csv
+    python scripts/benchmark.py --threads 2 --output threads.csv
 
 Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
 machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
@@ -12,7 +13,8 @@ mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
 show their status, and that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000 runs (with --quick
 100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary directory.
 
---against compares the working tree with a commit, in pairs of measurements of CPU time: docs/benchmark.md.
+--against compares the working tree with a commit, in pairs of measurements of CPU time, and --threads training on
+several threads with training on one, in pairs of measurements of time on the clock: docs/benchmark.md.
 """
 
 from __future__ import annotations
@@ -78,7 +80,8 @@ from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from argparse import ArgumentParser, Namespace
+    from collections.abc import Callable, Mapping, Sequence
 
 IDS = {
     "OneWaypoint": "mo-deepdrive-one-waypoint-v0",
@@ -443,21 +446,62 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
     return rows + listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
 
 
-def print_comparison(commit: str, names: Sequence[str], pairs: int, output: Path | None) -> None:
+def compare_trees(commit: str, names: Sequence[str], pairs: int, output: Path | None) -> None:
     """Compare the working tree with ``commit``, a hash; print the table and write it to ``output``."""
     with paired_benchmark.checkout(commit) as old:
-        rows = paired_benchmark.compare(old, paired_benchmark.REPOSITORY, names, pairs, progress=track)
-    new = paired_benchmark.working_tree()
-    machine, threads = paired_benchmark.machine(), paired_benchmark.THREADS
-    caption = f"old: {commit:.12}, new: {new:.12}, {machine}; CPU time, {threads} thread, {pairs} pairs"
-    table = Table("measurement", "old", "new", "unit", "speed-up [95% interval]", caption=caption)
+        measure, new = paired_benchmark.measure, paired_benchmark.REPOSITORY
+        rows = paired_benchmark.compare(old, new, names, pairs, measure, progress=track)
+    about = {"old_commit": commit, "new_commit": paired_benchmark.working_tree()}
+    caption = f"old: {commit:.12}, new: {about['new_commit']:.12}; CPU time, one thread"
+    print_comparison(rows, ("old", "new"), caption, about | {"threads": paired_benchmark.THREADS}, output)
+
+
+def compare_threads(threads: int, names: Sequence[str], pairs: int, output: Path | None) -> None:
+    """Compare training on so many threads with training on one; print the table and write it to ``output``."""
+    measure = paired_benchmark.measure_with_threads
+    rows = paired_benchmark.compare(paired_benchmark.THREADS, threads, names, pairs, measure, progress=track)
+    about = {"commit": paired_benchmark.working_tree()}
+    caption = f"{about['commit']:.12}; time on the clock"
+    print_comparison(rows, ("1 thread", f"{threads} threads"), caption, about | {"threads": threads}, output)
+
+
+def print_comparison(
+    rows: Sequence[paired_benchmark.Row],
+    sides: tuple[str, str],
+    caption: str,
+    about: Mapping[str, Any],
+    output: Path | None,
+) -> None:
+    """Print the table of a comparison, and write it to ``output`` with what it is ``about``."""
+    machine = paired_benchmark.machine()
+    table = Table("measurement", *sides, "unit", "speed-up [95% interval]", caption=f"{caption}; {machine}")
     table.columns[0].no_wrap = True
     for row in rows:
         table.add_row(*row.cells())
     Console().print(table)
     if output is not None:
-        about = {"old_commit": commit, "new_commit": new, "machine": machine, "threads": threads}
-        paired_benchmark.write_rows(output, rows, about)
+        paired_benchmark.write_rows(output, rows, {**about, "machine": machine})
+
+
+def compare(parser: ArgumentParser, arguments: Namespace) -> None:
+    """Make the comparison that the arguments ask for."""
+    pairs = PAIRS if arguments.pairs is None else arguments.pairs
+    if arguments.against is not None and arguments.threads is not None:
+        parser.error("--against COMMIT and --threads COUNT are two comparisons; make one at a time")
+    if pairs < 1:
+        parser.error(f"--pairs {pairs} must be at least 1")
+    try:
+        if arguments.threads is None:
+            names = paired_benchmark.select(arguments.only)
+            compare_trees(paired_benchmark.revision(arguments.against), names, pairs, arguments.output)
+            return
+        names = paired_benchmark.select(arguments.only, paired_benchmark.TRAINING)
+    except ValueError as error:
+        parser.error(str(error))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not 2 <= arguments.threads <= cores:
+        parser.error(f"--threads {arguments.threads} must be from 2 to {cores}, the number of cores")
+    compare_threads(arguments.threads, names, pairs, arguments.output)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -467,30 +511,23 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--sweep", action="store_true", help="measure only the summary of a sweep")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
-    parser.add_argument("--pairs", type=int, help=f"of each measurement, with --against (default: {PAIRS})")
+    parser.add_argument("--threads", type=int, help="compare training on so many threads with training on one")
+    parser.add_argument("--pairs", type=int, help=f"of each measurement that is compared (default: {PAIRS})")
     parser.add_argument(
         "--only",
         nargs="+",
         default=[],
         metavar="NAME",
-        help="measurements of --against, such as a2c-64-32-discrete 'mo_*'",
+        help="measurements that are compared, such as a2c-64-32-discrete 'mo_*'",
     )
     arguments = parser.parse_args(argv)
     if arguments.output is not None and not arguments.output.parent.is_dir():
         parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
-    if arguments.against is not None:
-        pairs = PAIRS if arguments.pairs is None else arguments.pairs
-        if pairs < 1:
-            parser.error(f"--pairs {pairs} must be at least 1")
-        try:
-            commit = paired_benchmark.revision(arguments.against)
-            names = paired_benchmark.select(arguments.only)
-        except ValueError as error:
-            parser.error(str(error))
-        print_comparison(commit, names, pairs, arguments.output)
+    if arguments.against is not None or arguments.threads is not None:
+        compare(parser, arguments)
         return
     if arguments.only or arguments.pairs is not None:
-        parser.error("--only and --pairs are for --against COMMIT")
+        parser.error("--only and --pairs are for --against COMMIT and --threads COUNT")
     set_threads(1)
     repetitions = 3 if arguments.quick else 15
     training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)

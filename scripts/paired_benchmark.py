@@ -1,10 +1,11 @@
-"""The paired measurements of ``scripts/benchmark.py --against COMMIT``.
+"""The paired measurements of ``scripts/benchmark.py --against COMMIT`` and ``--threads COUNT``.
 
 The script measures two trees with the same code, this file, which uses only interfaces that both have. Run as a
 program, it measures one tree: ``PYTHONPATH=TREE python scripts/paired_benchmark.py NAME`` prints the result.
 
 What is measured is the CPU time of the process, summed over its threads, because other programs on the machine change
-it much less than the time on the clock. Compilation and the first updates are excluded.
+it much less than the time on the clock. What more threads gain is measured on the clock: ``NAME THREADS`` trains with
+so many. Compilation and the first updates are excluded.
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ from fnmatch import fnmatchcase
 from functools import partial
 from itertools import product
 from pathlib import Path
-from time import process_time
-from typing import TYPE_CHECKING, Any
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from scipy.stats import quantile_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+
+Side = TypeVar("Side")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN = (
@@ -55,6 +58,7 @@ ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
 )
 THREADS = 1
+SPINNING = {"GOMP_SPINCOUNT": "3000"}  # of idle threads, as commands set it
 
 
 @contextmanager
@@ -75,16 +79,23 @@ def one_thread_each() -> Iterator[None]:
 # ------------------------------------------------------------------------------------------------ what one tree can do
 
 
-def training(algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any]) -> float:
-    """Environment steps per CPU second of an actor-critic with the default settings."""
+def training(
+    algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any], threads: int | None = None
+) -> float:
+    """Environment steps per CPU second of an actor-critic with the default settings, or on the clock with threads."""
     import algorithms
     from algorithms.common.env_adapter import make_env
     from mo_deepdrive.utilities import make_utility
 
+    if threads is not None:
+        from algorithms.common.threads import set_threads
+
+        set_threads(threads)
     env: Any = make_env(env_id, ENVS, arguments)
     utility = make_utility(UTILITIES[env_id], env.unwrapped.objectives)
     agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
-    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS)
+    clock = process_time if threads is None else perf_counter
+    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, clock)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:
@@ -100,12 +111,12 @@ def pcn(gradient_steps: int, batch_size: int) -> float:
     return training_rate(agent, 1, PCN_STEPS)
 
 
-def training_rate(agent: Any, warm_up: int, steps: int) -> float:
-    """Environment steps per CPU second of ``steps`` after the first ``warm_up``."""
+def training_rate(agent: Any, warm_up: int, steps: int, clock: Callable[[], float] = process_time) -> float:
+    """Environment steps per second of ``clock`` of ``steps`` after the first ``warm_up``."""
     agent.train(warm_up)
-    first, started = agent.step, process_time()
+    first, started = agent.step, clock()
     agent.train(first + steps)
-    return float((agent.step - first) / (process_time() - started))
+    return float((agent.step - first) / (clock() - started))
 
 
 def make_vec(env_id: str, num_envs: int = 1024, steps: int = 1500) -> float:
@@ -169,7 +180,7 @@ class Case:
         unit: of the result; a lower number of seconds is better, a higher rate.
     """
 
-    run: Callable[[], float]
+    run: Callable[..., float]
     unit: str = "steps/s"
 
     def speedup(self, old: float, new: float) -> float:
@@ -187,8 +198,9 @@ def _training_cases() -> Iterator[tuple[str, Case]]:
         yield f"two-{algorithm}-128-64", Case(partial(training, algorithm, INTERSECTION, [128, 64], count, {}))
 
 
+TRAINING: dict[str, Case] = dict(_training_cases())
 CASES: dict[str, Case] = {
-    **dict(_training_cases()),
+    **TRAINING,
     "pcn-collection": Case(partial(pcn, gradient_steps=1, batch_size=1)),
     "pcn": Case(partial(pcn, gradient_steps=400, batch_size=256)),
     "make_vec-one-waypoint": Case(partial(make_vec, ONE_WAYPOINT)),
@@ -202,16 +214,16 @@ CASES: dict[str, Case] = {
 }
 
 
-def select(patterns: Sequence[str]) -> list[str]:
-    """The names of :data:`CASES` that match one of ``patterns`` (shell wildcards); all without patterns.
+def select(patterns: Sequence[str], cases: Mapping[str, Case] = CASES) -> list[str]:
+    """The names of ``cases`` that match one of ``patterns`` (shell wildcards); all without patterns.
 
     Raises:
         ValueError: for a pattern that matches none.
     """
     for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in CASES):
-            raise ValueError(f"{pattern!r} matches no measurement; known: {', '.join(CASES)}")
-    return [name for name in CASES if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
+        if not any(fnmatchcase(name, pattern) for name in cases):
+            raise ValueError(f"{pattern!r} matches no measurement; known: {', '.join(cases)}")
+    return [name for name in cases if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 # ----------------------------------------------------------------------------------------------------------- two trees
@@ -273,9 +285,20 @@ def measure(tree: Path, name: str) -> float:
     Raises:
         CannotMeasureError: if it fails.
     """
+    return _measured(ONE_THREAD | {"PYTHONPATH": str(tree)}, name)
+
+
+def measure_with_threads(threads: int, name: str) -> float:
+    """As :func:`measure`, of a training in the working tree with so many threads, in time on the clock."""
+    return _measured(
+        dict.fromkeys(ONE_THREAD, str(threads)) | SPINNING | {"PYTHONPATH": str(REPOSITORY)}, name, str(threads)
+    )
+
+
+def _measured(environment: Mapping[str, str], *arguments: str) -> float:
     done = subprocess.run(
-        [sys.executable, str(Path(__file__).resolve()), name],
-        env={**os.environ, **ONE_THREAD, "PYTHONPATH": str(tree)},
+        [sys.executable, str(Path(__file__).resolve()), *arguments],
+        env={**os.environ, **environment},
         capture_output=True,
         text=True,
         check=False,
@@ -287,12 +310,12 @@ def measure(tree: Path, name: str) -> float:
 
 @dataclass
 class Pairs:
-    """A measurement of both trees, in pairs.
+    """A measurement of both sides, two trees or two numbers of threads, in pairs.
 
     Attributes:
         name: of the measurement.
         old, new: one value per pair, in the unit of the case.
-        problem: why a tree cannot run it; empty if both can.
+        problem: why a side cannot run it; empty if both can.
     """
 
     name: str
@@ -351,25 +374,25 @@ def median_interval(values: Sequence[float]) -> tuple[float | None, float | None
 
 
 def compare(
-    old: Path,
-    new: Path,
+    old: Side,
+    new: Side,
     names: Sequence[str],
     pairs: int,
+    measure: Callable[[Side, str], float],
     *,
-    measure: Callable[[Path, str], float] = measure,
     progress: Callable[[Sequence[Any]], Any] = iter,
 ) -> list[Row]:
-    """Measure two trees in alternation.
+    """Measure two trees, or two numbers of threads, in alternation.
 
-    Every measurement runs once in each tree first, which fills the caches of the compiler and is not counted. Then each
-    pair measures one tree and the other right after it; which one is first changes from pair to pair.
+    Every measurement runs once on each side first, which fills the caches of the compiler and is not counted. Then each
+    pair measures one side and the other right after it; which one is first changes from pair to pair.
 
     Args:
-        old: one tree.
+        old: one side.
         new: the other.
         names: of :data:`CASES`.
         pairs: of each measurement.
-        measure: called as ``measure(tree, name)``.
+        measure: called as ``measure(side, name)``.
         progress: wraps the sequence of all pairs, to show how far they are.
     """
     results = {name: Pairs(name) for name in names}
@@ -378,11 +401,11 @@ def compare(
         if result.problem:
             continue
         sides = (("old", old, result.old), ("new", new, result.new))
-        for side, tree, values in sides[:: 1 if pair % 2 == 0 else -1]:
+        for title, side, values in sides[:: 1 if pair % 2 == 0 else -1]:
             try:
-                value = measure(tree, name)
+                value = measure(side, name)
             except CannotMeasureError as error:
-                result.problem = f"the {side} tree cannot run it: {error}"
+                result.problem = f"the {title} side cannot run it: {error}"
                 break
             if pair >= 0:
                 values.append(value)
@@ -399,13 +422,14 @@ def write_rows(path: Path, rows: Sequence[Row], about: Mapping[str, Any]) -> Non
             writer.writerow([*cells, *about.values()])
 
 
-def main(name: str, tree: Path) -> None:
-    """Print the result of one measurement of the packages in ``tree``.
+def main(name: str, tree: Path, threads: int | None = None) -> None:
+    """Print the result of one measurement of the packages in ``tree``, of a training with ``threads`` on the clock.
 
     Raises:
         ImportError: if a module of another installation was measured.
     """
-    result = CASES[name].run()
+    run = CASES[name].run
+    result = run() if threads is None else run(threads=threads)
     for module_name, module in [*sys.modules.items()]:
         file = getattr(module, "__file__", None)
         ours = module_name.partition(".")[0] in ("mo_deepdrive", "algorithms")
@@ -416,6 +440,7 @@ def main(name: str, tree: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2 or sys.argv[1] not in CASES or not os.environ.get("PYTHONPATH"):
+    measured, *count = sys.argv[1:] or [""]
+    if measured not in (TRAINING if count else CASES) or len(count) > 1 or not os.environ.get("PYTHONPATH"):
         sys.exit(f"{__doc__}\nNAME is one of: {', '.join(CASES)}.")
-    main(sys.argv[1], Path(os.environ["PYTHONPATH"]))
+    main(measured, Path(os.environ["PYTHONPATH"]), *map(int, count))

@@ -75,7 +75,7 @@ def test_trees_alternate_and_the_first_round_is_not_counted(paired: ModuleType) 
         calls.append((tree, name))
         return float(len(calls))
 
-    rows = paired.compare(OLD, NEW, ["make", "import"], 2, measure=measure)
+    rows = paired.compare(OLD, NEW, ["make", "import"], 2, measure)
     first, swapped = [OLD, NEW, OLD, NEW], [NEW, OLD, NEW, OLD]
     assert [tree for tree, _ in calls] == swapped + first + swapped
     assert [name for _, name in calls] == ["make", "make", "import", "import"] * 3
@@ -94,10 +94,10 @@ def test_what_a_tree_cannot_run_is_said_once(paired: ModuleType) -> None:
             raise paired.CannotMeasureError("No module named 'x'")
         return 1.0
 
-    rows = paired.compare(OLD, NEW, ["make", "import"], 3, measure=measure)
-    assert [row.problem for row in rows] == ["", "the old tree cannot run it: No module named 'x'"]
+    rows = paired.compare(OLD, NEW, ["make", "import"], 3, measure)
+    assert [row.problem for row in rows] == ["", "the old side cannot run it: No module named 'x'"]
     assert [row.pairs for row in rows] == [3, 0]
-    assert rows[1].cells() == ["import", "", "", "s", "the old tree cannot run it: No module named 'x'"]
+    assert rows[1].cells() == ["import", "", "", "s", "the old side cannot run it: No module named 'x'"]
     assert calls.count("import") == 2, "not again in later pairs"
 
 
@@ -145,7 +145,10 @@ def test_every_algorithm_is_measured(paired: ModuleType) -> None:
         (["--against", "HEAD:README.md"], "'HEAD:README.md' is not a commit of"),
         (["--against", "HEAD", "--only", "mak"], "'mak' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--pairs", "0"], "--pairs 0 must be at least 1"),
-        (["--only", "make"], "--only and --pairs are for --against COMMIT"),
+        (["--only", "make"], "--only and --pairs are for --against COMMIT and --threads COUNT"),
+        (["--against", "HEAD", "--threads", "2"], "make one at a time"),
+        (["--threads", "1"], "--threads 1 must be from 2 to "),
+        (["--threads", "2", "--only", "make"], "'make' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
     ],
 )
@@ -169,6 +172,25 @@ def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Ca
     assert 0.01 < float(row["new"]) < 60.0
     assert row["old_commit"] == paired.revision("HEAD")
     assert row["new_commit"].removesuffix("-dirty") == row["old_commit"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
+def test_training_on_two_threads_is_compared_with_one(paired: ModuleType, call: Call, tmp_path: Path) -> None:
+    options = "--pairs", "1", "--only", "a2c-64-32-discrete", "--output", "threads.csv"
+    code, out, error = call("benchmark", "--threads", "2", *options)
+    assert code in (0, None), error
+    assert "2 threads" in out
+    with (tmp_path / "threads.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert (row["measurement"], row["unit"], row["pairs"], row["threads"]) == (
+        "a2c-64-32-discrete",
+        "steps/s",
+        "1",
+        "2",
+    )
+    assert float(row["speedup"]) == pytest.approx(float(row["new"]) / float(row["old"]), rel=1e-4)
+    assert row["commit"] == paired.working_tree()
 
 
 @needs_git
