@@ -75,7 +75,10 @@ def _backward_block(
     b: int, rows: Array, weights: Arrays, hidden: Arrays, by_outputs: Array, by_weights: Arrays, by_biases: Arrays,
     part: int,
 ) -> None:  # fmt: skip
-    """Add dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k of block ``b``, with G_{k-1} = (G_k W_k) [h_{k-1} > 0]."""
+    """Add dL/dW_k = G_k^T h_{k-1} and dL/db_k = 1^T G_k of block ``b``, with G_{k-1} = (G_k W_k) [h_{k-1} > 0].
+
+    They are added to the entry ``part`` of ``by_weights`` and ``by_biases``.
+    """
     first, last = b * BLOCK, min((b + 1) * BLOCK, len(rows))
     n = len(weights)
     block = by_outputs[:, first:last]

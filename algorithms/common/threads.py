@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numba
-import scipy.linalg.cython_blas  # noqa: F401  (Numba's products use it, and it must be loaded to be limited)
+import scipy.linalg.cython_blas  # noqa: F401  (Numba's own products use it; only what is loaded can be limited)
 import torch
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
