@@ -347,11 +347,11 @@ def specialists(scenario: str, row: Row) -> dict[str, list[float]]:
 def esr(row: Row) -> dict[str, list[float]]:
     methods = ("utility_difference", "expected_utility", "mocac", "ppo")
     learner = next(method for method in methods if method in row["method"].lower())
-    runs = matching("esr_comparison.csv", task="one_waypoint_nonlinear", learner=learner)
+    task = {"OneWaypoint": "one_waypoint_nonlinear", "StaticObstacle": "static_obstacle_nonlinear"}[row["scenario"]]
+    runs = matching("esr_comparison.csv", task=task, learner=learner)
     tuned = {run["rate"]: float(run["first"]) for run in runs if run["seed"] == "100"}
     final = [run for run in runs if run["seed"] != "100"]
-    assert max(tuned, key=lambda rate: tuned[rate]) == "3"
-    assert {run["rate"] for run in final} <= {"3"}
+    assert {run["rate"] for run in final} == {max(tuned, key=lambda rate: tuned[rate])}
     return {
         "tuning: utility with rates 1, 3, 1/3": [tuned[rate] for rate in ("1", "3", "0.333")],
         "utility (ESR)": list(column(final, "first")),
@@ -437,6 +437,17 @@ def training_speeds(row: Row) -> dict[str, list[float]]:
     return {"speed-up": [float(pair[name]) for pair in found for name in ("speedup", "low", "high")]}
 
 
+def thread_speeds(row: Row) -> dict[str, list[float]]:
+    """Of the layers, which are numbers, too, none is a result."""
+    title, layers = row["training"].split(", ")
+    found = one("benchmark_threads.csv", measurement=f"{algorithm(title)}-{layers}-discrete")
+    return {
+        "one thread, steps/s": [float(found["old"])],
+        "two threads, steps/s": [float(found["new"])],
+        "speed-up": [float(found[name]) for name in ("speedup", "low", "high")],
+    }
+
+
 def speeds(row: Row) -> dict[str, list[float]]:
     """Of millions of steps to the tenth, otherwise to the nearest thousand; the layers are numbers, too."""
 
@@ -501,10 +512,11 @@ TABLES = [
     Table("docs/learning.md", "weights: distance, destination, g-force, jerk", partial(specialists, "one_waypoint")),
     Table("docs/learning.md", "weights: distance, destination, g-force, coll", partial(specialists, "static_obstacle")),
     Table("docs/learning.md", "config | objective | started by", comfort),
-    Table("docs/learning.md", "method | objective | tuning", esr),
+    Table("docs/learning.md", "scenario | method | tuning", esr),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
+    Table("docs/benchmark.md", "training | one thread", thread_speeds),
     Table("docs/results/parity.md", "config | vehicle | before", parity),
     Table("docs/results/parity.md", "config | vehicle | that commit", parity_of_the_commit),
     Table("README.md", "what | measured", speeds),
