@@ -8,11 +8,13 @@ import pytest
 
 from algorithms.experiments.config import load_experiment
 from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
     from types import ModuleType
+
+    from tests.helpers.script_runs import Call
 
 
 @pytest.fixture
@@ -82,10 +84,6 @@ def test_the_table_leaves_tuning_out(script: ModuleType) -> None:
         (["--only", "one_waypoint_linear"], "invalid choice: 'one_waypoint_linear'"),
     ],
 )
-def test_invalid_arguments_are_refused(
-    script: ModuleType, tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        script.main(["--output", str(tmp_path / "found.csv"), *arguments])
-    assert end.value.code == 2
-    assert message in " ".join(capsys.readouterr().err.split())
+@pytest.mark.usefixtures("script")
+def test_invalid_arguments_are_refused(call: Call, arguments: list[str], message: str) -> None:
+    refused(call("esr_comparison", "--output", "found.csv", *arguments), message)

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.helpers.paths import REPOSITORY
+from tests.helpers.script_runs import refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
     from types import ModuleType
+
+    from tests.helpers.script_runs import Call
 
 
 @pytest.fixture
@@ -80,10 +82,6 @@ def test_the_table_leaves_tuning_out(script: ModuleType) -> None:
         (["--only", "intersection"], "invalid choice: 'intersection'"),
     ],
 )
-def test_invalid_arguments_are_refused(
-    script: ModuleType, tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        script.main(["--output", str(tmp_path / "found.csv"), *arguments])
-    assert end.value.code == 2
-    assert message in " ".join(capsys.readouterr().err.split())
+@pytest.mark.usefixtures("script")
+def test_invalid_arguments_are_refused(call: Call, arguments: list[str], message: str) -> None:
+    refused(call("peer_comparison", "--output", "found.csv", *arguments), message)
