@@ -14,8 +14,8 @@ import llvmlite.binding
 import numba
 import numpy as np
 from numba import types
-from threadpoolctl import ThreadpoolController
 
+from algorithms.common.threads import blas_libraries
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ SIGNATURE = types.void(
 
 def numpys_function() -> int | None:
     """Address of ``cblas_sgemm`` in the OpenBLAS of NumPy's wheel; None without one."""
-    for library in ThreadpoolController().select(internal_api="openblas").lib_controllers:
+    for library in blas_libraries:
         found = getattr(library.dynlib, FUNCTION, None)
         if found is not None:
             return ctypes.cast(found, ctypes.c_void_p).value

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from threadpoolctl import LibController
 
 _count = _wanted = 1
-_blas = ThreadpoolController().select(user_api="blas").lib_controllers
+blas_libraries = ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 def set_threads(count: int) -> None:
@@ -57,7 +57,7 @@ class _OneBlasThread:
 
     def __enter__(self) -> None:
         if self._entered == 0:
-            self._before = [(library, count) for library in _blas if (count := library.get_num_threads()) != 1]
+            self._before = [(library, count) for library in blas_libraries if (count := library.get_num_threads()) != 1]
             for library, _ in self._before:
                 library.set_num_threads(1)
         self._entered += 1
