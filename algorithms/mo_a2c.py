@@ -66,6 +66,7 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
+from algorithms.common.losses import Loss, squared_error, weighted_sum
 from algorithms.common.networks import centralised_inputs, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.running_mean import RunningMean
@@ -181,26 +182,28 @@ class MOA2CLearner(Learner):
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
         self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)
-        return {name: float(loss.detach()) for name, loss in losses.items() if name != "total"}
+        return {name: float(loss) for name, loss in losses.items() if name != "total"}
 
-    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, torch.Tensor]:
+    def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
         """L of eq. 6 as "total", and its parts."""
         config = self.config
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         critic_inputs = self.critic_inputs(inputs, rollout.others)
-        values = self.values(critic_inputs[:-1])
+        outputs: torch.Tensor = self.critic(critic_inputs[:-1].flatten(0, 1))  # v(S_t) / scales
+        values = self.value_scales * outputs.detach().view(*rollout.acted.shape, -1)
         next_values = self.next_values(rollout, critic_inputs, values)
-        advantages, targets = self.advantages(rollout, values.detach(), next_values)
+        advantages, targets = self.advantages(rollout, values, next_values)
 
         weights = rollout.acted.to(advantages.dtype)
         weights = weights / weights.sum().clamp(min=1.0)
         if config.normalise_advantages:
             advantages = normalise(advantages, weights)
 
-        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        policy_loss = -(weights * advantages * log_prob).sum()
-        value_loss = (weights * ((targets - values) / self.value_scales).square().mean(-1)).sum()
-        entropy = (weights * entropies).sum()
+        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
+        weights, advantages, targets = (each.flatten(0, 1) for each in (weights, advantages, targets))
+        policy_loss = -weighted_sum(weights * advantages, log_prob)
+        value_loss = squared_error(outputs, targets / self.value_scales, weights)
+        entropy = weighted_sum(weights, entropies)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
         return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
 

@@ -47,7 +47,6 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 import torch
 from pydantic import model_validator
 
@@ -67,7 +66,7 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.losses import Loss
+from algorithms.common.losses import Loss, weighted_sum
 from algorithms.common.networks import centralised_inputs, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.return_distributions import CategoricalGrid, Particles, ReturnDistribution
@@ -219,8 +218,8 @@ class MOCACLearner(Learner):
         shifts, discounts, source = self.targets(rollout, ends)
         value_loss = self.distribution.loss(outputs, shifts, discounts, target_outputs[source], weights.flatten())
         log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        policy_loss = -_weighted_sum(weights * advantages, log_prob)
-        entropy = _weighted_sum(weights, entropies)
+        policy_loss = -weighted_sum(weights * advantages, log_prob)
+        entropy = weighted_sum(weights, entropies)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
         return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
 
@@ -294,12 +293,6 @@ class MOCACLearner(Learner):
         """Resume from :meth:`get_state`."""
         super().set_state(state)
         self.target_critic.load_state_dict(strip_prefix(state, "target_critic."))
-
-
-def _weighted_sum(weights: torch.Tensor, outputs: torch.Tensor) -> Loss:
-    """The sum of w x over the outputs x of a network."""
-    value = float((weights * outputs.detach()).sum())
-    return Loss(value, [(outputs, np.asarray(weights.cpu().numpy()))])
 
 
 class MOCAC(ActorCritic):

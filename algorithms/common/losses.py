@@ -77,11 +77,37 @@ def _total(values: NDArray[np.float32]) -> float:
     return total
 
 
-def squared_error(outputs: torch.Tensor, targets: torch.Tensor) -> Loss:
-    """The mean of (y - v)^2 over all elements of the outputs v and the targets y.
+def weighted_sum(weights: torch.Tensor, outputs: torch.Tensor) -> Loss:
+    """The sum of w x over the outputs x.
 
     Raises:
         ValueError: if they differ in shape.
+    """
+    if outputs.shape != weights.shape:
+        raise ValueError(f"weights have shape {tuple(weights.shape)}; the outputs have {tuple(outputs.shape)}")
+    gradient = _array(weights)
+    products = gradient.reshape(-1), _array(outputs).reshape(-1)
+    return Loss(_weighted_total(*products), [(outputs, gradient)])
+
+
+@jit
+def _weighted_total(weights: NDArray[np.float32], values: NDArray[np.float32]) -> float:
+    total = 0.0
+    for i in range(len(values)):
+        total += np.float64(weights[i]) * np.float64(values[i])
+    return total
+
+
+def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor | None = None) -> Loss:
+    """The mean of (y - v)^2 over all elements of the outputs v and the targets y.
+
+    Args:
+        outputs: v.
+        targets: y, in their shape.
+        weights: (M,), which sum to 1, of the M rows of outputs (M, d); None for equal ones.
+
+    Raises:
+        ValueError: if targets or weights do not have the shape that they must.
     """
     if outputs.shape != targets.shape:
         raise ValueError(f"targets have shape {tuple(targets.shape)}; the outputs have {tuple(outputs.shape)}")
@@ -91,7 +117,11 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor) -> Loss:
     gradient = np.empty_like(array)
     columns = array.shape[-1] if array.ndim > 1 else 1
     rows = array.reshape(-1, columns), _array(targets).reshape(-1, columns), gradient.reshape(-1, columns)
-    return Loss(_squared_error(*rows), [(outputs, gradient)])
+    if weights is None:
+        return Loss(_squared_error(*rows), [(outputs, gradient)])
+    if outputs.dim() != 2 or weights.shape != outputs.shape[:1]:
+        raise ValueError(f"weights have shape {tuple(weights.shape)}; the outputs have {tuple(outputs.shape)}")
+    return Loss(_weighted_squared_error(*rows, _array(weights)), [(outputs, gradient)])
 
 
 @jit
@@ -104,6 +134,24 @@ def _squared_error(outputs: NDArray[np.float32], targets: NDArray[np.float32], g
             gradient[i, k] = scale * error
             total += np.float64(error) * np.float64(error)
     return total / outputs.size
+
+
+@jit
+def _weighted_squared_error(
+    outputs: NDArray[np.float32],
+    targets: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+    weights: NDArray[np.float32],
+) -> float:
+    """The gradient by v is 2 w (v - y) / d."""
+    total, columns = 0.0, outputs.shape[1]
+    for k in range(columns):
+        for i in range(len(outputs)):
+            error = outputs[i, k] - targets[i, k]
+            gradient[i, k] = np.float32(2.0 / columns) * weights[i] * error
+            total += np.float64(weights[i]) * np.float64(error) * np.float64(error)
+    result: float = total / columns
+    return result
 
 
 def clipped_surrogate(

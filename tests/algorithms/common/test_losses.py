@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from algorithms.common.losses import Loss, clipped_surrogate, mean, policy_change, squared_error
+from algorithms.common.losses import Loss, clipped_surrogate, mean, policy_change, squared_error, weighted_sum
 
 
 def randoms(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -46,6 +46,25 @@ def test_squared_error_and_mean_have_autograds_gradients() -> None:
         torch.testing.assert_close(gradient_by(loss, outputs), wanted, rtol=1e-5, atol=1e-7)
 
 
+def test_weighted_losses_have_autograds_gradients() -> None:
+    outputs, targets = randoms(30, 4).requires_grad_(), randoms(30, 4, seed=1)
+    log_prob, weights = randoms(30).requires_grad_(), randoms(30, seed=2).softmax(0)
+    for loss, expected, by in (
+        (squared_error(outputs, targets, weights), (weights * (targets - outputs).square().mean(-1)).sum(), outputs),
+        (weighted_sum(weights, log_prob), (weights * log_prob).sum(), log_prob),
+    ):
+        assert float(loss) == pytest.approx(expected.item(), rel=1e-5)
+        (wanted,) = torch.autograd.grad(expected, by)
+        torch.testing.assert_close(gradient_by(loss, by), wanted, rtol=1e-5, atol=1e-7)
+
+
+def test_equal_weights_are_as_good_as_none() -> None:
+    outputs, targets = randoms(30, 4).requires_grad_(), randoms(30, 4, seed=1)
+    weighted, equal = squared_error(outputs, targets, torch.full((30,), 1 / 30)), squared_error(outputs, targets)
+    assert float(weighted) == pytest.approx(float(equal), rel=1e-6)
+    torch.testing.assert_close(gradient_by(weighted, outputs), gradient_by(equal, outputs), rtol=1e-5, atol=1e-7)
+
+
 def test_sums_and_multiples_have_the_gradient_of_the_expression() -> None:
     outputs, targets = randoms(30).requires_grad_(), randoms(30, seed=1)
     loss = -clipped_surrogate(outputs, outputs.detach(), targets, 0.2) + 0.5 * squared_error(outputs, targets)
@@ -60,6 +79,14 @@ def test_sums_and_multiples_have_the_gradient_of_the_expression() -> None:
 def test_targets_of_another_shape_are_refused() -> None:
     with pytest.raises(ValueError, match=r"targets have shape \(3,\); the outputs have \(3, 1\)"):
         squared_error(torch.zeros(3, 1), torch.zeros(3))
+
+
+def test_weights_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"weights have shape \(3, 1\); the outputs have \(3,\)"):
+        weighted_sum(torch.zeros(3, 1), torch.zeros(3))
+    for outputs, weights in ((torch.zeros(3, 2), torch.zeros(2)), (torch.zeros(3), torch.zeros(3))):
+        with pytest.raises(ValueError, match="weights have shape"):
+            squared_error(outputs, outputs, weights)
 
 
 def test_policy_change_counts_clipped_samples_and_estimates_the_divergence() -> None:
