@@ -44,6 +44,16 @@ ONE_WAYPOINT, STATIC_OBSTACLE, INTERSECTION, LEFT_TURN = (
 UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
 ENVS, STEPS, WARM_UP = 256, 16, 3  # environments, steps per update, updates that are not counted
 PCN_ENVS, PCN_STEPS = 16, 40_000
+# Shipped experiments, with their numbers of environments and steps, and how many updates are measured.
+SHIPPED = {
+    "one_waypoint/a2c_linear": 150,
+    "static_obstacle/a2c_linear": 40,
+    "intersection/a2c_linear": 60,
+    "one_waypoint/mo_ppo_linear": 30,
+    "static_obstacle/mo_ppo_linear": 10,
+    "intersection/mo_ppo_linear": 10,
+    "left_turn/mo_ppo_linear": 10,
+}
 TRAIN = "{TREE}/scripts/train.py"
 ONE_UPDATE = """
 environment: {id: mo-deepdrive-one-waypoint-v0}
@@ -96,6 +106,16 @@ def training(
     agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
     clock = process_time if threads is None else perf_counter
     return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, clock)
+
+
+def shipped(config: str, updates: int, threads: int | None = None) -> float:
+    """As :func:`training`, of a shipped experiment."""
+    from algorithms.experiments.build import build
+    from algorithms.experiments.config import load_experiment
+
+    agent: Any = build(load_experiment(config, [f"--training.threads={threads or THREADS}"]))
+    steps = agent.env.num_envs * agent.config.steps
+    return training_rate(agent, WARM_UP * steps, updates * steps, process_time if threads is None else perf_counter)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:
@@ -196,6 +216,8 @@ def _training_cases() -> Iterator[tuple[str, Case]]:
         yield name, Case(partial(training, algorithm, ONE_WAYPOINT, hidden, updates[algorithm], arguments))
     for algorithm, count in (("a2c", 60), ("mo_ppo", 12)):
         yield f"two-{algorithm}-128-64", Case(partial(training, algorithm, INTERSECTION, [128, 64], count, {}))
+    for config, count in SHIPPED.items():
+        yield config, Case(partial(shipped, config, count))
 
 
 TRAINING: dict[str, Case] = dict(_training_cases())
