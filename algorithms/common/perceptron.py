@@ -184,7 +184,7 @@ class _Space:
         self.rows = rows
         self._hidden = [np.empty((rows, len(weight)), np.float32) for weight in weights[:-1]]
         # Touched, and so really there, only if threads share a pass.
-        shapes = [(-(-rows // BLOCK), *weight.shape) for weight in weights]
+        shapes = [(blocks(rows), *weight.shape) for weight in weights]
         self._by_weights = [np.empty(shape, np.float32) for shape in shapes]
         self._by_biases = [np.empty(shape[:2], np.float32) for shape in shapes]
 
@@ -194,8 +194,8 @@ class _Space:
 
     def gradients(self, rows: int) -> tuple[Arrays, Arrays]:
         """Those of every block of ``rows``: (blocks, outputs, inputs) and (blocks, outputs) per layer."""
-        blocks = -(-rows // BLOCK)
-        return tuple([each[:blocks] for each in self._by_weights]), tuple([each[:blocks] for each in self._by_biases])
+        count = blocks(rows)
+        return tuple([each[:count] for each in self._by_weights]), tuple([each[:count] for each in self._by_biases])
 
 
 def shares_rows(rows: int) -> bool:
