@@ -214,7 +214,7 @@ def energy_score(
         targets: (M, J, d) Y, equally likely.
         weights: (M,) w.
     """
-    gradient = np.zeros_like(particles)
+    gradient = np.empty_like(particles)
     return _energy_score(particles, targets, weights, gradient), gradient
 
 
@@ -225,33 +225,58 @@ def _energy_score(
     weights: NDArray[np.float32],
     gradient: NDArray[np.float32],
 ) -> float:
-    """Add the gradient to ``gradient``; the derivative of ``|z|`` by z is ``z / |z|``."""
+    """Write the gradient."""
     rows, number, d = particles.shape
+    x, by_x, spare = (
+        np.empty((d, number), np.float32),
+        np.empty((d, number), np.float32),
+        np.empty((2, number), np.float32),
+    )
     total = 0.0
     for m in range(rows):
-        if weights[m] == 0.0:
-            continue
+        x[:], by_x[:] = particles[m].T, 0.0
         to_targets = 2.0 * weights[m] / (number * targets.shape[1])
-        to_each_other = 2.0 * weights[m] / number**2  # every pair once
-        x, y, by_x = particles[m], targets[m], gradient[m]
-        for i in range(number):
-            for j in range(len(y)):
-                square = SMOOTHING**2
-                for k in range(d):
-                    square += (x[i, k] - y[j, k]) ** 2
-                distance = math.sqrt(square)
-                total += to_targets * distance
-                for k in range(d):
-                    by_x[i, k] += to_targets * (x[i, k] - y[j, k]) / distance
-            total -= 0.5 * to_each_other * SMOOTHING  # of a particle to itself
-            for j in range(i):
-                square = SMOOTHING**2
-                for k in range(d):
-                    square += (x[i, k] - x[j, k]) ** 2
-                distance = math.sqrt(square)
-                total -= to_each_other * distance
-                for k in range(d):
-                    slope = to_each_other * (x[i, k] - x[j, k]) / distance
-                    by_x[i, k] -= slope
-                    by_x[j, k] += slope
+        to_each_other = 2.0 * weights[m] / number**2
+        total += to_targets * _add_distances(x, targets[m], to_targets, by_x, spare)
+        total -= 0.5 * to_each_other * _add_distances(x, particles[m], -to_each_other, by_x, spare)
+        gradient[m] = by_x.T
+    return total
+
+
+@jit
+def _add_distances(
+    x: NDArray[np.float32],
+    points: NDArray[np.float32],
+    factor: float,
+    by_x: NDArray[np.float32],
+    spare: NDArray[np.float32],
+) -> float:
+    """The sum over i and j of ``|x_i - p_j|``; its derivative by z = x_i - p_j is ``z / |z|``.
+
+    The innermost loops are over i, so that the compiler can vectorise them.
+
+    Args:
+        x: (d, K).
+        points: (J, d) p.
+        factor: of the gradient.
+        by_x: (d, K), to which the gradient is added.
+        spare: (2, K), overwritten.
+    """
+    slopes, sums, scale = spare[0], spare[1], np.float32(factor)
+    sums[:] = 0.0
+    for j in range(len(points)):
+        slopes[:] = np.float32(SMOOTHING**2)
+        for k in range(len(x)):
+            for i in range(x.shape[1]):
+                slopes[i] += (x[k, i] - points[j, k]) * (x[k, i] - points[j, k])
+        for i in range(x.shape[1]):
+            distance = np.sqrt(slopes[i])
+            sums[i] += distance
+            slopes[i] = scale / distance
+        for k in range(len(x)):
+            for i in range(x.shape[1]):
+                by_x[k, i] += slopes[i] * (x[k, i] - points[j, k])
+    total = 0.0
+    for i in range(len(sums)):
+        total += sums[i]
     return total
