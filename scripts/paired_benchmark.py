@@ -214,6 +214,7 @@ def _training_cases() -> Iterator[tuple[str, Case]]:
         name = "-".join([algorithm, *map(str, hidden), action_type])
         arguments = {"action_type": action_type}
         yield name, Case(partial(training, algorithm, ONE_WAYPOINT, hidden, updates[algorithm], arguments))
+    yield "mocac-128-64-discrete", Case(partial(training, "mocac", ONE_WAYPOINT, [128, 64], 30, {}))
     for algorithm, count in (("a2c", 60), ("mo_ppo", 12)):
         yield f"two-{algorithm}-128-64", Case(partial(training, algorithm, INTERSECTION, [128, 64], count, {}))
     for config, count in SHIPPED.items():

@@ -5,7 +5,6 @@ Both describe the joint distribution of all objectives. Rows are samples: M of t
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
