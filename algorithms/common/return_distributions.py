@@ -213,7 +213,7 @@ def energy_score(
         targets: (M, J, d) Y, equally likely.
         weights: (M,) w.
     """
-    gradient = np.empty_like(particles)
+    gradient = np.zeros_like(particles)
     return _energy_score(particles, targets, weights, gradient), gradient
 
 
@@ -224,15 +224,14 @@ def _energy_score(
     weights: NDArray[np.float32],
     gradient: NDArray[np.float32],
 ) -> float:
-    """Write the gradient."""
+    """Write the gradient where it is not 0."""
     rows, number, d = particles.shape
-    x, by_x, spare = (
-        np.empty((d, number), np.float32),
-        np.empty((d, number), np.float32),
-        np.empty((2, number), np.float32),
-    )
+    x, by_x = np.empty((d, number), np.float32), np.empty((d, number), np.float32)
+    spare = np.empty((2, number), np.float32)
     total = 0.0
     for m in range(rows):
+        if weights[m] == 0.0:
+            continue
         x[:], by_x[:] = particles[m].T, 0.0
         to_targets = 2.0 * weights[m] / (number * targets.shape[1])
         to_each_other = 2.0 * weights[m] / number**2
