@@ -333,9 +333,9 @@ def conditioned(row: Row) -> dict[str, list[float]]:
     return values | {"CPU seconds": [column(runs, "seconds").mean()]}
 
 
-def specialists(scenario: str, row: Row) -> dict[str, list[float]]:
+def specialists(config: str, row: Row) -> dict[str, list[float]]:
     weights = next(iter(row.values())).replace(",", "")
-    runs = matching("conditioned_specialists.csv", config=f"{scenario}/conditioned_drawn", weights=weights)
+    runs = matching("conditioned_specialists.csv", config=config, weights=weights)
     return {
         "networks": [column(runs, "conditioned").mean()],
         "specialist": [column(runs, "specialist")[0]],
@@ -509,8 +509,14 @@ TABLES = [
     Table("docs/left_turn.md", "driver | arrivals", left_turners),
     Table("docs/left_turn.md", "source | policies | non-dominated", left_turn_front),
     Table("docs/learning.md", "config | seeds | steps | hypervolume", conditioned),
-    Table("docs/learning.md", "weights: distance, destination, g-force, jerk", partial(specialists, "one_waypoint")),
-    Table("docs/learning.md", "weights: distance, destination, g-force, coll", partial(specialists, "static_obstacle")),
+    *(
+        Table("docs/learning.md", f"weights: distance, destination, {costs} | networks", partial(specialists, config))
+        for costs, config in (
+            ("g-force, jerk", "one_waypoint/conditioned_drawn"),
+            ("g-force, collision, jerk", "static_obstacle/conditioned_drawn"),
+            ("g-force, collision, jerk, lane violation, time", "left_turn/conditioned"),
+        )
+    ),
     Table("docs/learning.md", "config | objective | started by", comfort),
     Table("docs/learning.md", "scenario | method | tuning", esr),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
