@@ -347,14 +347,13 @@ def specialists(config: str, row: Row) -> dict[str, list[float]]:
 def esr(row: Row) -> dict[str, list[float]]:
     methods = ("utility_difference", "expected_utility", "mocac", "ppo")
     learner = next(method for method in methods if method in row["method"].lower())
-    task = {"OneWaypoint": "one_waypoint_nonlinear", "StaticObstacle": "static_obstacle_nonlinear"}[row["scenario"]]
-    runs = matching("esr_comparison.csv", task=task, learner=learner)
+    runs = matching("esr_comparison.csv", task=row["utility"].strip("`"), learner=learner)
     tuned = {run["rate"]: float(run["first"]) for run in runs if run["seed"] == "100"}
-    final = [run for run in runs if run["seed"] != "100"]
+    final = sorted((run for run in runs if run["seed"] != "100"), key=lambda run: int(run["seed"]))
     assert {run["rate"] for run in final} == {max(tuned, key=lambda rate: tuned[rate])}
     return {
-        "tuning: utility with rates 1, 3, 1/3": [tuned[rate] for rate in ("1", "3", "0.333")],
-        "utility (ESR)": list(column(final, "first")),
+        "tuning: utility with rates 1, 3, 1/3": [max(tuned[rate], -10_000) for rate in ("1", "3", "0.333")],
+        "utility (ESR)": [max(utility, -10_000) for utility in column(final, "first")],
         "arrivals (%)": list(100 * column(final, "second")),
     }
 
@@ -518,7 +517,7 @@ TABLES = [
         )
     ),
     Table("docs/learning.md", "config | objective | started by", comfort),
-    Table("docs/learning.md", "scenario | method | tuning", esr),
+    Table("docs/learning.md", "utility | method | tuning", esr),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
