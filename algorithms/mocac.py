@@ -216,8 +216,9 @@ class MOCACLearner(Learner):
             advantages = normalise(advantages, weights)
 
         shifts, discounts, source = self.targets(rollout, ends)
-        value_loss = self.distribution.loss(outputs, shifts, discounts, target_outputs[source], weights.flatten())
-        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
+        log_prob, entropies = self.actor.log_prob_and_entropy(inputs[:-1].flatten(0, 1), rollout.actions.flatten(0, 1))
+        weights, advantages = weights.flatten(), advantages.flatten()
+        value_loss = self.distribution.loss(outputs, shifts, discounts, target_outputs[source], weights)
         policy_loss = -weighted_sum(weights * advantages, log_prob)
         entropy = weighted_sum(weights, entropies)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy

@@ -104,8 +104,7 @@ def training(
     env: Any = make_env(env_id, ENVS, arguments)
     utility = make_utility(UTILITIES[env_id], env.unwrapped.objectives)
     agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
-    clock = process_time if threads is None else perf_counter
-    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, clock)
+    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, threads)
 
 
 def shipped(config: str, updates: int, threads: int | None = None) -> float:
@@ -115,7 +114,7 @@ def shipped(config: str, updates: int, threads: int | None = None) -> float:
 
     agent: Any = build(load_experiment(config, [f"--training.threads={threads or THREADS}"]))
     steps = agent.env.num_envs * agent.config.steps
-    return training_rate(agent, WARM_UP * steps, updates * steps, process_time if threads is None else perf_counter)
+    return training_rate(agent, WARM_UP * steps, updates * steps, threads)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:
@@ -131,8 +130,9 @@ def pcn(gradient_steps: int, batch_size: int) -> float:
     return training_rate(agent, 1, PCN_STEPS)
 
 
-def training_rate(agent: Any, warm_up: int, steps: int, clock: Callable[[], float] = process_time) -> float:
-    """Environment steps per second of ``clock`` of ``steps`` after the first ``warm_up``."""
+def training_rate(agent: Any, warm_up: int, steps: int, threads: int | None = None) -> float:
+    """Environment steps per CPU second of ``steps`` after the first ``warm_up``, or on the clock with threads."""
+    clock = process_time if threads is None else perf_counter
     agent.train(warm_up)
     first, started = agent.step, clock()
     agent.train(first + steps)

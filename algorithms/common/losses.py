@@ -111,6 +111,8 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.T
     """
     if outputs.shape != targets.shape:
         raise ValueError(f"targets have shape {tuple(targets.shape)}; the outputs have {tuple(outputs.shape)}")
+    if weights is not None and (outputs.dim() != 2 or weights.shape != outputs.shape[:1]):
+        raise ValueError(f"weights have shape {tuple(weights.shape)}; the outputs have {tuple(outputs.shape)}")
     array = _array(outputs)
     if array.ndim != 2:
         array = np.ascontiguousarray(array)  # so that its rows are a view of the gradient
@@ -118,40 +120,28 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.T
     columns = array.shape[-1] if array.ndim > 1 else 1
     rows = array.reshape(-1, columns), _array(targets).reshape(-1, columns), gradient.reshape(-1, columns)
     if weights is None:
-        return Loss(_squared_error(*rows), [(outputs, gradient)])
-    if outputs.dim() != 2 or weights.shape != outputs.shape[:1]:
-        raise ValueError(f"weights have shape {tuple(weights.shape)}; the outputs have {tuple(outputs.shape)}")
-    return Loss(_weighted_squared_error(*rows, _array(weights)), [(outputs, gradient)])
+        of_rows, divisor = np.ones(len(rows[0]), array.dtype), array.size
+    else:
+        of_rows, divisor = _array(weights), columns
+    return Loss(_squared_error(*rows, of_rows, divisor), [(outputs, gradient)])
 
 
 @jit
-def _squared_error(outputs: NDArray[np.float32], targets: NDArray[np.float32], gradient: NDArray[np.float32]) -> float:
-    """The gradient by v is 2 (v - y) / n."""
-    total, scale = 0.0, np.float32(2.0 / outputs.size)
-    for k in range(outputs.shape[1]):
-        for i in range(len(outputs)):
-            error = outputs[i, k] - targets[i, k]
-            gradient[i, k] = scale * error
-            total += np.float64(error) * np.float64(error)
-    return total / outputs.size
-
-
-@jit
-def _weighted_squared_error(
+def _squared_error(
     outputs: NDArray[np.float32],
     targets: NDArray[np.float32],
     gradient: NDArray[np.float32],
     weights: NDArray[np.float32],
+    divisor: int,
 ) -> float:
-    """The gradient by v is 2 w (v - y) / d."""
-    total, columns = 0.0, outputs.shape[1]
-    for k in range(columns):
+    """The sum of w (y - v)^2 / n for a divisor n; the gradient by v is 2 w (v - y) / n."""
+    total, scale = 0.0, np.float32(2.0 / divisor)
+    for k in range(outputs.shape[1]):
         for i in range(len(outputs)):
             error = outputs[i, k] - targets[i, k]
-            gradient[i, k] = np.float32(2.0 / columns) * weights[i] * error
+            gradient[i, k] = scale * weights[i] * error
             total += np.float64(weights[i]) * np.float64(error) * np.float64(error)
-    result: float = total / columns
-    return result
+    return total / divisor
 
 
 def clipped_surrogate(
