@@ -3,8 +3,9 @@
     python scripts/peer_comparison.py --minutes 10 --output peer_comparison.csv
 
 A learner has its library's defaults but for the learning rate, which is tuned (scripts/tuned_comparison.py). The number
-of environment steps is what takes the CPU time on the machine of docs/peers.md, which explains the table. The extra
-``[peers]`` brings the other libraries.
+of environment steps is what takes the CPU time on the machine of docs/peers.md, which explains the table. The learners
+of this package are also trained for the fewer steps that the others make in that time. The extra ``[peers]`` brings the
+other libraries.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ GAMMA = 0.99
 FIRST_SEED, LEAST_MINUTES = 0, 0.001
 DRAWN_EPISODES = 100  # per policy of a front, where destinations are drawn
 UTILITY, UTILITY_EPISODES = "one_waypoint_linear", 1000
+STEPS_PER_ENV = 2_000  # at least: whoever has few steps takes them in fewer environments
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Learner:
     Attributes:
         learning_rate: the default one.
         speed: environment steps per CPU second.
-        num_envs: in parallel.
+        num_envs: in parallel, at most.
         settings: of the algorithm, which are not tuned.
     """
 
@@ -149,12 +151,13 @@ def make_run_experiment(run: Run) -> Experiment:
         settings["arguments"] = {**settings.get("arguments", {}), **rate}
     else:
         settings |= rate
+    num_envs = min(learner.num_envs, max(1, run.steps // STEPS_PER_ENV))
     fixed = task.arguments.get("fixed_destination")
     episodes = UTILITY_EPISODES if task.known_utility else 1 if fixed else DRAWN_EPISODES
     values: dict[str, Any] = {
         "environment": {"id": ENV_ID, "arguments": task.arguments},
         "algorithm": {"name": run.learner, "gamma": GAMMA, **settings},
-        "training": {"total_timesteps": run.steps, "num_envs": learner.num_envs, "seed": run.seed},
+        "training": {"total_timesteps": run.steps, "num_envs": num_envs, "seed": run.seed},
         "evaluation": {"final_episodes": episodes, "gamma": GAMMA},
     }
     if run.seed == TUNING_SEED:
@@ -201,6 +204,21 @@ def steps_of(task: str, learner: str, minutes: float) -> int:
     return round(TASKS[task].learners[learner].speed * 60.0 * minutes)
 
 
+def all_learners(tasks: Sequence[str], minutes: float) -> list[tuple[str, str, int]]:
+    """Triples of task, learner and steps: for so many CPU minutes; ours also for the steps that the others make."""
+    same_time = [
+        (task, learner, steps_of(task, learner, minutes)) for task in tasks for learner in TASKS[task].learners
+    ]
+    same_steps = [
+        (task, learner, steps)
+        for task, other, steps in same_time
+        if other in PEERS
+        for learner in TASKS[task].learners
+        if learner not in PEERS
+    ]
+    return same_time + same_steps
+
+
 def table_rows(results: Sequence[Result]) -> list[list[str]]:
     """The table: means over the seeds that count with 95% intervals, one row per task and learner."""
     rows = []
@@ -230,11 +248,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         reason = PEERS[learner].unavailable_reason() if learner in PEERS else None
         if reason is not None:
             parser.error(f"{learner} cannot run here: {reason}")
-    learners = [
-        (task, learner, steps_of(task, learner, arguments.minutes))
-        for task in arguments.only
-        for learner in TASKS[task].learners
-    ]
+    learners = all_learners(arguments.only, arguments.minutes)
     seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
     with exit_on_error(ValueError, OSError):
         results = tuned_comparison.complete(arguments.output, learners, seeds, learn, arguments.workers)

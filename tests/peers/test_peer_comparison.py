@@ -86,8 +86,8 @@ def test_a_comparison_is_continued(
     monkeypatch.setattr(script.tuned_comparison, "_learn_in_new_processes", learn)
     arguments = ["--only", "known utility", "--seeds", "2", "--output", str(tmp_path / "found.csv")]
     script.main(arguments)
-    assert made == [6, 4]
+    assert made == [9, 6]
     script.main(arguments)
-    assert made == [6, 4]
-    assert len(script.tuned_comparison.read_results(tmp_path / "found.csv")) == 10
+    assert made == [9, 6]
+    assert len(script.tuned_comparison.read_results(tmp_path / "found.csv")) == 15
     assert "stable_baselines3.ppo" in capsys.readouterr().out
