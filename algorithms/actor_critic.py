@@ -16,7 +16,14 @@ import torch
 
 from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.checkpoints import GUIDES, PARTNERS, restore_generator, strip_prefix
+from algorithms.common.checkpoints import (
+    ACCRUED_GAMMA,
+    GUIDES,
+    OBJECTIVE_SCALES,
+    PARTNERS,
+    restore_generator,
+    strip_prefix,
+)
 from algorithms.common.compiled_collection import CompiledCollection
 from algorithms.common.guides import Guides
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
@@ -294,10 +301,21 @@ class ActorCritic(Agent):
             "network": self.config.network,
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
+            **self._units(),
             # Files of earlier versions, which knew neither, lack the entries.
             **({PARTNERS: drivers} if drivers else {}),
             **({GUIDES: guides} if guides else {}),
         }
+
+    def _units(self) -> dict[str, Any]:
+        """What the learners observe the accrued reward in units of."""
+        learner = self.learners[0]
+        units: dict[str, Any] = {}
+        if learner.observes_accrued:
+            units[OBJECTIVE_SCALES] = learner.objective_scales.tolist()
+        if learner.observes_accrued or learner.observes_discount:
+            units[ACCRUED_GAMMA] = self.accrued_discount
+        return units
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Learners, generator, guides, environments and running episodes."""
@@ -318,6 +336,7 @@ class ActorCritic(Agent):
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         self.guides.set_state(state)
         restore_generator(self.generator, "generator", state["generator"])
+        # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def get_policy(self) -> dict[str, torch.Tensor]:

@@ -50,7 +50,9 @@ learning", ICML 2019. R. Yang, X. Sun, K. Narasimhan, "A generalized algorithm f
 learning and policy adaptation", NeurIPS 2019. K. Van Moffaert, M. M. Drugan, A. Nowé, "Scalarized multi-objective
 reinforcement learning: novel design techniques", ADPRL 2013. Y. Y. Haimes, L. S. Lasdon, D. A. Wismer, "On a
 bicriterion formulation of the problems of integrated system identification and system optimization", IEEE Transactions
-on Systems, Man, and Cybernetics 1, 1971.
+on Systems, Man, and Cybernetics 1, 1971. R. E. Steuer, E.-U. Choo, "An interactive weighted Tchebycheff procedure for
+multiple objective programming", Mathematical Programming 26, 1983. J. Schulman, F. Wolski, P. Dhariwal, A. Radford,
+O. Klimov, "Proximal policy optimization algorithms", arXiv:1707.06347, 2017.
 """
 
 from __future__ import annotations
@@ -64,6 +66,7 @@ import torch
 from pydantic import Field, model_validator
 
 from algorithms.agent import FrontAgent, PolicyOfFront
+from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.checkpoints import GUIDES, restore_generator, strip_prefix
@@ -83,7 +86,7 @@ from algorithms.common.hyperparameters import (
 from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
 from algorithms.common.networks import make_network
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
-from algorithms.common.preferences import SMALLEST_DISCOUNT, Preferences, PreferenceSettings
+from algorithms.common.preferences import Preferences, PreferenceSettings
 from algorithms.common.rollout import Collector, Samples
 from algorithms.common.trained_networks import TrainedNetworks
 from algorithms.evaluation.metrics import (
@@ -118,6 +121,8 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
         objective_scales: s, nominal size of each objective's return; None for the environment's own.
         switching: probability per decision that the preference changes in the middle of an episode.
         cost_growth: fraction of the training in which the weights of costs grow from 0 to what is drawn; 0 for none.
+            Costs are the objectives of which no episode so far has returned more than 0: the destination, too, until
+            the first arrival.
         max_policies: preferences under which the front is evaluated.
         learning_rate: Adam's step size at the start of training.
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
@@ -521,6 +526,7 @@ class ConditionedMOPPO(FrontAgent):
         self.guides.set_state(state)
         restore_generator(self.generator, "generator", state["generator"])
         restore_generator(self.draws, "draws", state["draws"])
+        # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:

@@ -158,11 +158,14 @@ class TeamEpisodes:
         steps, n = rollout.acted.shape[:2]
         before, after = (torch.empty(steps, *self.returns.shape) for _ in range(2))
         ended = torch.empty(steps + 1, *self.ended.shape, dtype=torch.bool)
+        finally_ended = torch.empty(steps, *self.ended.shape, dtype=torch.bool)
         terminated, truncated = (torch.zeros(steps, n, dtype=torch.bool) for _ in range(2))
         for t in range(steps):
             acted, cut = rollout.acted[t], rollout.truncated[t] & ~rollout.terminated[t]
             before[t], ended[t] = self.returns, self.ended
             after[t] = self.returns + rollout.rewards[t] * acted.unsqueeze(-1)
+            # Of the true final state of a team that is cut: a vehicle that is cut is still under way in it.
+            finally_ended[t] = self.ended | (acted & rollout.terminated[t])
             self.ended = self.ended | (acted & (rollout.terminated[t] | rollout.truncated[t]))
             over = self.ended.all(dim=-1)
             truncated[t] = over & (acted & cut).any(dim=-1)
@@ -173,7 +176,7 @@ class TeamEpisodes:
         # Equation 1.
         utilities = [joint_utility(self._joint, self._utilities, returns) for returns in (before, after)]
         states = self._states(rollout.observations, torch.cat([before, self.returns.unsqueeze(0)]), ended)
-        final_states = self._states(rollout.final, after, ended[:-1])
+        final_states = self._states(rollout.final, after, finally_ended)
         return TeamRollout(utilities[1] - utilities[0], states, final_states, terminated, truncated)
 
     def _states(self, observations: torch.Tensor, returns: torch.Tensor, ended: torch.Tensor) -> torch.Tensor:
@@ -225,6 +228,7 @@ class MAPPOLearner(Learner):
             *(
                 self.gradient_step(own, team, learning_rate, entropy_coefficient)
                 for _ in range(self.config.epochs)
+                # A vehicle that hardly acted has fewer parts; the critic then learns from as many.
                 for own, team in zip(self._minibatches(acted), self._minibatches(everything), strict=False)
             ),
             strict=True,

@@ -255,7 +255,7 @@ class MOA2CLearner(Learner):
         return generalised_advantages(differences, not_done, decay * ratio), targets
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
-        """Update E[R] with the discounted returns (E, d) of episodes that ended."""
+        """Update E[R] with the discounted returns (E, d) of episodes that ended, also of those that a guide began."""
         self.expected_return.add(discounted_returns)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints

@@ -270,7 +270,7 @@ class MOPPOLearner(Learner):
         return losses, log_prob.detach() - samples.log_prob
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
-        """Update E[R] with the discounted returns (E, d) of episodes that ended."""
+        """Update E[R] with the discounted returns (E, d) of episodes that ended, also of those that a guide began."""
         self.expected_return.add(discounted_returns)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints

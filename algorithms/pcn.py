@@ -17,7 +17,7 @@ becomes
 
     R <- (R - r) / gamma,    h <- max(h - 1, 1),                                                   (4)
 
-and R is clipped to the range of the returns-to-go in the buffer, extended by the command itself.
+and the network sees R clipped to the range of the returns-to-go in the buffer, extended by the command itself.
 
 Assumes that the environment is deterministic. Differences from the paper: N commands are followed in parallel, one per
 environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; inputs of the
@@ -39,7 +39,7 @@ from pydantic import Field
 from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from algorithms.common.checkpoints import all_finite, restore_generator, strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
@@ -185,7 +185,10 @@ class PCN(FrontAgent):
         self._inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self._inputs[1])]).astype(np.float32)
 
     def update(self, progress: float) -> dict[str, float]:
-        """Follow one command per environment for an episode, then imitate the buffer; the losses by name."""
+        """Follow one command per environment for an episode, then imitate the buffer; the losses by name.
+
+        The command error is that of all episodes, also of those that exploration ended with random actions.
+        """
         config = self.config
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
         policy = self._sample_commands()
@@ -540,8 +543,9 @@ class CommandPolicy(PolicyOfFront):
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
     ) -> NDArray[Any]:
         """Actions (N, 1) or (N, 1, k) for observations (N, 1, o); greedy where ``generator`` is None."""
-        # Equation 4, applied t times, with its clip.
-        desired = (self.desired - accrued_reward.value[:, 0]) / accrued_reward.discounts
+        # Equation 4, applied t times, and then the clip.
+        discounts = accrued_reward.discounts.clip(min=SMALLEST_DISCOUNT)
+        desired = (self.desired - accrued_reward.value[:, 0]) / discounts
         horizon = np.maximum(self.horizon - accrued_reward.decisions[:, 0], 1.0)
         low, high = self.agent.bounds
         desired = np.minimum(np.maximum(desired, np.minimum(low, self.desired)), np.maximum(high, self.desired))

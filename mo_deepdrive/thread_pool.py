@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -29,7 +29,10 @@ class ThreadPool:
             # A forked child inherits the executor without its threads, and would wait for them for ever.
             self._executor, self._process = ThreadPoolExecutor(len(rest)), os.getpid()
         others = [self._executor.submit(function, part) for part in rest] if self._executor is not None else []
-        function(first)
+        try:
+            function(first)
+        finally:
+            wait(others)  # nobody writes to the parts any more, even after an error
         for other in others:
             other.result()
 

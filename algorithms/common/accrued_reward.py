@@ -10,6 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+SMALLEST_DISCOUNT = 1e-6  # a gamma^t below it counts as this
+
 
 @dataclass
 class AccruedReward:

@@ -279,7 +279,7 @@ class _Actor(nn.Module):
 
     def keep_passes(self, rows: int) -> None:
         """Let what is computed in order to act on the next ``rows`` rows serve to learn from all of them."""
-        if isinstance(self.body, Perceptron):
+        if isinstance(self.body, Perceptron) and self.body.can_be_compiled:
             self.body.keep_passes(rows)
 
 

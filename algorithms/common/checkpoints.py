@@ -22,7 +22,9 @@ POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the poli
 PARTNERS = "partners"  # entry of the identity: what identifies the drivers of vehicles that do not learn
 GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
 STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
+OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
 ADDED = {"activation": "relu", UPDATES: 0}  # entries that files of earlier versions lack
+UNKNOWN = (OBJECTIVE_SCALES, ACCRUED_GAMMA)  # entries that they lack, and whose value is not known
 MOST_STEPS = 2**63 - 1
 WORDS = 624  # of the state of a Mersenne Twister
 # The tensor that torch.Generator.get_state gives for the CPU.
@@ -63,7 +65,7 @@ def read_checkpoint(
 
     Args:
         path: the file.
-        identity: of the agent that reads; every entry must equal that in the file.
+        identity: of the agent that reads; every entry must equal that in the file, if earlier versions wrote it.
         may_differ: entries that need not be equal.
         whole: refuse a file that holds the policy alone.
 
@@ -86,7 +88,7 @@ def read_checkpoint(
             f"checkpoint {path} holds the policy alone, like those of the zoo: it can be evaluated, "
             "but training cannot be resumed from it"
         )
-    found = {**ADDED, **found}
+    found = {**ADDED, **{key: identity[key] for key in UNKNOWN if key in identity}, **found}
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")

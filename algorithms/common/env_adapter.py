@@ -209,9 +209,7 @@ class EnvAdapter:
         )
 
     def _bare_step(self, env: DrivingVectorEnv, actions: NDArray[Any]) -> Step:
-        if self.continuous:
-            actions = np.clip(actions, -1.0, 1.0)
-        taken = env.advance(actions)
+        taken = env.advance(actions)  # clips actions that are finite
         # The environment keeps a vehicle's flags until its reset; here they mark the step of the end.
         terminated, truncated = taken.terminated & taken.acted, taken.truncated & taken.acted
         return Step(

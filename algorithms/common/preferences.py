@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from pydantic import model_validator
 
+from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.hyperparameters import NonNegative, Positive
 from mo_deepdrive.config import Settings
 
@@ -23,7 +24,6 @@ Family = Literal["linear", "chebyshev", "comfort_budget"]
 FAMILIES: tuple[Family, ...] = ("linear", "chebyshev", "comfort_budget")
 LINEAR, CHEBYSHEV, COMFORT_BUDGET = range(3)  # indices of FAMILIES
 FURTHEST = 2.0  # a gap behind the largest one, or a budget left, counts for no more than this (eqs. 10 and 11)
-SMALLEST_DISCOUNT = 1e-6  # a gamma^t below it counts as this
 
 
 class PreferenceSettings(Settings):
@@ -104,7 +104,8 @@ class Preferences:
             count: number of preferences.
             rng: draws them.
             cost_share: by which weights of costs are multiplied before weights are divided by their sum. Costs are the
-                objectives of which no episode so far has returned more than 0.
+                objectives of which no episode so far has returned more than 0; before the first episode has ended all
+                are, and the weights are as drawn.
         """
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
         family = rng.choice(len(FAMILIES), size=count, p=self.shares)
@@ -172,12 +173,15 @@ class Preferences:
         """
         weights, budgets = rows[..., self._weights], rows[..., self._budgets]
         families = rows[..., : len(self.used)] if len(self.used) > 1 else np.ones((*rows.shape[:-1], 1))
-        budgeted = families[..., -1] == (self.used[-1] == COMFORT_BUDGET)
+        budgeted = (families[..., -1] == 1.0) & (self.used[-1] == COMFORT_BUDGET)
         weighing = (weights >= 0.0).all(-1) & (np.abs(weights.sum(-1) - ~budgeted) < 1e-3)
         spending = ((budgets >= 0.0) & (budgets <= budgeted[..., None] * self.largest.numpy())).all(-1)
         fine = np.isin(families, (0, 1)).all(-1) & (families.sum(-1) == 1.0) & weighing & spending
         if not fine.all():
-            raise ValueError(f"{rows[~fine][0].tolist()} is no preference; it must be one of {', '.join(self.names)}")
+            raise ValueError(
+                f"{rows[~fine][0].tolist()} is no preference; it must have one family, weights that sum to 1 or none "
+                f"and budgets of at most {self.largest.tolist()}, in this order: {', '.join(self.names)}"
+            )
 
     def is_family(self, preferences: torch.Tensor, family: int) -> torch.Tensor:
         """Mask (...) of the preferences (..., m) of a family."""

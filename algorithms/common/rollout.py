@@ -91,7 +91,7 @@ class VehicleRollout(Rollout):
 
 
 class Samples(NamedTuple):
-    """M samples of one vehicle, as PPO and MO-PPO learn from them.
+    """M samples of one vehicle, as PPO and its relatives learn from them.
 
     Attributes:
         inputs: (M, i) what the actor saw.
@@ -99,7 +99,7 @@ class Samples(NamedTuple):
         actions: (M,) or (M, k).
         log_prob: (M,) log-probability of the actions under pi_old.
         advantages: (M,) A_t.
-        targets: (M,) or (M, d) y_t of the critic.
+        targets: (M,), (M, 1) or (M, d) y_t of the critic.
     """
 
     inputs: torch.Tensor

@@ -21,7 +21,7 @@ blas_libraries = ThreadpoolController().select(user_api="blas").lib_controllers
 
 
 def set_threads(count: int) -> None:
-    """Let compiled code and torch use ``count`` threads, but no more than there are cores.
+    """Let torch use ``count`` threads, and compiled code as many, but no more than there are cores.
 
     Training gives the same results on any number of cores, but not with any ``count``: a part of the environments per
     thread goes through the networks at once, and the last bits of products depend on the number of rows. Each thread
@@ -83,12 +83,13 @@ def one_blas_thread() -> AbstractContextManager[None]:
 
 @contextmanager
 def limited_threads() -> Iterator[None]:
-    """Let torch use no more threads than compiled networks and BLAS one, and as many as before afterwards.
+    """Let torch use no more threads than were asked for and BLAS one, and as many as before afterwards.
 
-    Torch's default is one per core, which makes small operations slower and sums depend on the machine.
+    Torch's default is one per core, which makes small operations slower. Its sums depend on the number of threads, so
+    that this number must not depend on the cores.
     """
     before = torch.get_num_threads()
-    torch.set_num_threads(min(before, _count))
+    torch.set_num_threads(min(before, _wanted))
     try:
         with one_blas_thread():
             yield

@@ -51,7 +51,6 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
         ValueError: if environment, utility and hyperparameters do not fit together.
     """
     algorithm = agent_class(experiment.algorithm["name"])
-    set_threads(experiment.training.threads)
     env = make_environment(experiment.environment, num_envs or experiment.training.num_envs)
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}
@@ -73,6 +72,7 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
             )
     if experiment.training.guides and guides:
         options["guides"] = _make_guides(experiment, algorithm, adapter)
+    set_threads(experiment.training.threads)  # after the drivers', which are built like this
     return algorithm(
         env,
         **options,

@@ -12,6 +12,8 @@ import pytest
 import torch
 from gymnasium import spaces
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
 from algorithms.common.accrued_reward import AccruedReward
@@ -30,6 +32,8 @@ from tests.helpers.agents import (
 )
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from algorithms.actor_critic import ActorCritic
     from algorithms.common.rollout import Rollout
 
@@ -375,3 +379,26 @@ def test_a_checkpoint_of_a_centralised_critic_is_refused_by_a_decentralised_one(
     make_agent(MOPPO, INTERSECTION, centralised_critic=True).save(path)
     with pytest.raises(ValueError, match="centralised_critic = True; this agent has False"):
         make_agent(MOPPO, INTERSECTION).load(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"objective_scales": [1.0, 1.0, 1.0, 100.0]}, "has objective_scales = "),
+        ({"accrued_gamma": 1.0}, "has accrued_gamma = 0.99; this agent has 1.0"),
+    ],
+)
+def test_a_policy_that_observes_the_past_in_other_units_is_refused(
+    tmp_path: Path, changed: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "policy.safetensors"
+    make_agent(MOA2C).save_policy(path)
+    other = make_agent(MOA2C, **changed)
+    with pytest.raises(ValueError, match=message):
+        other.load(path, policy_only=True)
+    with safe_open(path, framework="pt") as file:
+        metadata = json.loads(file.metadata()["checkpoint"])
+    for key in ("objective_scales", "accrued_gamma"):
+        del metadata[key]
+    save_file(load_file(path), path, {"checkpoint": json.dumps(metadata)})
+    other.load(path, policy_only=True)  # of an earlier version, which did not say

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -319,6 +319,21 @@ def test_the_shares_of_families_are_those_of_the_episodes() -> None:
     np.testing.assert_allclose(rows[budget, 7:].mean(axis=0), [4.0, 75.0], rtol=0.05)
 
 
+@pytest.mark.parametrize(
+    "families", [each for n in (1, 2, 3) for each in combinations(("linear", "chebyshev", "comfort_budget"), n)]
+)
+def test_what_is_drawn_is_a_preference_and_other_rows_are_not(families: tuple[str, ...]) -> None:
+    budgets = {"budgets": MIXTURE["budgets"]} if "comfort_budget" in families else {}
+    preferences = make_agent(families=dict.fromkeys(families, 1.0), **budgets).preferences
+    rows = preferences.draw(200, np.random.default_rng(0))
+    preferences.check(rows)
+    for column in range(rows.shape[1]):
+        broken = rows[:1].copy()
+        broken[0, column] += 200.0
+        with pytest.raises(ValueError, match="is no preference; it must have one family"):
+            preferences.check(broken)
+
+
 def test_a_policy_under_one_condition_acts_in_any_number_of_environments() -> None:
     agent = make_agent(**MIXTURE)
     conditions = agent.conditions()
@@ -338,6 +353,7 @@ PLACES: dict[str, dict[str, Any]] = {
     "continuous": {"env": {**SHORT, **CONTINUOUS}},
     "mixture": MIXTURE,
     "chebyshev": {"families": {"chebyshev": 1.0}},
+    "linear and chebyshev": {"families": {"linear": 0.5, "chebyshev": 0.5}},
     "left turn": {"env_id": LEFT_TURN},
     "two vehicles": {"env_id": INTERSECTION},
 }

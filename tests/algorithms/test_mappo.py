@@ -187,6 +187,17 @@ def test_after_a_time_limit_the_critic_values_the_true_final_state() -> None:
         assert found[5, 0] == values[6, 0]
 
 
+def test_a_vehicle_that_ends_as_the_other_is_cut_has_ended_in_the_final_state() -> None:
+    agent = make_mappo(num_envs=1, steps=2)
+    agent.collector.reset(0)
+    rollout, _ = agent.collector.collect(lambda observations, past: agent.act(observations, past, None))
+    rollout.terminated[1, 0, 0] = rollout.truncated[1, 0, 1] = True
+    team = agent.team.follow(rollout)
+    assert team.truncated[:, 0].tolist() == [False, True]
+    assert team.final_states[1, 0, -2:].tolist() == [1.0, 0.0]
+    assert team.states[1, 0, -2:].tolist() == [0.0, 0.0]
+
+
 @JOINT
 def test_a_resumed_run_is_the_same_bit_for_bit(joint: str, tmp_path: Path) -> None:
     whole, part, resumed = (make_mappo(env=SHORT, joint=joint, seed=3) for _ in range(3))

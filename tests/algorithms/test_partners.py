@@ -12,6 +12,7 @@ from algorithms import MOPPO, PPO
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.env_adapter import EnvAdapter, make_env
+from algorithms.common.threads import set_threads, wanted_threads
 from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.team import Team
 from algorithms.experiments.build import build, load_policy, open_driver
@@ -143,3 +144,11 @@ def test_agents_without_partners_are_what_they_were() -> None:
         agent = build(experiment_with({}, cls.name))
         assert agent.gamma == agent.accrued_discount
         assert "partners" not in agent.identity()
+
+
+def test_the_threads_of_partners_are_not_those_of_the_run() -> None:
+    try:
+        build(experiment_with({"vehicle_1": ZOO}, threads=2))
+        assert wanted_threads() == 2
+    finally:
+        set_threads(1)

@@ -16,6 +16,7 @@ from torch import distributions, nn
 from algorithms.common.actors import CategoricalActor, GaussianActor, exponential
 from algorithms.common.networks import mlp
 from algorithms.common.optimisers import Adam
+from algorithms.common.perceptron import Perceptron
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -293,3 +294,13 @@ def test_the_global_seed_does_not_matter(kind: Callable[..., Any]) -> None:
     torch.set_rng_state(state)
     assert all(torch.equal(results[0][0][name], results[1][0][name]) for name in results[0][0])
     assert torch.equal(results[0][1], results[1][1])
+
+
+def test_what_was_computed_is_kept_only_where_passes_are_compiled() -> None:
+    actor = categorical(3, [4], 2, torch.Generator().manual_seed(0))
+    actor.keep_passes(8)
+    assert actor.body._kept is not None
+    layers = nn.Linear(3, 4, device="meta"), nn.ReLU(), nn.Linear(4, 2, device="meta")
+    elsewhere = CategoricalActor(Perceptron(*layers))
+    elsewhere.keep_passes(8)  # as on a GPU, whose memory NumPy does not see
+    assert elsewhere.body._kept is None

@@ -402,7 +402,7 @@ BROKEN: dict[str, tuple[str, Callable[[dict[str, torch.Tensor]], dict[str, torch
     "a preference": (
         "conditioned_mo_ppo",
         lambda t: {"preferences": torch.full((2, 1, 7), 0.5)},
-        "[0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5] is no preference; it must be one of chebyshev, comfort_budget, weight/",
+        "[0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5] is no preference; it must have one family, weights that sum to 1",
     ),
     "a moment": (
         "ppo",

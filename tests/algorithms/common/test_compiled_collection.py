@@ -133,13 +133,14 @@ def test_an_agent_that_takes_its_earlier_state_does_the_same_again() -> None:
 
 
 @pytest.mark.slow
-def test_actions_that_are_not_finite_are_refused() -> None:
-    agent = make_agent(PPO, env=CONTINUOUS)
-    agent.begin()
-    with torch.no_grad():
-        agent.learners[0].actor.log_std[1] = float("nan")
-    with pytest.raises(ValueError, match=r"action \[.*nan.*\] of world 0 is not allowed; expected finite numbers"):
-        agent.update(0.0)
+@pytest.mark.parametrize("number", ["nan", "inf"])
+def test_actions_that_are_not_finite_are_refused(number: str) -> None:
+    for agent in both(PPO, ONE_WAYPOINT, env=CONTINUOUS):
+        agent.begin()
+        with torch.no_grad():
+            agent.learners[0].actor.log_std[1] = float(number)
+        with pytest.raises(ValueError, match=rf"action \[.*{number}.*\] of world 0 is not allowed; expected finite"):
+            agent.update(0.0)
 
 
 @pytest.mark.slow

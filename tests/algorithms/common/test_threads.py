@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numba
 import pytest
 import torch
 from threadpoolctl import ThreadpoolController, threadpool_limits
@@ -12,7 +13,7 @@ from algorithms.a2c import A2C
 from algorithms.common import perceptron
 from algorithms.common.env_adapter import make_env
 from algorithms.common.networks import Perceptron
-from algorithms.common.threads import limited_threads, one_blas_thread
+from algorithms.common.threads import limited_threads, one_blas_thread, set_threads, threads, wanted_threads
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
 
@@ -81,6 +82,21 @@ def test_torch_and_blas_have_one_thread_while_an_agent_trains() -> None:
     agent.train(1, after_update=record)
     assert seen == [{1}]
     assert {torch.get_num_threads(), *blas_threads()} == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_torch_has_as_many_threads_as_asked_for_however_few_the_cores(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
+    try:
+        set_threads(2)
+        assert (threads(), wanted_threads()) == (1, 2)
+        with limited_threads():
+            assert torch.get_num_threads() == 2
+    finally:
+        monkeypatch.undo()
+        set_threads(1)
 
 
 def test_fewer_threads_stay_fewer() -> None:
