@@ -106,7 +106,7 @@ class WorldBatch:
         self.observations = np.zeros((worlds, vehicles, size), dtype=np.float32)
         self.rewards = np.zeros((worlds, vehicles, len(self.objectives)), dtype=np.float32)
         self.terminated = np.zeros((worlds, vehicles), dtype=np.bool_)
-        self.truncated = np.zeros((worlds, vehicles), dtype=np.bool_)
+        self.truncated = np.ones((worlds, vehicles), dtype=np.bool_)  # as the state says
         self._controls = np.zeros((worlds, vehicles, 3))
         self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.measures = make_measures(config)

@@ -34,8 +34,9 @@ class Objective:
         sign: +1 if more is better, -1 for a cost.
         scale: nominal magnitude of the *return* of an episode, by which learners divide.
         description: what the magnitude measures.
-        bound: largest magnitude of one decision, which bounds the reward space: a number, a function of the
-            :class:`mo_deepdrive.config.EnvConfig`, or a key of :func:`mo_deepdrive.limits.limits`.
+        bound: largest magnitude of one decision, which bounds the reward space: a number or a function of the
+            :class:`mo_deepdrive.config.EnvConfig`. In a row of the package it may be a key of
+            :func:`mo_deepdrive.limits.limits`.
         signed: whether the magnitude may be negative, down to minus the bound.
         measure: ``measure(vehicles, v, params)`` returns the magnitude of the decision that vehicle ``v`` has just
             made, from the world after it: ``vehicles`` (vehicles,) of ``mo_deepdrive.simulation.state.VEHICLE`` and
@@ -124,7 +125,7 @@ def register_objective(objective: Objective) -> None:
     if objective.name not in INDEX:
         INDEX[objective.name] = len(OBJECTIVES)
         OBJECTIVES.append(objective)
-    elif _content(objective) != _content(OBJECTIVES[INDEX[objective.name]]):
+    elif _contents(objective) != _contents(OBJECTIVES[INDEX[objective.name]]):
         raise ValueError(f"objective {objective.name!r} is registered already, with other fields; choose another name")
 
 
@@ -142,8 +143,14 @@ def _is_measure(value: object) -> bool:
     return inspect.isfunction(function) and len(inspect.signature(function).parameters) == len(MEASURE_ARGUMENTS)
 
 
-def _content(objective: Objective) -> list[Any]:
-    """The fields, with the code of functions: a module that is imported twice makes two of each."""
-    values = (getattr(objective, field.name) for field in fields(objective))
-    functions = (getattr(value, "py_func", value) for value in values)
-    return [getattr(function, "__code__", function) for function in functions]
+def _contents(objective: Objective) -> list[Any]:
+    return [_content(getattr(objective, field.name)) for field in fields(objective)]
+
+
+def _content(value: Any) -> Any:
+    """What is compared of a value: of a function its code and what it holds, as a module imported twice makes two."""
+    value = getattr(value, "py_func", value)
+    if inspect.isfunction(value):
+        cells = (cell.cell_contents for cell in value.__closure__ or ())
+        return [value.__code__, *map(_content, (*(value.__defaults__ or ()), *cells))]
+    return value.tolist() if isinstance(value, np.ndarray) else value

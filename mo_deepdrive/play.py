@@ -143,7 +143,7 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
     is one frame. Every FRAMES_PER_DECISION-th step is a decision, based on all keys that were down since the last one.
     ``info["outcome"]`` is an :class:`EpisodeOutcome` in the step in which the last vehicle ends; END_HOLD seconds later
     the episode terminates. The seed of the first episode is that of ``reset(seed=...)``, and it increases by one with
-    every episode. A restarted episode keeps its seed.
+    every episode that has an outcome. An episode that is restarted before it ends keeps its seed.
 
     Args:
         env: a single environment, from :func:`make_play_env`.
@@ -227,10 +227,11 @@ class HumanPlayEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.int8]]):
             else:
                 width = len(Keys._fields)
                 rewards = self._decide([Keys(*pressed[k : k + width]) for k in range(0, len(pressed), width)])
-                info = {"outcome": self._outcome()} if self._over else {}
+                if self._over:
+                    info = {"outcome": self._outcome()}
+                    self._finished += 1
             self._pressed[:] = False
         terminated = self._decisions_held >= END_HOLD * self.vector_env.config.decision_frequency
-        self._finished += terminated
         return self._observations, rewards, terminated, restart, info
 
     def _decide(self, keys: list[Keys]) -> NDArray[np.float32]:

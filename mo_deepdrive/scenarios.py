@@ -10,7 +10,7 @@ oncoming car j. A scenario that does not use a draw has a span of zero. ``simula
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -202,6 +202,7 @@ def register_scenario(scenario: Scenario) -> None:
     check_name(scenario.name, "scenario")
     if problem := _problem(scenario):
         raise ValueError(f"scenario {scenario.name!r}: {problem}")
+    scenario = _with_tuples(scenario)
     if scenario.name not in SCENARIOS:
         SCENARIOS[scenario.name] = scenario
         register_id(scenario)
@@ -211,22 +212,28 @@ def register_scenario(scenario: Scenario) -> None:
 
 def _problem(scenario: Scenario) -> str:
     """What is wrong with a field of ``scenario``; "" if nothing is."""
-    if not 1 <= len(scenario.routes) <= MAX_VEHICLES:
-        return f"routes has {len(scenario.routes)} entries; it must have one per vehicle, at most {MAX_VEHICLES}"
-    for v, route in enumerate(scenario.routes):
+    routes = scenario.routes
+    if not isinstance(routes, (tuple, list)) or not all(isinstance(route, Route) for route in routes):
+        return f"routes = {routes!r} must be a tuple of Route, one per vehicle"
+    if not 1 <= len(routes) <= MAX_VEHICLES:
+        return f"routes has {len(routes)} entries; it must have one per vehicle, at most {MAX_VEHICLES}"
+    if _shape(scenario.destination_span) != (2,):
+        return f"destination_span = {scenario.destination_span!r} must be (x, y): finite numbers in m"
+    for v, route in enumerate(routes):
         if _shape(route.start) != (3,):
             return f"start = {route.start!r} of route {v} must be (x, y, heading): finite numbers in m and rad"
-        if not 1 <= len(route.waypoints) <= MAX_WAYPOINTS:
-            return f"waypoints of route {v} has {len(route.waypoints)} points; it must have 1 to {MAX_WAYPOINTS}"
-        if _shape(route.waypoints) != (len(route.waypoints), 2):
+        shape = _shape(route.waypoints)
+        if not shape or (shape[1:] != (2,) and shape != (0,)):
             return f"waypoints = {route.waypoints!r} of route {v} must be (x, y) pairs of finite numbers in m"
+        if not 1 <= shape[0] <= MAX_WAYPOINTS:
+            return f"waypoints of route {v} has {shape[0]} points; it must have 1 to {MAX_WAYPOINTS}"
         if _shape(route.start_span) != ():
             return f"start_span = {route.start_span!r} of route {v} must be a finite number in m"
-        span = np.abs([route.start_span, *scenario.destination_span]).max() if _is_span(scenario) else 0.0
-        if max(np.abs(route.start[:2]).max(), np.abs(route.waypoints).max()) + span > FARTHEST:
+        x, y, _ = route.start
+        span = scenario.destination_span if v == 0 else (0.0, 0.0)
+        points = (*route.waypoints, np.add(route.waypoints[-1], span))
+        if np.abs(np.array([(x, y), (x, y + route.start_span), *points])).max() > FARTHEST:
             return f"route {v} with its spans leaves [-{FARTHEST:g}, {FARTHEST:g}] m"
-    if not _is_span(scenario):
-        return f"destination_span = {scenario.destination_span!r} must be (x, y): finite numbers in m"
     for name in (*scenario.objectives, *scenario.reference):
         if name not in INDEX:
             return f"objective {name!r} is unknown; {nearest(name, INDEX)}"
@@ -245,14 +252,23 @@ def _problem(scenario: Scenario) -> str:
     return ""
 
 
-def _is_span(scenario: Scenario) -> bool:
-    return _shape(scenario.destination_span) == (2,)
+def _with_tuples(scenario: Scenario) -> Scenario:
+    """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
+    routes = tuple(
+        replace(route, start=_tuple(route.start), waypoints=tuple(_tuple(point) for point in route.waypoints))
+        for route in scenario.routes
+    )
+    return replace(scenario, routes=routes, destination_span=_tuple(scenario.destination_span))
+
+
+def _tuple(numbers: Any) -> Any:
+    return tuple(float(number) for number in numbers)
 
 
 def _shape(value: Any) -> tuple[int, ...] | None:
     """The shape of finite numbers; None for anything else."""
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
         return None
-    return array.shape if np.isfinite(array).all() else None
+    return array.shape if array.dtype.kind in "iuf" and np.isfinite(array).all() else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import gymnasium
@@ -57,14 +57,16 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         gymnasium.utils.RecordConstructorArgs.__init__(self, utility=utility, of=of, **arguments)
         gymnasium.Wrapper.__init__(self, env)
         space = env.get_wrapper_attr("reward_space") if env.has_wrapper_attr("reward_space") else None
-        self.utility = _fitting_utility(utility, env.unwrapped, space, arguments)
+        names = env.get_wrapper_attr("objectives") if env.has_wrapper_attr("objectives") else None
+        self.utility = _fitting_utility(utility, env, space, names, arguments)
         self.reward_space = _scalar_space()
         self._scalar_rewards = _ScalarRewards(of)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode."""
-        self._scalar_rewards.reset()
-        return self.env.reset(seed=seed, options=options)
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._scalar_rewards.reset([info.get("vehicle", 0)])
+        return observation, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Act for one decision.
@@ -73,8 +75,10 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
             observation, utility, terminated, truncated, and info with the vector reward (d,).
         """
         observation, vector, terminated, truncated, info = self.env.step(action)
-        # If vehicles take turns, each has its own return.
-        value = self._scalar_rewards.of(self.utility, vector, info.get("vehicle", 0))
+        # If vehicles take turns, each has its own return, and before its first turn it has made no decision.
+        vehicle = info.get("vehicle", 0)
+        value = self._scalar_rewards.of(self.utility, vector, vehicle)
+        self._scalar_rewards.deciding.add(vehicle)
         return observation, value, terminated, truncated, {**info, "vector_reward": vector}
 
 
@@ -118,11 +122,13 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
             if agent not in agents:
                 raise ValueError(f"utility is given for {agent!r}, which is unknown; {nearest(agent, agents)}")
         space_of = getattr(env, "reward_space", lambda _agent: None)
+        # Not every wrapper passes attributes on.
+        names = getattr(env, "objectives", getattr(env.unwrapped, "objectives", None))
         self.utilities: dict[str, Utility] = {}
         for agent in agents:
             if agent not in given:
                 raise ValueError(f"utility is missing for {agent!r}; expected one for each of {agents}")
-            self.utilities[agent] = _fitting_utility(given[agent], env.unwrapped, space_of(agent), arguments)
+            self.utilities[agent] = _fitting_utility(given[agent], env, space_of(agent), names, arguments)
         self.reward_spaces = {agent: _scalar_space() for agent in agents}
         self._scalar_rewards = _ScalarRewards(of)
 
@@ -134,8 +140,8 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start a new episode."""
-        self._scalar_rewards.reset()
         started: tuple[dict[str, Any], dict[str, dict[str, Any]]] = self.env.reset(seed=seed, options=options)
+        self._scalar_rewards.reset(self.env.possible_agents)
         return started
 
     def step(
@@ -150,25 +156,35 @@ class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore
         rewards = {
             agent: self._scalar_rewards.of(self.utilities[agent], vector, agent) for agent, vector in vectors.items()
         }
+        # An agent may stay after its end (keep_finished), without decisions.
+        self._scalar_rewards.deciding.difference_update(agent for agent, info in infos.items() if "end" in info)
         infos = {agent: {**infos.get(agent, {}), "vector_reward": vector} for agent, vector in vectors.items()}
         return observations, rewards, terminated, truncated, infos
 
 
 class _ScalarRewards:
-    """Scalar rewards by a utility of the vector reward, or by its increase at the accrued reward of the episode."""
+    """Scalar rewards by a utility of the vector reward, or by its increase at the accrued reward of the episode.
+
+    Attributes:
+        deciding: the agents whose vector reward is that of a decision; the reward of the others is 0, not u(0).
+    """
 
     def __init__(self, measure: Measure):
         if measure not in get_args(Measure):
             raise ValueError(f"of = {measure!r} must be one of {list(get_args(Measure))}")
         self._measure = measure
         self._accrued: dict[Any, NDArray[np.float64]] = {}
+        self.deciding: set[Any] = set()
 
-    def reset(self) -> None:
+    def reset(self, deciding: Iterable[Any]) -> None:
         """Start a new episode."""
         self._accrued = {}
+        self.deciding = set(deciding)
 
     def of(self, utility: Utility, vector: Any, agent: Any) -> float:
         """The reward of an agent for its vector reward (d,)."""
+        if agent not in self.deciding:
+            return 0.0
         rewards = np.asarray(vector)
         if self._measure == "reward":
             return float(utility(rewards))
@@ -182,16 +198,19 @@ def _scalar_space() -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, (), dtype=np.float32)
 
 
-def _fitting_utility(utility: str | Utility, env: Any, space: Any, arguments: dict[str, Any]) -> Utility:
-    """The utility, if it fits vector rewards in ``space`` of the unwrapped environment ``env``."""
+def _fitting_utility(
+    utility: str | Utility, env: Any, space: Any, names: Sequence[str] | None, arguments: dict[str, Any]
+) -> Utility:
+    """The utility, if it fits vector rewards of ``env`` in ``space``, with components ``names`` (None if unknown)."""
     if space is None or len(space.shape) != 1:
         raise ValueError(f"a utility needs vector rewards; {env} has no reward_space of shape (d,)")
-    objectives = getattr(env, "objectives", tuple(f"objective_{i}" for i in range(space.shape[0])))
+    objectives = tuple(f"objective_{i}" for i in range(space.shape[0])) if names is None else tuple(names)
     if isinstance(utility, str):
-        cost_sign = getattr(getattr(env, "config", None), "cost_sign", "maximise")
+        cost_sign = getattr(getattr(env.unwrapped, "config", None), "cost_sign", "maximise")
         return make_utility(utility, objectives, cost_sign, **arguments)
     if arguments:
         raise ValueError(f"arguments {sorted(arguments)} are for a utility given by name")
-    if len(utility.objectives) != len(objectives):
+    fits = len(utility.objectives) == len(objectives) if names is None else utility.objectives == objectives
+    if not fits:
         raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; the environment has {objectives}")
     return utility

@@ -7,7 +7,6 @@ Every run is measured by its greedy policies in new episodes; docs/learning.md e
 
 from __future__ import annotations
 
-import csv
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import process_time
@@ -18,6 +17,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.evaluation.front import best_known_front, indicators
 from algorithms.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME
 from algorithms.experiments.build import build
@@ -103,15 +103,14 @@ def rows(results: Sequence[Result]) -> list[list[str]]:
 
 
 def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([each.name for each in fields(Result)])
-        for result in results:
-            cells = asdict(result)
-            cells |= {name: f"{cells[name]:.4f}" for name in ("hypervolume", "expected_utility")}
-            cells["seconds"] = f"{result.seconds:.0f}"
-            writer.writerow(cells.values())
+    """Write one row per run as CSV, atomically."""
+    rows = [[each.name for each in fields(Result)]]
+    for result in results:
+        cells = asdict(result)
+        cells |= {name: f"{cells[name]:.4f}" for name in ("hypervolume", "expected_utility")}
+        cells["seconds"] = f"{result.seconds:.0f}"
+        rows.append([str(cell) for cell in cells.values()])
+    atomic_write(path, csv_bytes(rows))
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -102,9 +102,9 @@ def learn(run: Run) -> Result:
 def table_rows(results: Sequence[Result]) -> list[list[str]]:
     """The table: one row per task and method, with means over the seeds that count and 95% intervals."""
     rows = []
-    for task in TASKS:
+    for task, steps in dict.fromkeys((result.task, result.steps) for result in results):
         for method in METHODS:
-            of_method = [result for result in results if (result.task, result.learner) == (task, method)]
+            of_method = [each for each in results if (each.task, each.learner, each.steps) == (task, method, steps)]
             mine = [result for result in of_method if result.seed != TUNING_SEED]
             if mine:
                 utilities, arrivals = (np.array([getattr(each, name) for each in mine]) for name in ("first", "second"))

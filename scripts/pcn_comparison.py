@@ -9,7 +9,6 @@ one thread, and the learners take turns. The front that counts is that of greedy
 
 from __future__ import annotations
 
-import csv
 import multiprocessing
 from dataclasses import asdict, dataclass, fields
 from itertools import product
@@ -25,6 +24,7 @@ from rich.progress import track
 from rich.table import Table
 
 from algorithms.commands.peers import seed_everything
+from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.pareto import hypervolume
 from algorithms.evaluation.statistics import mean
 from algorithms.experiments.build import build
@@ -166,14 +166,13 @@ def rows(results: Sequence[Result]) -> list[list[str]]:
 
 
 def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV."""
+    """Write one row per run as CSV, atomically."""
     commit = paired_benchmark.working_tree()
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*(each.name for each in fields(Result)), "commit"])
-        for result in results:
-            cells = asdict(result) | {"hypervolume": f"{result.hypervolume:.6g}", "seconds": f"{result.seconds:.1f}"}
-            writer.writerow([*cells.values(), commit])
+    rows = [[*(each.name for each in fields(Result)), "commit"]]
+    for result in results:
+        cells = asdict(result) | {"hypervolume": f"{result.hypervolume:.6g}", "seconds": f"{result.seconds:.1f}"}
+        rows.append([*map(str, cells.values()), commit])
+    atomic_write(path, csv_bytes(rows))
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -12,7 +12,6 @@ the table.
 from __future__ import annotations
 
 import contextlib
-import csv
 import math
 import multiprocessing
 from dataclasses import asdict, dataclass, fields
@@ -35,6 +34,7 @@ from rich.progress import track
 from rich.table import Table
 
 from algorithms import ALGORITHMS
+from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.env_adapter import make_env
 from algorithms.common.threads import set_threads
 from algorithms.evaluation.episodes import Policy, evaluate
@@ -381,18 +381,17 @@ def _text(value: float, form: str) -> str:
 
 
 def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV."""
+    """Write one row per run as CSV, atomically."""
     about = {
         "commit": paired_benchmark.working_tree(),
         "machine": paired_benchmark.machine(),
-        "threads": paired_benchmark.THREADS,
+        "threads": str(paired_benchmark.THREADS),
     }
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*(each.name for each in fields(Result)), *about])
-        for result in results:
-            cells = asdict(result) | {"seconds": f"{result.seconds:.6g}"}
-            writer.writerow([*cells.values(), *about.values()])
+    rows = [[*(each.name for each in fields(Result)), *about]]
+    for result in results:
+        cells = asdict(result) | {"seconds": f"{result.seconds:.6g}"}
+        rows.append([*map(str, cells.values()), *about.values()])
+    atomic_write(path, csv_bytes(rows))
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -61,6 +61,13 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         run = Run.open(options.run, device=options.device, trust=options.trust)
         episodes, seed = evaluation_arguments(options, run.experiment)
         check_directory("--output", options.output)
+        final = run.experiment.evaluation.final_seed
+        replaces = bool(options.output) and Path(options.output).resolve() == run.path.resolve()
+        if replaces and seed != final:
+            raise ValueError(
+                f"--output {options.output} would replace the final evaluation, which tables and searches read, by "
+                f"one of other scenarios (from seed {seed:,} instead of {final:,}); choose another directory"
+            )
         warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors"))
         agent = load_policy(run)
         filmed = report_agent(
@@ -76,6 +83,6 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         )
         if options.output:
             print(f"written: {options.output}")
-            if Path(options.output).resolve() == run.path.resolve():
+            if replaces:
                 run.record_results()
     return 0 if filmed else 1

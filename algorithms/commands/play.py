@@ -57,7 +57,8 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, metavar="S", help="seed of the first episode (default: random)")
     parser.add_argument("--fps", type=int, metavar="N", help="decisions per second (default: real time)")
     parser.add_argument("--against", metavar="RUN", help="run or policy of the zoo that drives the other vehicle")
-    parser.add_argument("--vehicle", type=int, choices=(0, 1), help="the vehicle you drive against RUN (default: 0)")
+    help_text = "the vehicle you drive against RUN (default: 0, or one that RUN did not learn to drive)"
+    parser.add_argument("--vehicle", type=int, choices=(0, 1), help=help_text)
     parser.add_argument("--stochastic", action="store_true", help="sample RUN's actions instead of the greedy ones")
     parser.add_argument("--record", metavar="FILE", help="write an MP4 of the session")
     add_trust_argument(parser)
@@ -70,8 +71,8 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     return options
 
 
-def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None]:
-    """The environment that the options ask for, and the agent that drives the other vehicle, if any.
+def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Agent | None, list[int]]:
+    """The environment that the options ask for, the agent of the other vehicle, if any, and the user's vehicles.
 
     Raises:
         ValueError: for an unknown environment or run, or one that does not fit.
@@ -85,8 +86,10 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
         for name, given in (("--vehicle", options.vehicle is not None), ("--stochastic", options.stochastic)):
             if given:
                 raise ValueError(f"{name} requires --against RUN")
-        return make_play_env(options.env), None
+        env = make_play_env(options.env)
+        return env, None, list(range(env.vehicles))
     with needed_for("--against"):
+        from algorithms.evaluation.metrics import vehicle_name
         from algorithms.experiments.build import load_policy
     run = Run.open(options.against, device="cpu", trust=options.trust)
     theirs = run.experiment.environment
@@ -96,7 +99,12 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
     agent = load_policy(run)
     if agent.env.vehicles == 1:
         raise ValueError(f"--against {options.against}: {spec.id} has no other vehicle that the run could drive")
-    return make_play_env(theirs.id, **theirs.arguments), agent
+    partners = run.experiment.training.partners
+    free = [v for v in range(agent.env.vehicles) if set(partners) <= {vehicle_name(v)}]
+    seat = free[0] if options.vehicle is None else options.vehicle
+    if seat not in free:
+        raise ValueError(f"--vehicle {seat}: RUN learnt to drive {vehicle_name(seat)} alone; drive vehicle {free[0]}")
+    return make_play_env(theirs.id, **theirs.arguments), agent, [seat]
 
 
 def print_outcome(objectives: tuple[str, ...], outcome: EpisodeOutcome) -> None:
@@ -141,11 +149,10 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from mo_deepdrive.quiet_pygame import pygame
 
     with exit_on_error(ValueError, OSError, pygame.error, program=program):
-        env, agent = open_environment(options)
+        env, agent, seats = open_environment(options)
         # Only a user who sets SDL_VIDEODRIVER can want a window without a display.
         open_display(allow_invisible=bool(os.environ.get("SDL_VIDEODRIVER")))
         rate = env.config.decision_frequency
-        seats = list(range(env.vehicles)) if agent is None else [options.vehicle or 0]
         driver = None if agent is None else make_driver(agent, options)
         with recorder(options, rate) as on_frame:
             human_env = HumanPlayEnv(env, seats, driver=driver, on_frame=on_frame)

@@ -11,7 +11,6 @@ Run the same command again to resume: finished runs are skipped, interrupted one
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,7 +43,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
         help="output folder (default: RUNS/results; in a checkout docs/results for --all)",
     )
     parser.add_argument(
-        "--workers", type=int, default=os.cpu_count(), metavar="N", help="maximum number of concurrent runs"
+        "--workers", type=int, metavar="N", help="maximum number of concurrent runs (default: one per core)"
     )
     parser.add_argument("--plan", default="reproduce", metavar="FILE", help="what to train (default: the shipped plan)")
     return parser.parse_args(arguments)
@@ -73,6 +72,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from algorithms.experiments.progress_bar import make_console
     from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
     from algorithms.reproduction.plan import load_plan
+    from algorithms.sweeps.runner import available_cores
 
     try:
         check_options(given)
@@ -84,7 +84,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             redraw=given.redraw,
             runs=given.runs,
             output=given.output,
-            workers=given.workers,
+            workers=given.workers or available_cores(),
         )
         return reproduce(load_plan(given.plan), options, make_console())
     except (ValueError, OSError) as error:

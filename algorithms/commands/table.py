@@ -13,8 +13,9 @@ A sweep (a directory with a manifest, made by mo-deepdrive sweep) has a row per 
 best first; cells with another environment or utility are in separate tables. The terminal shows the best cells, the
 policy by which they are sorted, and as many columns as fit, and names the others; the CSV has everything. With several
 vehicles the row of all together has the sum of their utilities. Cells that differ in the algorithm alone are compared
-by the same policy. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as
-Parquet files, which are updated here; algorithms/sweeps/collection.py describes them.
+by the same policy; where their numbers of steps differ, too, the row has both. The collected scores and metrics of the
+runs are kept for other programs in SWEEP/collected/ as Parquet files, which are updated here;
+algorithms/sweeps/collection.py describes them.
 """
 
 from __future__ import annotations

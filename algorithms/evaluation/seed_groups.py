@@ -1,13 +1,14 @@
-"""Which runs differ in their seed alone: the rule by which curves, tables and sweeps group runs.
+"""Which runs differ in their seed alone, and which have comparable scores: the rules of curves, tables and sweeps.
 
 Two runs belong together if their resolved experiments are the same apart from the seed, from where they ran (device,
-threads) and from what they logged; device, threads and logging change neither what is learnt nor how it is measured.
+threads) and from what they logged; device, threads and logging change neither what is learnt, but for last bits, nor
+how it is measured.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -35,6 +36,43 @@ def identifying_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     flat = flatten(config)
     left_out = {SEED, *INCIDENTAL}
     return {key: flat[key] for key in sorted(flat) if key not in left_out and key.partition(".")[0] not in left_out}
+
+
+def task_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What runs must share for their scores to be comparable: environment, utility, and how scores are calculated.
+
+    Final scores are comparable if they are also of the same split; evaluations during training are all of one.
+
+    Args:
+        config: a resolved experiment, as in a run's config.yaml.
+    """
+    evaluation = config.get("evaluation", {})
+    return {
+        "environment": config["environment"],
+        "utility": config.get("utility"),
+        "evaluation": {name: evaluation.get(name) for name in ("gamma", "reference_point")},
+    }
+
+
+def distinct_labels(sections: Sequence[Mapping[str, Any] | None], label_of: Callable[[Any], str]) -> list[str]:
+    """The labels of some sections of configs; sections that share one also get the settings that differ between them.
+
+    Args:
+        sections: such as the utilities of some experiments; None for none.
+        label_of: gives the label of a section.
+    """
+    labels = [label_of(section) for section in sections]
+    flat = [flatten(section or {}) for section in sections]
+    distinct = []
+    for label, settings in zip(labels, flat, strict=True):
+        namesakes = [other for name, other in zip(labels, flat, strict=True) if name == label]
+        differing = [
+            f"{key.removeprefix('arguments.')}={value}"
+            for key, value in settings.items()
+            if any(key not in other or other[key] != value for other in namesakes)
+        ]
+        distinct.append(" ".join(filter(None, (label, *differing))))
+    return distinct
 
 
 def group_by_experiment(directories: Sequence[Path], configs: Sequence[Mapping[str, Any]]) -> list[list[int]]:

@@ -65,11 +65,9 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
         options["utility"] = _make_utilities(experiment.utility, adapter)
     if experiment.training.partners:
         options["partners"] = _make_partners(experiment, algorithm, adapter, idle_only=not partners)
-        most = max(len(each.members) for each in options["partners"].values())
-        if num_envs is None and most > adapter.num_envs:
-            raise ValueError(
-                f"training.num_envs = {adapter.num_envs} is less than the {most} drivers in training.partners"
-            )
+        most, given = max(len(each.members) for each in options["partners"].values()), experiment.training.num_envs
+        if most > given:
+            raise ValueError(f"training.num_envs = {given} is less than the {most} drivers in training.partners")
     if experiment.training.guides and guides:
         options["guides"] = _make_guides(experiment, algorithm, adapter)
     set_threads(experiment.training.threads)  # after the drivers', which are built like this
@@ -98,7 +96,9 @@ def load_policy(run: Run, *, partners: bool = True) -> Any:
     return agent
 
 
-def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, *, trust: bool = False) -> Policy:
+def open_driver(
+    name: str, vehicle: int, env: EnvAdapter, action_type: str, *, device: str = "cpu", trust: bool = False
+) -> Policy:
     """The driver of a vehicle.
 
     Args:
@@ -107,6 +107,7 @@ def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, *, t
         vehicle: the index of the vehicle that it is to drive.
         env: where it drives.
         action_type: of that environment: "discrete", "discrete-16" or "continuous".
+        device: of its networks.
         trust: as for :meth:`Run.open`.
 
     Raises:
@@ -119,7 +120,7 @@ def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, *, t
         if driver.vehicle != vehicle:
             raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")
         return ScriptedPolicy(env, vehicle, driver)
-    run = Run.open(name, device="cpu", trust=trust)
+    run = Run.open(name, device=device, trust=trust)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies, not one that drives")
     if vehicle_name(vehicle) in run.experiment.training.partners:
@@ -132,9 +133,11 @@ def open_driver(name: str, vehicle: int, env: EnvAdapter, action_type: str, *, t
     return agent  # type: ignore[no-any-return]  # an algorithm of any class
 
 
-def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, action_type: str) -> Population:
+def open_population(
+    names: Sequence[str], vehicle: int, env: EnvAdapter, action_type: str, *, device: str = "cpu"
+) -> Population:
     """Drivers that take turns in driving a vehicle; arguments and errors are those of :func:`open_driver`."""
-    members = [open_driver(name, vehicle, env, action_type) for name in names]
+    members = [open_driver(name, vehicle, env, action_type, device=device) for name in names]
     return Population(members, vehicle, [_digest(name) for name in names])
 
 
@@ -184,12 +187,15 @@ def _make_partners(
     indices = _vehicles_named(settings, "training.partners", adapter)
     if len(settings) == adapter.vehicles:
         raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(settings)}: none is left to learn")
-    found = {}
+    found, device = {}, experiment.training.device  # that of the generator by which they act
     for (name, drivers), v in zip(settings.items(), indices, strict=True):
         if not drivers:
             raise ValueError(f"training.partners.{name} = [] must name at least one driver")
         try:
-            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, _action_type(experiment))
+            action_type = _action_type(experiment)
+            found[v] = (
+                idle(v, adapter) if idle_only else open_population(drivers, v, adapter, action_type, device=device)
+            )
         except ValueError as error:
             raise ValueError(f"training.partners.{name}: {error}") from None
     return found
@@ -204,7 +210,8 @@ def _make_guides(experiment: Experiment, algorithm: type[Agent], adapter: EnvAda
     found = []
     for (name, each), v in zip(settings.items(), indices, strict=True):
         try:
-            driver = open_population([each.driver], v, adapter, _action_type(experiment))
+            device = experiment.training.device
+            driver = open_population([each.driver], v, adapter, _action_type(experiment), device=device)
         except ValueError as error:
             raise ValueError(f"training.guides.{name}: {error}") from None
         found.append(Guide(driver, each, adapter.num_envs))

@@ -35,9 +35,8 @@ CHOICE_SPLIT: Split = "validation"
 
 # How a command is called: "mo-deepdrive {}", "python -m algorithms {}" or "python scripts/{}.py".
 INSTALLED = "mo-deepdrive {}"
-# SDL's drivers of commands that open no window: videos are drawn in memory.
-# Variables that are set for a command unless the user has set them: there is no screen, and an idle thread sleeps after
-# some 10 microseconds instead of spinning on a core that others need.
+# Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
+# sleeps after some 10 microseconds instead of spinning on a core that others need.
 PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "3000"}
 
 

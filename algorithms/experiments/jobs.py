@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
 from rich.console import Console
 
 from algorithms.common.atomic_io import atomic_write
-from algorithms.common.yaml_io import read_mapping
+from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Stopped, stopped_by
@@ -57,7 +58,7 @@ class Job:
         """
         if not (self.path / "config.yaml").is_file():
             return
-        self._refuse(differences(self.open().experiment.to_dict(), self.experiment.to_dict()))
+        self._refuse(differences(self.open(device="cpu").experiment.to_dict(), self.experiment.to_dict()))
 
     def open(self, *, device: str | None = None) -> Run:
         """The run in the directory, which may import what the job's own experiment names.
@@ -140,6 +141,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     try:
         if job.done:  # finished by the process that held the lock until now
             return "already there"
+        if resumed:
+            _take_over_settings(run, job)
         _keep_wandb_id(job)
         agent = resume(run)
         with (job.path / "train.log").open("a") as log:
@@ -169,9 +172,29 @@ def _lock(job: Job) -> tuple[Run, bool]:
             if not config.is_file():  # otherwise another process has created it in the meantime
                 raise
     job.check()
-    run = job.open()
+    run = job.open(device="cpu")  # this machine may have the job's device alone
     run.lock()
     return run, True
+
+
+def _take_over_settings(run: Run, job: Job) -> None:
+    """Continue a run with the job's logging and, if possible, on its device; config.yaml says so.
+
+    The number of threads stays that of the run, because it changes last bits.
+
+    Raises:
+        ValueError: if this machine does not have the device.
+    """
+    config = run.path / "config.yaml"
+    before = make_experiment(read_mapping(config), here=False)
+    devices = [torch.device(each.training.device) for each in (before, job.experiment)]
+    # A checkpoint has the state of a generator, which one kind of device can read.
+    chosen = before if run.checkpoint.exists() and devices[0].type != devices[1].type else job.experiment
+    training = before.training.model_copy(update={"device": chosen.training.device})
+    wanted = before.model_copy(update={"training": training, "logging": job.experiment.logging})
+    run.experiment = make_experiment(wanted.to_dict(), f"experiment {str(config)!r}")
+    if run.experiment != before:
+        atomic_write(config, dump(run.experiment.to_dict()).encode())
 
 
 class JobFailed(Exception):

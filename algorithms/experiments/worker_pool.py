@@ -188,6 +188,6 @@ def _worker_died(job: Job, attempts: int) -> str:
     """Write to a run's directory that its worker died; returns the reason."""
     reason = DIED + (f", {attempts} times" if attempts > 1 else "")
     with contextlib.suppress(ValueError, OSError):  # it may have died before the directory existed
-        run = job.open()
+        run = job.open(device="cpu")  # this machine may not have the run's device
         run.set_status("failed", run.status.get("step", 0), reason)
     return reason

@@ -56,12 +56,15 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     reason = peer.unavailable_reason()
     if reason is not None:
         raise ValueError(f"algorithm {name!r} cannot run here: {reason}; see docs/peers.md")
+    for key, given in (("partners", training.partners), ("guides", training.guides)):
+        if given:
+            raise ValueError(f"training.{key}: algorithm {name!r} cannot train with {key}")
     env = EnvAdapter(make_environment(settings, 1))
     utility = None
     if experiment.utility is None:
         check_reference_point(experiment.evaluation.reference_point, env.objectives)
     else:
-        chosen = experiment.utility
+        chosen = experiment.utility.of_vehicle(0)
         utility = make_utility(chosen.name, env.objectives, cost_sign=env.cost_sign, **chosen.arguments)
         for zeros in (np.zeros, torch.zeros):
             check_utility(utility, zeros)
@@ -116,7 +119,8 @@ def run_peer(run: Run, console: Console) -> None:
         finish = _finish_policy if peer.known_utility else _finish_front
         logger.log(steps, finish(run, policies, steps, about, console))
     log_results(run.path, steps, experiment.to_dict(), final_metrics(run.path), run.path / "video.mp4")
-    plot(load_groups([run.path]), run.path / "curves.png")
+    if experiment.logging.save_figures:
+        plot(load_groups([run.path]), run.path / "curves.png")
     run.set_status("finished", steps)
 
 
@@ -130,7 +134,8 @@ def _finish_policy(
     console.print(evaluation_table(found, describe_episodes(settings.final_episodes, settings.final_seed)))
     measured = {"episodes": settings.final_episodes, "seed": settings.final_seed, "gamma": settings.gamma}
     write_evaluation(run.path, found, {"step": steps, **about, **measured})
-    film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed)
+    if run.experiment.logging.save_figures:
+        film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed)
     return {
         evaluation_prefix(version) + name: value
         for version, evaluation in found.items()
@@ -155,7 +160,10 @@ def _finish_front(
         directory=run.path,
         about={"step": steps, **about, "evaluated_policies": len(policies)},
     )
-    film_policies_of_front(policies, front, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed)
+    if run.experiment.logging.save_figures:
+        film_policies_of_front(
+            policies, front, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed
+        )
     return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
 
 

@@ -5,6 +5,7 @@ Curves are means over seeds, in the colour of their algorithm, and have 95% boot
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -36,7 +37,12 @@ from algorithms.evaluation.metrics import (
     split_name,
     title_of,
 )
-from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
+from algorithms.evaluation.seed_groups import (
+    distinct_labels,
+    group_by_experiment,
+    identifying_settings,
+    task_settings,
+)
 from algorithms.evaluation.statistics import MIN_SAMPLES, bootstrap
 from algorithms.reporting.style import (
     DIM,
@@ -230,29 +236,46 @@ class CurvePanel:
 
 
 def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
-    """The panels that have a curve; scores that cannot be compared get separate panels."""
+    """The panels that have a curve; scores that cannot be compared get separate panels.
+
+    So do runs with one vehicle, which their metrics do not name, and runs with several.
+    """
     present = [{name for columns in group.runs for name in columns} for group in groups]
+    several = [any(split_name(name).vehicle for name in names) for names in present]
     panels: list[CurvePanel] = []
-    for heading, names, is_score in _quantities(set().union(*present), [group.config for group in groups]):
-        tasks: dict[tuple[str, ...], list[int]] = {}
-        for g, group in enumerate(groups):
-            if present[g] & set(names):
-                tasks.setdefault(_task(group.config) if is_score else (), []).append(g)
-        for task, members in tasks.items():
-            differing = [part for i, part in enumerate(task) if len({each[i] for each in tasks}) > 1]
-            text = f"{heading.removesuffix(' per episode')}: {', '.join(differing)}" if differing else heading
-            panels.append(CurvePanel(text, names, tuple(members)))
+    for alike in ([g for g in range(len(groups)) if several[g] is kind] for kind in (False, True)):
+        found = _quantities(set().union(*(present[g] for g in alike)), [groups[g].config for g in alike])
+        for heading, names, is_score in found:
+            tasks: dict[str, list[int]] = {}
+            for g in alike:
+                if present[g] & set(names):
+                    task = json.dumps(task_settings(groups[g].config), sort_keys=True) if is_score else ""
+                    tasks.setdefault(task, []).append(g)
+            titles = _task_titles([groups[members[0]].config for members in tasks.values()])
+            for title, members in zip(titles, tasks.values(), strict=True):
+                text = f"{heading.removesuffix(' per episode')}: {title}" if title else heading
+                panels.append(CurvePanel(text, names, tuple(members)))
     return panels
 
 
-def _task(config: Mapping[str, Any]) -> tuple[str, ...]:
-    """What scores must share to be compared: environment and utility."""
-    return config["environment"]["id"], ", ".join(_utilities(config.get("utility")))
+def _task_titles(configs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What distinguishes each of some tasks from the others; empty for a single one."""
+    tasks = [task_settings(config) for config in configs]
+    parts = [
+        distinct_labels([task["environment"] for task in tasks], lambda environment: str(environment["id"])),
+        distinct_labels([task["utility"] for task in tasks], lambda utility: ", ".join(_utilities(utility))),
+        distinct_labels([task["evaluation"] for task in tasks], lambda _: ""),
+    ]
+    differing = [texts for texts in parts if len(set(texts)) > 1]
+    return [", ".join(filter(None, (texts[i] for texts in differing))) for i in range(len(tasks))]
 
 
 def drawn(names: Sequence[str], config: Mapping[str, Any]) -> list[str]:
-    """Those of the metrics ``names`` that :func:`plot` draws for runs with ``config``."""
-    wanted = {name for _, metrics, _ in _quantities(set(names), [config]) for name in metrics}
+    """Those of the metrics ``names`` that :func:`plot` may draw for runs with ``config``."""
+    # Runs with one vehicle and with several may be given together, and the config does not tell which these are.
+    of_one = {name for name in names if not split_name(name).vehicle}
+    quantities = [*_quantities(of_one, [config]), *_quantities(set(names), [config])]
+    wanted = {name for _, metrics, _ in quantities for name in metrics}
     return [name for name in names if name in wanted]
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import combinations, product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +34,7 @@ from algorithms.evaluation.metrics import (
     return_of,
     split_name,
 )
-from algorithms.evaluation.seed_groups import group_by_experiment
+from algorithms.evaluation.seed_groups import distinct_labels, group_by_experiment, task_settings
 from algorithms.evaluation.statistics import (
     MIN_SAMPLES,
     Estimate,
@@ -46,8 +48,7 @@ from algorithms.reporting.wide_tables import Rows, print_rows
 from mo_deepdrive.config import EnvConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from rich.console import Console
 
@@ -101,6 +102,18 @@ class ScoreGroup:
             return " ".join(str(seed) for seed in sorted(self.seeds))
         return str(self.wanted) if len(self.seeds) == self.wanted else f"{len(self.seeds)} of {self.wanted}"
 
+    def values(self, place: MetricName) -> list[float]:
+        """The scores of one policy, vehicle and metric.
+
+        Evaluations in another library's environment may have a success rate only if some episode succeeded
+        (:mod:`algorithms.evaluation.estimates`): where one seed has it, it is 0 for those that were evaluated without.
+        """
+        known = self.scores[place]
+        if place.metric != SUCCESS:
+            return known
+        evaluated = self.scores.get(place._replace(metric=LENGTH), [])
+        return known + [0.0] * (len(evaluated) - len(known))
+
 
 def final_scores(run: Path) -> dict[str, Estimate]:
     """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet.
@@ -145,7 +158,7 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
     """
     runs: list[Path] = []
     for path in paths:
-        found = sorted(config.parent for config in path.rglob("config.yaml"))
+        found = sorted(_runs_below(path))
         if not found:
             raise ValueError(
                 f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
@@ -153,6 +166,13 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
             )
         runs += found
     return runs
+
+
+def _runs_below(path: Path) -> Iterator[Path]:
+    for folder, folders, files in os.walk(path):
+        if "config.yaml" in files:
+            folders.clear()  # W&B writes a config.yaml of its own below a run
+            yield Path(folder)
 
 
 def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[ScoreGroup]:
@@ -175,16 +195,17 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
         else:
             warn(f"left out: {path} has no final evaluation")
     configs = [read_mapping(path / "config.yaml") for path in finished]
+    experiments = group_by_experiment(finished, configs)
+    settings = [task_settings(configs[members[0]]) for members in experiments]
+    environments = distinct_labels([each["environment"] for each in settings], environment_label)
+    utilities = distinct_labels([each["utility"] for each in settings], utility_label)
     groups = []
-    for members in group_by_experiment(finished, configs):
+    for e, members in enumerate(experiments):
         config = configs[members[0]]
-        algorithm, evaluation = config["algorithm"]["name"], config.get("evaluation", {})
-        task = {
-            "environment": environment_label(config["environment"]),
-            "utility": utility_label(config.get("utility")),
-        }
+        algorithm = config["algorithm"]["name"]
+        task = {"environment": environments[e], "utility": utilities[e]}
         about = {**task, "algorithm": algorithm, "steps": str(config["training"]["total_timesteps"])}
-        measured = " ".join(str(evaluation.get(name)) for name in ("gamma", "reference_point", "split"))
+        measured = json.dumps([settings[e], config.get("evaluation", {}).get("split")], sort_keys=True)
         group = ScoreGroup(about, task, algorithm, measured)
         for i in members:
             group.seeds.append(configs[i]["training"]["seed"])
@@ -242,7 +263,7 @@ def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_ME
     """
     about = list(dict.fromkeys(name for group in groups for name in group.about))
     places = [(g, place) for g, group in enumerate(groups) for place in group.scores]
-    estimates = means([groups[g].scores[place] for g, place in places])
+    estimates = means([groups[g].values(place) for g, place in places])
     widths = [float(np.mean(groups[g].widths.get(place, [0.0]))) for g, place in places]
     texts = [each.text(width) for each, width in zip(estimates, widths, strict=True)]
     cells = dict(zip(places, texts, strict=True))
@@ -258,9 +279,13 @@ def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_ME
 
 
 def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
-    """One row per pair of groups that differ in the algorithm alone: difference of the means and Mann-Whitney test."""
+    """One row per pair of groups that differ in the algorithm: difference of the means and Mann-Whitney test.
+
+    If not all groups were trained for the same number of steps, rows have those of the pair.
+    """
     shared = list(groups[0].task) if groups else []
-    rows = [[*shared, "policy", "vehicle", "difference", "of", "value", "low", "high", "p"]]
+    rows = [[*shared, "policy", "vehicle", "difference", "steps", "of", "value", "low", "high", "p"]]
+    same_steps = len({group.about.get("steps", "") for group in groups}) == 1
     comparable: dict[tuple[str, ...], list[ScoreGroup]] = defaultdict(list)
     for group in groups:
         comparable[(*group.task.values(), group.measured)].append(group)
@@ -277,8 +302,10 @@ def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
             found = mean_difference(later, earlier)
             numbers = (found.value, found.low, found.high, mann_whitney_p(later, earlier))
             pairing = f"{second.algorithm} - {first.algorithm}"
+            taken = dict.fromkeys(group.about.get("steps", "") for group in (second, first))
+            steps = "" if same_steps else " against ".join(taken)
             texts = ["" if number is None else f"{number:.3f}" for number in numbers]
-            rows.append([*first.task.values(), policy, vehicle, pairing, metric, *texts])
+            rows.append([*first.task.values(), policy, vehicle, pairing, steps, metric, *texts])
     return without_empty_columns(rows)
 
 

@@ -39,7 +39,7 @@ def propose_points(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(sampler=_sampler(search), direction=search.direction)
     space = {key: _distribution(key, values) for key, values in search.space.items()}
-    batch = search.batch if search.sampler == "tpe" else search.trials
+    batch = search.points_at_a_time
     for first in range(0, search.trials, batch):
         asked = []
         for _ in range(min(batch, search.trials - first)):

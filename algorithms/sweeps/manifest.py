@@ -81,7 +81,8 @@ def run_id(config: Mapping[str, Any]) -> str:
     """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
 
     Device, threads and logging (:data:`algorithms.evaluation.seed_groups.INCIDENTAL`) are left out: they do not affect
-    the result.
+    the result. It is not the same bit for bit: the number of threads changes last bits, and a GPU draws other random
+    numbers.
     """
     hashed = dict(config)
     for key in INCIDENTAL:

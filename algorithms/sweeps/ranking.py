@@ -24,6 +24,7 @@ from algorithms.evaluation.metrics import (
     lower_is_better,
     split_name,
 )
+from algorithms.evaluation.seed_groups import task_settings
 from algorithms.reporting.seed_tables import environment_label, utility_label
 from algorithms.sweeps.collection import SCORE_KEYS, Cell, as_json
 from algorithms.sweeps.manifest import label
@@ -160,8 +161,7 @@ def totals(scores: pl.DataFrame) -> pl.DataFrame:
 
 def _comparison_key(config: Mapping[str, Any]) -> str:
     """A text that is equal for experiments whose scores are comparable."""
-    evaluation = config["evaluation"]
-    return as_json([config["environment"], config["utility"], evaluation["gamma"], evaluation["reference_point"]])
+    return as_json([task_settings(config), config["evaluation"]["split"]])
 
 
 def _titles(groups: Sequence[Sequence[Cell]]) -> list[str]:

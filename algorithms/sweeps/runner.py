@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import sys
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.experiments.jobs import Job
-    from algorithms.sweeps.sweep_settings import SweepSettings
+    from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings, SweepSettings
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ class SweepRunner:
             self._check_manifest()  # the scores of another sweep may not have the search's metric
             rows = read_manifest(self._directory)
             scores |= read_scores([row.job(self._directory) for row in rows], search.metric)
-            self._remember_failures(rows, search.batch)
+            self._remember_failures(rows, search)
         scores |= {job.id: None for job in self._failed if job.id is not None}
         expanded = expand(self._settings, scores)
         self._refuse_other_sweep(expanded)
@@ -168,12 +169,16 @@ class SweepRunner:
                         "name; choose another --output, or delete that sweep"
                     )
 
-    def _remember_failures(self, rows: Sequence[ManifestRow], batch_size: int) -> None:
-        """Do not retry failed runs of earlier batches: later batches were chosen with these failures."""
-        batches = [(row.trial or 0) // batch_size for row in rows]
-        for row, batch in zip(rows, batches, strict=True):
+    def _remember_failures(self, rows: Sequence[ManifestRow], search: HyperparameterSearchSettings) -> None:
+        """Do not retry failed runs of a cell's earlier batches: its later batches were chosen with these failures."""
+        cells = [json.dumps({key: row.cell[key] for key in row.cell if key not in search.space}) for row in rows]
+        batches = [(row.trial or 0) // search.points_at_a_time for row in rows]
+        last: dict[str, int] = {}  # every cell of the grid has a search of its own
+        for cell, batch in zip(cells, batches, strict=True):
+            last[cell] = max(batch, last.get(cell, 0))
+        for row, cell, batch in zip(rows, cells, batches, strict=True):
             status = read_status(self._directory / row.directory)
-            if batch < max(batches) and status.get("state") == "failed":
+            if batch < last[cell] and status.get("state") == "failed":
                 self._failed.setdefault(row.job(self._directory), str(status.get("reason")))
 
     def _train(self, stop: Callable[[], bool]) -> list[Job]:
@@ -188,8 +193,10 @@ class SweepRunner:
                 return jobs
             self._say(f"{len(jobs)} runs, {len(jobs) - len(open_jobs)} of them done, in {self._directory}")
             with Dashboard(jobs, self._console, self._directory.name) as monitor:
-                self._failed |= self._train_batch([job for job in jobs if job not in self._failed], monitor, stop)
-            if stop() or not self._backend.wait or self._settings.search is None:
+                failed = self._train_batch([job for job in jobs if job not in self._failed], monitor, stop)
+            self._failed |= failed
+            # Without waiting, failures may have been all that the next batch of a search was waiting for.
+            if stop() or self._settings.search is None or not (self._backend.wait or failed):
                 return jobs
 
     def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
@@ -199,7 +206,7 @@ class SweepRunner:
         if backend.name == "local":
             from algorithms.experiments.worker_pool import perform_all
 
-            default = max(1, int(_available_cores() / settings.resources.cpus))
+            default = max(1, int(available_cores() / settings.resources.cpus))
             return perform_all(jobs, backend.workers or default, monitor, retries=settings.retries, stop=stop)
         if backend.name == "ray":
             from algorithms.sweeps.ray_tune import run_on_ray
@@ -248,6 +255,6 @@ class SweepRunner:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
     """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

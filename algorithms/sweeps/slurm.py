@@ -232,7 +232,7 @@ def run_on_slurm(
         wait: whether to wait for the jobs after submitting them.
 
     Returns:
-        The jobs that failed, each with its reason.
+        The jobs that failed, each with its reason; without waiting those of a search that have failed before.
 
     Raises:
         ValueError: if Slurm is not installed.
@@ -245,6 +245,8 @@ def run_on_slurm(
     failed: dict[Job, str] = {}
     missing_before: set[Any] = set()
     first = True
+    # Without waiting, nobody sees a run fail: a search that submitted it at every call would not pass its batch.
+    count_failures = not wait and settings.search is not None
     while True:
         if queue.refresh():
             active = queue.active_runs()
@@ -257,7 +259,10 @@ def run_on_slurm(
             missing_before = {job.id for job in missing}
             to_submit = []
             for job in lost:
-                reason = None if first else _failure_reason(job, queue, attempts[job.id], settings.retries)
+                if first:
+                    reason = _reported_failure(job) if count_failures else None
+                else:
+                    reason = _failure_reason(job, queue, attempts[job.id], settings.retries)
                 if reason is None:
                     attempts[job.id] += 1
                     to_submit.append(job)
@@ -278,12 +283,18 @@ def run_on_slurm(
             time.sleep(0.2)
 
 
+def _reported_failure(job: Job) -> str | None:
+    """The reason in the directory of a run that failed; None if there is none."""
+    status = read_status(job.path)
+    return str(status["reason"]) if status.get("state") == "failed" and "reason" in status else None
+
+
 def _failure_reason(job: Job, queue: SlurmQueue, attempts: int, retries: int) -> str | None:
     """Why a run whose job has ended is not retried; None to retry it."""
-    status = read_status(job.path)
+    reported = _reported_failure(job)
+    if reported is not None:
+        return reported  # the job has already retried it
     slurm_job, state = queue.last_state(str(job.id))
-    if status.get("state") == "failed" and "reason" in status:
-        return str(status["reason"])  # the job has already retried it
     if state == "CANCELLED" or attempts > retries:
         log = queue.log_file(slurm_job)
         return f"Slurm job {slurm_job} ended ({state}) before the run did" + (f"; see {log}" if log.exists() else "")

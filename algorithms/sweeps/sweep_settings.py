@@ -79,6 +79,11 @@ class HyperparameterSearchSettings(Settings):
     batch: Count = 8
     seed: Seed = 0
 
+    @property
+    def points_at_a_time(self) -> int:
+        """Number of points that the sampler chooses before it needs their scores."""
+        return self.batch if self.sampler == "tpe" else self.trials
+
 
 class Resources(Settings):
     """What one run needs.

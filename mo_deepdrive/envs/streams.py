@@ -35,24 +35,20 @@ class Streams:
         draws: how many uniforms an episode takes.
 
     Attributes:
+        seeds: the seed of every world.
         blocks: (N, BLOCK, draws) uniforms in [0, 1).
         cursors: (N,) how many episodes of its block each world has had.
     """
 
     def __init__(self, seeds: list[int | None], draws: int):
         self._generators: list[np.random.Generator] = []
-        self._seeds: list[int] = []
+        self.seeds: list[int] = []
         for seed in seeds:
             generator, used = seeding.np_random(seed)
             self._generators.append(generator)
-            self._seeds.append(used)
+            self.seeds.append(used)
         self.blocks = np.zeros((len(seeds), BLOCK, draws))
         self.cursors = np.full(len(seeds), BLOCK, dtype=np.int64)
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        """The seed of every world."""
-        return tuple(self._seeds)
 
     @property
     def generators(self) -> tuple[np.random.Generator, ...]:
@@ -63,7 +59,7 @@ class Streams:
         """Restart the streams of the worlds in ``mask`` whose seed is not None."""
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
-                self._generators[i], self._seeds[i] = seeding.np_random(seeds[i])
+                self._generators[i], self.seeds[i] = seeding.np_random(seeds[i])
                 self.cursors[i] = BLOCK
 
     def draw(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -62,7 +62,7 @@ class TurnBasedEnv(WorldEnv):
     | index | observation | unit |
     |---|---|---|
     | 0, 1 | angle from the heading to the next waypoint and the one after, positive to the right | rad |
-    | 2, 3 | distance from the front to the next waypoint; along it to the one after | m |
+    | 2, 3 | distance from the front to the next waypoint; that, plus the distance from the front to the one after | m |
     | 4, 5 | velocity x, y | m/s |
     | 6, 7 | acceleration x, y | m/s^2 |
     | 8, 9, 10 | held steer, throttle, brake | rad, m/s^2, 1 |

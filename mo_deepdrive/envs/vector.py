@@ -80,7 +80,7 @@ class DrivingVectorEnv(VectorEnv):
 
     In Intersection a vehicle's flag stays True from the decision on which it ends until the world is reset, after both
     have ended. ``infos["acted"]`` (N, 2) says which vehicles were on the road in this step, and ``infos["arrived"]``
-    (N, 2) which of them arrived in it.
+    (N, 2), only in steps in which a vehicle ends, which of them arrived in it.
 
     ## Episode End
 
@@ -168,7 +168,7 @@ class DrivingVectorEnv(VectorEnv):
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of every world."""
-        return self.streams.seeds
+        return tuple(self.streams.seeds)
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -198,11 +198,20 @@ class DrivingVectorEnv(VectorEnv):
         mask = self._mask(options.pop("reset_mask", None))
         pins = make_pins(options, self.config)
         seeds = self._seeds(seed)
-        if self._streams is None:
+        # With options no draw may be valid, which shows when the streams have moved on.
+        first = self._streams is None
+        before = None if pins is None else (self.get_state(), list(self.streams.seeds))
+        if first:
             self._streams = Streams(seeds, self.batch.scenario.draws)
         else:
-            self._streams.reseed(seeds, mask)
-        self.batch.place(np.flatnonzero(mask), self._streams.draw, pins)
+            self.streams.reseed(seeds, mask)
+        try:
+            self.batch.place(np.flatnonzero(mask), self.streams.draw, pins)
+        except ValueError:
+            if before is not None:
+                state, self.streams.seeds = before
+                self.set_state(state)
+            raise
         self._over[mask] = False
         self._begun = True
         return self._shaped(self.batch.observations.copy()), {}
@@ -266,7 +275,7 @@ class DrivingVectorEnv(VectorEnv):
         taken = batch.rewards.copy(), batch.terminated.copy(), batch.truncated.copy(), acted, over
         ends = batch.state["end"].copy()
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            self._over = over
+            self._over = over.copy()  # reset() writes into it
         elif len(rows := np.flatnonzero(over)):
             batch.place(rows, self.streams.draw)
             observations = batch.observations.copy()
@@ -377,6 +386,10 @@ class DrivingVectorEnv(VectorEnv):
         if not self._viewers:
             self._viewers = [Viewer(self.config, self.render_mode) for _ in range(self.num_envs)]
         return tuple(viewer.draw(self.batch.state[row]) for row, viewer in enumerate(self._viewers))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the renderers: a copy or pickle continues exactly from here."""
+        return {**self.__dict__, "_viewers": []}
 
     def close_extras(self, **_kwargs: Any) -> None:
         """End the threads and close the renderers."""

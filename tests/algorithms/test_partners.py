@@ -15,7 +15,7 @@ from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.threads import set_threads, wanted_threads
 from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.team import Team
-from algorithms.experiments.build import build, load_policy, open_driver
+from algorithms.experiments.build import build, load_policy, open_driver, open_population
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from tests.helpers.agents import INTERSECTION
@@ -152,3 +152,22 @@ def test_the_threads_of_partners_are_not_those_of_the_run() -> None:
         assert wanted_threads() == 2
     finally:
         set_threads(1)
+
+
+def test_a_manifest_is_not_made_of_runs_with_more_partners_than_environments() -> None:
+    with pytest.raises(ValueError, match=r"num_envs = 2 is less than the 3 drivers in training\.partners"):
+        build(experiment_with(PARTNERS, num_envs=2), num_envs=1)
+
+
+def test_partners_are_on_the_device_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = []
+    run_open = Run.open
+
+    def record(path: Any, *, device: str | None = None, **settings: Any) -> Run:
+        opened.append(device)
+        return run_open(path, device="cpu", **settings)
+
+    monkeypatch.setattr(Run, "open", record)
+    env = EnvAdapter(make_env(INTERSECTION, 4, {"time_limit": 6.0}))
+    open_population(ZOO[:1], 1, env, "discrete", device="cuda")
+    assert opened[0] == "cuda"

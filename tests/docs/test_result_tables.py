@@ -384,6 +384,22 @@ def pcn_elsewhere(row: Row) -> dict[str, list[float]]:
     }
 
 
+def peers_compared(task: str, scores: tuple[str, str], times: float, row: Row) -> dict[str, list[float]]:
+    """Both scores, the second one ``times`` what the file has; the rate is the one with the best first score."""
+    steps = row["steps"].replace(",", "")
+    runs = matching("peer_comparison.csv", task=task, learner=row["learner"].strip("`"), steps=steps)
+    tuned = {run["rate"]: float(run["first"]) for run in runs if run["seed"] == "100"}
+    final = [run for run in runs if run["seed"] != "100"]
+    assert {run["rate"] for run in final} == {max(tuned, key=lambda rate: tuned[rate])}
+    assert len(final) == 5
+    return {
+        "CPU seconds": [column(final, "seconds").mean()],
+        "tuning: rates 1, 3, 1/3": [tuned[rate] for rate in ("1", "3", "0.333")],
+        scores[0]: mean_of(final, "first"),
+        scores[1]: numbers(mean(times * column(final, "second")).text()),
+    }
+
+
 def wall_clock(row: Row) -> dict[str, list[float]]:
     driving, cartpole = (
         matching("wall_clock.csv", learner=row["learner"], environment=name)
@@ -519,6 +535,16 @@ TABLES = [
     Table("docs/learning.md", "config | objective | started by", comfort),
     Table("docs/learning.md", "utility | method | tuning", esr),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
+    Table(
+        "docs/peers.md",
+        "learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | utility",
+        partial(peers_compared, "known utility", ("utility (ESR)", "arrivals (%)"), 100.0),
+    ),
+    Table(
+        "docs/peers.md",
+        "learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | hypervolume",
+        partial(peers_compared, "fixed, discrete", ("hypervolume", "expected utility"), 1.0),
+    ),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
     Table("docs/benchmark.md", "training | one thread", thread_speeds),

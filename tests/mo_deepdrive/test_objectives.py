@@ -215,6 +215,23 @@ def test_another_objective_of_the_same_name_is_refused(registries: None) -> None
         register_objective(row(measure=lambda vehicles, v, params: 0.0))
 
 
+def weighted(factor: Any, most: float) -> Objective:
+    """An objective whose functions have the same code for all arguments: it is in a closure and in a default."""
+
+    def measure(vehicles: Any, v: int, params: Any) -> float:
+        return float(factor[0] * vehicles[v].speed)
+
+    return row(measure=measure, bound=lambda config, most=most: most)
+
+
+def test_functions_that_hold_other_values_make_another_objective(registries: None) -> None:
+    register_objective(weighted(np.array([1.0, 2.0]), 300.0))
+    register_objective(weighted(np.array([1.0, 2.0]), 300.0))
+    for other in (weighted(np.array([1.0, 3.0]), 300.0), weighted(np.array([1.0, 2.0]), 400.0)):
+        with pytest.raises(ValueError, match="'gap' is registered already, with other fields"):
+            register_objective(other)
+
+
 def test_a_measure_that_cannot_be_compiled_is_refused_when_the_environment_is_made(
     registries: None, make_single: Any
 ) -> None:

@@ -341,6 +341,21 @@ def test_registering_the_same_scenario_again_changes_nothing(two_bicycles: Modul
     assert list(SCENARIOS) == ["one_waypoint", "static_obstacle", "intersection", "left_turn", "two_bicycles"]
 
 
+def test_a_row_may_have_arrays_and_be_registered_twice(registries: None) -> None:
+    for _ in range(2):
+        route = Route(start=np.array([7, 25, -1.5]), waypoints=np.array([[20, 5]]))  # type: ignore[arg-type]
+        register_scenario(row(routes=[route], destination_span=np.array([9, 9])))
+    register_scenario(row(destination_span=(9.0, 9.0)))
+    with pytest.raises(ValueError, match="registered already"):
+        register_scenario(row())
+
+
+def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
+    # The start moves along y, and the last waypoint of the first route along x and y.
+    first = Route((240.0, 0.0, 0.0), ((-240.0, 0.0), (20.0, 230.0)), start_span=240.0)
+    register_scenario(row(routes=(first, Route((0.0, 0.0, 0.0), ((0.0, 245.0),))), destination_span=(200.0, 20.0)))
+
+
 def test_every_scenario_has_an_id() -> None:
     for name, scenario in SCENARIOS.items():
         assert gymnasium.spec(scenario.id).kwargs == {"scenario": name}
@@ -353,13 +368,18 @@ def test_every_scenario_has_an_id() -> None:
         ({"name": "one_waypoint"}, "scenario 'one_waypoint' is registered already, with other fields"),
         ({"routes": ()}, "scenario 'own': routes has 0 entries; it must have one per vehicle, at most 2"),
         ({"routes": row().routes * 3}, "routes has 3 entries"),
+        ({"routes": row().routes[0]}, "must be a tuple of Route, one per vehicle"),
+        ({"routes": (None,)}, "routes = (None,) must be a tuple of Route, one per vehicle"),
+        ({"routes": (Route((7.0, 25.0, 0.0), None),)}, "waypoints = None of route 0 must be (x, y) pairs"),  # type: ignore[arg-type]
+        ({"routes": (Route((7.0, 25.0, 0.0), (1.0, 2.0)),)}, "of route 0 must be (x, y) pairs"),  # type: ignore[arg-type]
+        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), 230.0),)}, "route 0 with its spans leaves [-250, 250] m"),
         ({"routes": (Route((7.0, 25.0), ((20.0, 5.0),)),)}, "start = (7.0, 25.0) of route 0 must be (x, y, heading)"),
         ({"routes": (Route((7.0, 25.0, 0.0), ()),)}, "waypoints of route 0 has 0 points; it must have 1 to 3"),
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),) * 4),)}, "has 4 points; it must have 1 to 3"),
         ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
         ({"routes": (Route((7.0, 25.0, 0.0), ((math.nan, 1.0),)),)}, "of route 0 must be (x, y) pairs"),
-        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "far"),)}, "start_span = 'far' of route 0 must be"),  # type: ignore[arg-type]
-        ({"destination_span": (230.0, 0.0)}, "scenario 'own': route 0 with its spans leaves [-250, 250] m"),
+        ({"routes": (Route((7.0, 25.0, 0.0), ((1.0, 1.0),), "5"),)}, "start_span = '5' of route 0 must be"),  # type: ignore[arg-type]
+        ({"destination_span": (231.0, 0.0)}, "scenario 'own': route 0 with its spans leaves [-250, 250] m"),
         ({"destination_span": 3.0}, "destination_span = 3.0 must be (x, y)"),
         ({"objectives": ("distance", "enrgy")}, "objective 'enrgy' is unknown; known: collision, destination"),
         ({"objectives": ("distanc",)}, "objective 'distanc' is unknown; did you mean 'distance'?"),

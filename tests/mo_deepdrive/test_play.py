@@ -195,6 +195,16 @@ def test_a_restarted_episode_has_the_same_scenario() -> None:
     assert vehicles(human_env).tobytes() == beginning.tobytes()
 
 
+def test_an_episode_that_is_over_is_not_repeated_by_a_restart() -> None:
+    human_env = make_human_env(time_limit=0.5)
+    outcomes = []
+    for _ in range(2):
+        outcomes.append(hold(human_env, UP, decisions=5)[-1]["outcome"])
+        assert human_env.step(pressed(NOTHING, restart=True))[3]
+        human_env.reset()
+    assert [(outcome.episode, outcome.seed) for outcome in outcomes] == [(1, 1), (2, 2)]
+
+
 def test_without_a_seed_the_scenarios_differ_but_can_be_restarted() -> None:
     first, second = make_human_env(), make_human_env()
     starts = []

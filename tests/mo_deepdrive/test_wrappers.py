@@ -91,6 +91,35 @@ def test_vehicles_that_take_turns_have_separate_returns() -> None:
         assert sum(step[1] for step in own) == pytest.approx(expected)
 
 
+def test_the_first_turn_of_a_vehicle_has_no_reward() -> None:
+    env = UtilityReward(mo_gymnasium.make(INTERSECTION), "intersection_nonlinear")
+    for seed in (0, 1):  # the second episode starts anew
+        first, *later = play(env, seed)[1:]
+        assert (first[4]["vehicle"], first[1]) == (1, 0.0)
+        for step in later:
+            assert step[1] == float(env.utility(step[4]["vector_reward"]))
+
+
+def test_a_refused_reset_leaves_the_accrued_reward() -> None:
+    single = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_nonlinear", of="return")
+    parallel = ParallelUtilityReward(mo_deepdrive.parallel_env(), "intersection_nonlinear", of="return")
+    idle = dict.fromkeys(parallel.possible_agents, 0)
+    for env, decision, wrong in (
+        (single, 3, {"destination": "here"}),
+        (parallel, idle, {"starts": "here"}),
+    ):
+        rewards = []
+        for refused in (False, True):
+            env.reset(seed=1)
+            for _ in range(10):
+                env.step(decision)
+            if refused:
+                with pytest.raises(ValueError, match="here"):
+                    env.reset(options=wrong)
+            rewards.append([env.step(decision)[1] for _ in range(3)])
+        assert rewards[0] == rewards[1]
+
+
 def test_other_environments_with_vector_rewards_can_be_wrapped() -> None:
     env = UtilityReward(mo_gymnasium.make("deep-sea-treasure-v0"), "linear", weights=[1.0, 0.5])
     env.reset(seed=0)
@@ -124,11 +153,28 @@ def test_the_wrapped_environment_can_be_made_again_from_its_spec() -> None:
         ({"utility": "one_waypoint_linear", "of": "episode"}, "of = 'episode' must be one of"),
         ({"utility": make_utility("linear", ["a", "b"], weights=[1.0, 1.0])}, "takes"),
         ({"utility": make_utility("linear", list("abcd"), weights=[1.0] * 4), "weights": [1.0] * 4}, "by name"),
+        (
+            {"utility": make_utility("linear", ["destination", "distance", "g_force", "jerk"], weights=[1.0] * 4)},
+            r"takes \('destination', 'distance', .*; the environment has \('distance', 'destination'",
+        ),
     ],
 )
 def test_unsuitable_utilities_are_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), **arguments)
+
+
+class NamedObjectives(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Names the components of a reward."""
+
+    objectives = ("treasure", "time")
+
+
+def test_a_wrapper_may_name_the_objectives() -> None:
+    env = NamedObjectives(mo_gymnasium.make("deep-sea-treasure-v0"))
+    assert UtilityReward(env, "linear", weights={"time": 1.0}).utility.objectives == ("treasure", "time")
+    with pytest.raises(ValueError, match=r"the environment has \('treasure', 'time'\)"):
+        UtilityReward(env, make_utility("linear", ["time", "treasure"], weights=[1.0, 0.0]))
 
 
 def test_an_environment_without_vector_rewards_is_refused() -> None:
@@ -155,7 +201,9 @@ def drive(env: Any, seed: int) -> list[Any]:
     rng = np.random.default_rng(seed)
     steps = []
     while env.agents:
-        steps.append(env.step({agent: int(rng.integers(22)) for agent in env.agents}))
+        # Drawn for all, so that those of one agent do not depend on who is left.
+        actions = dict(zip(env.possible_agents, rng.integers(22, size=len(env.possible_agents)).tolist(), strict=True))
+        steps.append(env.step({agent: actions[agent] for agent in env.agents}))
     return steps
 
 
@@ -182,6 +230,20 @@ def test_everything_but_the_rewards_is_that_of_the_wrapped_parallel_environment(
             assert type(reward) is float
             assert reward == float(utility(vector))
             assert before[4][agent] == after[4][agent]
+
+
+@pytest.mark.parametrize("of", ["reward", "return"])
+def test_a_vehicle_that_stays_after_its_end_has_no_rewards(of: Any) -> None:
+    utility = "intersection_nonlinear"
+    kept = ParallelUtilityReward(mo_deepdrive.parallel_env(keep_finished=True), utility, of)
+    leaving = ParallelUtilityReward(mo_deepdrive.parallel_env(), utility, of)
+    stayed = 0
+    for seed in (3, 4):  # in the second episode it has rewards again
+        for ours, theirs in zip(drive(kept, seed), drive(leaving, seed), strict=True):
+            absent = ours[1].keys() - theirs[1].keys()
+            assert ours[1] == {**theirs[1], **dict.fromkeys(absent, 0.0)}
+            stayed += len(absent)
+    assert stayed > 0
 
 
 def test_agents_may_have_different_utilities_and_weights() -> None:
@@ -212,6 +274,7 @@ def test_the_reward_spaces_of_agents_are_those_of_scalars() -> None:
         ({"vehicle_0": "intersection_linear"}, "utility is missing for 'vehicle_1'"),
         ({"vehicle_2": "intersection_linear"}, "'vehicle_2', which is unknown; did you mean 'vehicle_"),
         (make_utility("linear", ["a"], weights=[1.0]), "takes"),
+        (make_utility("linear", list("abcdef"), weights=[1.0] * 6), "takes"),
     ],
 )
 def test_unsuitable_utilities_of_agents_are_refused(utility: Any, message: str) -> None:

@@ -132,3 +132,17 @@ def test_evaluate_warns_of_a_changed_policy_and_renews_the_record_of_its_own_res
     code, out, error = call("evaluate", run, "--episodes", 2)
     size = (finished / "config.yaml").stat().st_size
     assert (code, error) == (0, f"warning: {run}: config.yaml: {size + 1} bytes, recorded {size}\n"), out
+
+
+def test_the_final_evaluation_is_not_replaced_by_one_of_other_scenarios(
+    finished: Path, tmp_path: Path, call: Call
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(finished, run)
+    before = (run / "evaluation.json").read_bytes()
+    for options in (["--split", "validation"], ["--seed", 9]):
+        refused(call("evaluate", run, *options, "--output", run), "would replace the final evaluation")
+    assert (run / "evaluation.json").read_bytes() == before
+    code, out, error = call("evaluate", run, "--output", run)
+    assert code == 0, out + error
+    assert (run / "evaluation.json").read_bytes() == before

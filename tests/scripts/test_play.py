@@ -191,3 +191,17 @@ def test_an_invisible_window_is_refused_unless_it_is_requested(
     for name, result in (("init", None), ("set_caption", None), ("get_driver", "offscreen")):
         monkeypatch.setattr(pygame.display, name, lambda *_, result=result: result)
     assert "'offscreen'" in no_window(play, capsys)
+
+
+@pytest.mark.parametrize(("role", "seat"), [("strangers_0", 1), ("strangers_1", 0)])
+def test_one_drives_the_vehicle_that_the_run_did_not_learn(
+    play: ModuleType, typing: Typist, capsys: pytest.CaptureFixture[str], role: str, seat: int
+) -> None:
+    typing({2: [(PRESS, pygame.K_ESCAPE)]})
+    against = ["--env", TWO, "--against", f"intersection_linear-mo_ppo-{role}", "--fps", "1000"]
+    assert play.main(against) == 0
+    assert f"vehicle {seat}: arrow keys" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        play.main([*against, "--vehicle", str(1 - seat)])
+    message = f"--vehicle {1 - seat}: RUN learnt to drive vehicle_{1 - seat} alone; drive vehicle {seat}"
+    assert message in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Which runs differ in their seed alone."""
+"""Which runs differ in their seed alone, and which have comparable scores."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from algorithms.evaluation.seed_groups import group_by_experiment, identifying_settings
+from algorithms.evaluation.seed_groups import distinct_labels, group_by_experiment, identifying_settings, task_settings
 
 CONFIG: dict[str, Any] = {
     "environment": {"id": "a-v0", "arguments": {"time_limit": 60.0}},
@@ -81,3 +81,29 @@ def test_the_order_of_keys_does_not_matter() -> None:
 def test_a_repeated_seed_is_refused_naming_both_runs() -> None:
     with pytest.raises(ValueError, match="runs 'run0' and 'run2' are the same experiment with the same seed, 0"):
         groups(CONFIG, changed("training.seed", 1), changed("training.device", "cuda"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "comparable"),
+    [
+        ("environment.arguments", {"time_limit": 30.0}, False),
+        ("utility.arguments", {"weights": [1.0, 2.0]}, False),
+        ("evaluation.gamma", 1.0, False),
+        ("evaluation.reference_point", [0.0, 0.0], False),
+        ("algorithm.name", "a2c", True),
+        ("training.total_timesteps", 2000, True),
+    ],
+)
+def test_scores_are_comparable_in_one_environment_under_one_utility(key: str, value: Any, comparable: bool) -> None:
+    assert (task_settings(CONFIG) == task_settings(changed(key, value))) is comparable
+
+
+def test_sections_of_one_name_are_told_apart_by_what_differs() -> None:
+    sections: list[Any] = [
+        {"name": "linear", "arguments": {"weights": [100, 1], "scale": 2}},
+        {"name": "linear", "arguments": {"weights": [1, 1], "scale": 2}},
+        {"name": "owa", "arguments": {"weights": [1, 1]}},
+        None,
+    ]
+    found = distinct_labels(sections, lambda section: section["name"] if section else "")
+    assert found == ["linear weights=[100, 1]", "linear weights=[1, 1]", "owa", ""]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -48,6 +49,41 @@ def test_device_threads_and_logging_are_not_compared(tmp_path: Path) -> None:
     assert differences(first, second) == []
     second["algorithm"]["gamma"] = 0.5
     assert differences(first, second) == ["algorithm.gamma = 0.99 there, 0.5 wanted"]
+
+
+def with_device(wanted: Job, device: str) -> Job:
+    """The same job on another device, which this machine need not have."""
+    values = wanted.experiment.to_dict()
+    values["training"]["device"] = device
+    return replace(wanted, experiment=make_experiment(values, here=False))
+
+
+def test_a_run_that_was_started_takes_over_device_and_logging_but_not_threads(tmp_path: Path) -> None:
+    wanted = job(tmp_path, threads=1)
+    Run.create(with_device(wanted, "cuda:99").experiment, wanted.path).unlock()
+    changed = job(tmp_path, threads=2).experiment
+    logging = changed.logging.model_copy(update={"checkpoint_interval": 77})
+    changed = changed.model_copy(update={"logging": logging})
+    assert perform(replace(wanted, experiment=changed), stop=lambda: True) == "stopped"
+    experiment = Run.open(wanted.path).experiment
+    assert (experiment.training.device, experiment.training.threads) == ("cpu", 1)
+    assert experiment.logging.checkpoint_interval == 77
+    before = (wanted.path / "config.yaml").stat()
+    assert perform(replace(wanted, experiment=changed)) == "trained"
+    assert (wanted.path / "config.yaml").stat() == before
+
+
+def test_a_run_with_a_checkpoint_stays_on_its_kind_of_device(tmp_path: Path) -> None:
+    wanted = job(tmp_path)
+    assert perform(wanted, stop=lambda: True) == "stopped"
+    assert perform(with_device(wanted, "cuda:99"), stop=lambda: True) == "stopped"
+    assert Run.open(wanted.path).experiment.training.device == "cpu"
+    config = wanted.path / "config.yaml"
+    config.write_text(config.read_text().replace("device: cpu", "device: cuda:98"))
+    with pytest.raises(ValueError, match=r"training\.device = 'cuda:98' does not exist"):
+        perform(wanted)
+    with pytest.raises(ValueError, match=r"training\.device = 'cuda:99' does not exist"):
+        perform(with_device(wanted, "cuda:99"))
 
 
 @pytest.mark.slow

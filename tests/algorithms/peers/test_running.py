@@ -16,6 +16,7 @@ from algorithms.experiments.progress_bar import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front, prepare, run_peer
+from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task
 
 if TYPE_CHECKING:
@@ -47,6 +48,9 @@ def test_the_run_of_a_peer_has_the_same_files_as_other_runs(
     assert about["wall_clock"] > 0.0
     assert about["evaluated_policies"] == 3
     assert about["policies"]["front"]["hypervolume"]["value"] > 0.0
+    quiet = Run.create(load_experiment(front_config, ["--logging.save_figures=false"]), tmp_path / "quiet")
+    run_peer(quiet, make_console())
+    assert not {"curves.png", "video.mp4"} & {path.name for path in quiet.path.iterdir()}
     names = {"front.csv", "fronts.csv", "metrics.csv", "curves.png", "scatter.png", "peer.log", "config.yaml"}
     assert names <= {path.name for path in run.path.iterdir()}
     assert run.status["state"] == "finished"
@@ -69,6 +73,24 @@ def test_a_peer_that_is_not_installed_is_refused_before_training(
     monkeypatch.setitem(PEERS, "morl_baselines.pcn", missing)
     with pytest.raises(ValueError, match="cannot run here: ModuleNotFoundError"):
         prepare(load_experiment(front_config), lambda step, metrics: None)
+
+
+def test_a_peer_learns_the_utility_of_its_vehicle_and_refuses_guides_and_partners(
+    front_config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peer = replace(PEERS["stable_baselines3.ppo"], path="json:loads", package="numpy")
+    monkeypatch.setitem(PEERS, "stable_baselines3.ppo", peer)
+    own = ["--algorithm.name=stable_baselines3.ppo", "--utility.name=one_waypoint_linear"]
+    own += ["--utility.vehicles.vehicle_0.name=one_waypoint_nonlinear"]
+    task = prepare(load_experiment(front_config, own), lambda step, metrics: None)
+    assert task.utility is not None
+    assert float(task.utility(np.array([0.0, 1.0, 0.0, 0.0]))) == float(
+        make_utility("one_waypoint_nonlinear", task.env.objectives)(np.array([0.0, 1.0, 0.0, 0.0]))
+    )
+    for key, value in (("guides", {"vehicle_0": {"driver": "gap_6"}}), ("partners", {"vehicle_1": ["gap_6"]})):
+        given = load_experiment(front_config, [*own, f"--training.{key}={json.dumps(value)}"])
+        with pytest.raises(ValueError, match=rf"training\.{key}: algorithm 'stable_.*' cannot train with {key}"):
+            prepare(given, lambda step, metrics: None)
 
 
 @pytest.mark.slow

@@ -199,6 +199,51 @@ def test_scores_that_cannot_be_compared_have_separate_panels(make: Make) -> None
     }
 
 
+def test_scores_under_other_arguments_have_separate_panels_that_name_them() -> None:
+    def group(algorithm: str, size: int = 8, weight: int = 1, gamma: float = 0.99, split: str = "test") -> CurveGroup:
+        config = {
+            "environment": {"id": "theirs-v0", "arguments": {"size": size}},
+            "utility": {"name": "linear", "arguments": {"weights": [weight, 1]}, "vehicles": {}},
+            "algorithm": {"name": algorithm},
+            "evaluation": {"gamma": gamma, "reference_point": None, "split": split},
+        }
+        return CurveGroup(algorithm, config, made_up(algorithm, [1.0]).runs)
+
+    def panels(other: CurveGroup) -> dict[str, tuple[int, ...]]:
+        return {panel.title: panel.groups for panel in curve_panels([group("ppo"), other])}
+
+    assert panels(group("mo_ppo")) == {"Utility per episode": (0, 1)}
+    assert panels(group("mo_ppo", weight=9)) == {
+        "Utility: linear weights=[1, 1]": (0,),
+        "Utility: linear weights=[9, 1]": (1,),
+    }
+    assert panels(group("mo_ppo", size=9)) == {"Utility: theirs-v0 size=8": (0,), "Utility: theirs-v0 size=9": (1,)}
+    assert panels(group("mo_ppo", gamma=1.0)) == {"Utility: gamma=0.99": (0,), "Utility: gamma=1.0": (1,)}
+    assert panels(group("mo_ppo", split="validation")) == {"Utility per episode": (0, 1)}, "of the final scores alone"
+
+
+def test_runs_with_one_vehicle_are_drawn_beside_runs_with_two() -> None:
+    names = {
+        "a2c": ["utility_esr", "success"],
+        "mo_a2c": ["success", *(f"vehicle_{v}/{name}" for v in (0, 1) for name in ("utility_esr", "success"))],
+    }
+    groups = []
+    for algorithm, metrics in names.items():
+        columns = {f"eval/greedy/{name}": np.ones(1) for name in metrics}
+        groups.append(CurveGroup(algorithm, made_up(algorithm).config, ({"step": np.zeros(1), **columns},)))
+    assert [(panel.title, panel.groups) for panel in curve_panels(groups)] == [
+        ("Utility per episode", (0,)),
+        ("Arrival rate", (0,)),
+        ("Vehicle 0: utility per episode", (1,)),
+        ("Vehicle 0: arrival rate", (1,)),
+        ("Vehicle 1: utility per episode", (1,)),
+        ("Vehicle 1: arrival rate", (1,)),
+        ("All vehicles: arrival rate", (1,)),
+    ]
+    every = sorted({name for group in groups for columns in group.runs for name in columns} - {"step"})
+    assert drawn(every, groups[0].config) == every
+
+
 def test_metrics_that_are_drawn_can_be_selected(make: Make) -> None:
     (group,) = load_groups([make("a")])
     names = ["step", "eval/greedy/success", "loss/policy", "train/utility", "eval/greedy/max_jerk"]

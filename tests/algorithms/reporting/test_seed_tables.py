@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.common.yaml_io import dump
+from algorithms.common.yaml_io import dump, read_mapping
+from algorithms.evaluation.episodes import Evaluation
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting.seed_tables import (
     comparison_table,
     environment_label,
+    find_runs,
     group_runs,
     print_runs,
     scores_table,
@@ -65,6 +69,82 @@ def test_algorithms_are_in_the_order_of_figures_and_compared_with_the_ones_befor
         *("mo_a2c - a2c", "ppo - a2c", "mo_ppo - a2c"),
         *("ppo - mo_a2c", "mo_ppo - mo_a2c", "mo_ppo - ppo"),
     ]
+
+
+def make_pair(folder: Path, ppo: dict[str, Any], mo_ppo: dict[str, Any]) -> None:
+    """Two runs of PPO and two of MO-PPO, with final utilities, whose configs have other keys as given."""
+    for name, sections in (("ppo", ppo), ("mo_ppo", mo_ppo)):
+        for seed in range(2):
+            path = folder / f"{name}-{seed}"
+            make_run(path, seed, name)
+            config = read_mapping(path / "config.yaml")
+            for section, values in sections.items():
+                config[section] |= values
+            (path / "config.yaml").write_text(dump(config))
+            scores = {"utility_esr": {"value": 1.0 + seed, "low": None, "high": None}}
+            (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+
+
+@pytest.mark.parametrize(
+    ("ppo", "mo_ppo", "column", "labels"),
+    [
+        (
+            {"utility": {"arguments": {"weights": [100, 1, 0, 0]}}},
+            {"utility": {"arguments": {"weights": [1, 1, 0, 0]}}},
+            "utility",
+            ["one_waypoint_linear weights=[1, 1, 0, 0]", "one_waypoint_linear weights=[100, 1, 0, 0]"],
+        ),
+        (
+            {"environment": {"id": "theirs-v0", "arguments": {"size": 8, "wind": 1}}},
+            {"environment": {"id": "theirs-v0", "arguments": {"size": 9, "wind": 1}}},
+            "environment",
+            ["theirs-v0 size=8", "theirs-v0 size=9"],
+        ),
+        ({"evaluation": {"split": "validation"}}, {"evaluation": {"split": "test"}}, "environment", [ONE, ONE]),
+    ],
+)
+def test_runs_of_different_tasks_are_not_compared(
+    tmp_path: Path, ppo: dict[str, Any], mo_ppo: dict[str, Any], column: str, labels: list[str]
+) -> None:
+    make_pair(tmp_path, ppo, mo_ppo)
+    groups = group_runs([tmp_path], pytest.fail)
+    assert [group.task[column] for group in groups] == labels
+    assert len(comparison_table(groups)) == 1
+
+
+def test_a_comparison_after_different_numbers_of_steps_says_so(tmp_path: Path) -> None:
+    make_pair(tmp_path, {"training": {"total_timesteps": 5000}}, {})
+    header, row = comparison_table(group_runs([tmp_path], pytest.fail))
+    found = dict(zip(header, row, strict=True))
+    assert (found["difference"], found["steps"]) == ("mo_ppo - ppo", "1000 against 5000")
+
+
+def test_where_only_some_seeds_have_arrivals_the_others_have_none(tmp_path: Path) -> None:
+    # Another library's environment whose episodes have no info["end"]: only a success tells that it reports them.
+    for seed in range(5):
+        make_run(tmp_path / str(seed), seed)
+        evaluation = Evaluation(
+            objectives=("distance",),
+            utilities=(),
+            returns=np.zeros((10, 1, 1)),
+            discounted=np.zeros((10, 1, 1)),
+            lengths=np.ones((10, 1), dtype=np.int64),
+            succeeded=np.full((10, 1), seed == 3),
+            ends=np.full((10, 1), None),
+            largest=np.zeros((10, 1, 1)),
+        )
+        scores = {name: asdict(estimate) for name, estimate in evaluation.estimates().items()}
+        (tmp_path / str(seed) / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    header, row = scores_table(group_runs([tmp_path], pytest.fail))
+    assert float(dict(zip(header, row, strict=True))["success"].split()[0]) == pytest.approx(0.2)
+
+
+def test_files_below_a_run_are_no_runs(tmp_path: Path) -> None:
+    make_run(tmp_path / "run", 0)
+    of_wandb = tmp_path / "run/wandb/run-1/files"
+    of_wandb.mkdir(parents=True)
+    (of_wandb / "config.yaml").write_text("_wandb: {}")
+    assert find_runs([tmp_path]) == find_runs([tmp_path / "run"]) == [tmp_path / "run"]
 
 
 def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: Path) -> None:

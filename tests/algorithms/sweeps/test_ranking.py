@@ -82,6 +82,12 @@ def test_utilities_are_summed_over_vehicles(tmp_path: Path) -> None:
     assert [one.score(cell) for cell in one.cells] == [3.0, 1.0]
 
 
+def test_cells_of_different_splits_are_not_ranked_together(tmp_path: Path, base: dict[str, Any]) -> None:
+    make_sweep(tmp_path, [make_row(base, {"evaluation.split": split}, 0) for split in ("validation", "test")])
+    collection = collect(tmp_path)
+    assert [len(each.cells) for each in rank(collection.cells, collection.scores.collect())] == [1, 1]
+
+
 def test_rankings_with_equal_titles_also_show_their_keys(tmp_path: Path, base: dict[str, Any]) -> None:
     cells = [{"evaluation.gamma": gamma, "algorithm.steps": steps} for gamma in (0.9, 1.0) for steps in (8, 16)]
     make_sweep(tmp_path, [make_row(base, cell, 0) for cell in cells])

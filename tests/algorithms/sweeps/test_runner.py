@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -12,8 +13,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
+from algorithms.commands.reproduce import main as reproduce
+from algorithms.reproduction import pipeline
 from algorithms.sweeps.manifest import read_manifest
-from algorithms.sweeps.runner import Backend, SweepRunner
+from algorithms.sweeps.runner import Backend, SweepRunner, available_cores
 from algorithms.sweeps.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
 
@@ -188,6 +191,29 @@ def test_failed_points_of_a_search_are_repeated_only_while_no_later_points_depen
     assert again.said.getvalue().count("made to fail") == 2
 
 
+def test_failed_points_of_a_random_search_are_all_repeated(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    file, sweep = write_sweep(tmp_path, search={**SEARCH, "sampler": "random"}), tmp_path / "sweep"
+    assert MadeUpRuns(sweep, file, 0, 3, 5).run() == 1
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert again.batches == [[ids(sweep)[i] for i in (0, 3, 5)]]
+
+
+def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_have_reached(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    file = write_sweep(tmp_path, search=SEARCH, grid={"algorithm.gamma": [0.9, 0.99]})
+    sweep = tmp_path / "sweep"
+    MadeUpRuns(sweep, file, wait=False).run()
+    behind = read_manifest(sweep)[-1]
+    (sweep / behind.directory / "status.json").write_text('{"state": "failed", "reason": "made to fail"}')
+    MadeUpRuns(sweep, file, name="manifest").run()
+    assert [row.cell["algorithm.gamma"] for row in read_manifest(sweep)] == [0.9] * 4 + [0.99] * 2
+    again = MadeUpRuns(sweep, file)
+    assert again.run() == 0
+    assert behind.id in again.batches[0]
+
+
 @pytest.mark.parametrize("search", [None, SEARCH])
 def test_the_manifest_of_another_sweep_is_not_verified(tmp_path: Path, search: dict[str, Any] | None) -> None:
     MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, grid={RATE: [0.1, 0.2]})).run()
@@ -222,3 +248,15 @@ def test_a_manifest_that_names_code_is_not_opened(
         with pytest.raises(ValueError, match=message):
             start()
     assert not (tmp_path / "imported").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs the affinity of processes")
+def test_sweeps_and_reproductions_count_the_cores_that_the_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 4, 5})
+    assert available_cores() == 3
+    given: list[pipeline.ReproductionOptions] = []
+    monkeypatch.setattr(pipeline, "reproduce", lambda plan, options, console: given.append(options) or 0)
+    assert reproduce([]) == 0
+    assert reproduce(["--workers", "7"]) == 0
+    assert [options.workers for options in given] == [3, 7]

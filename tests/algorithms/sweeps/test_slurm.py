@@ -245,6 +245,49 @@ def test_a_task_that_was_stopped_requeues_itself_unless_it_was_cancelled(
     assert fake.calls("scontrol") == ([["scontrol", "requeue", "4_1"]] if requeued else [])
 
 
+# ------------------------------------------------------------------------------------------------------ without waiting
+
+
+def fail(job: Job) -> None:
+    """Leave what a run leaves that fails."""
+    job.path.mkdir(parents=True, exist_ok=True)
+    (job.path / "status.json").write_text('{"state": "failed", "reason": "made to fail"}')
+
+
+def test_without_waiting_a_search_goes_on_without_runs_that_failed(tmp_path: Path, fake: FakeSlurm) -> None:
+    pytest.importorskip("optuna")
+    space = {"algorithm.learning_rate": {"low": 1e-4, "high": 1e-2}}
+    search = {"space": space, "metric": "greedy/utility_esr", "trials": 4, "batch": 2}
+    settings = load_sweep(write_sweep(tmp_path, search=search))
+    fake.after_submission = lambda submitted: fake.states.update(dict.fromkeys(submitted, "RUNNING"))
+
+    def submit() -> int:
+        return runner.SweepRunner(settings, tmp_path, runner.Backend("slurm", wait=False), quiet()).run()
+
+    assert submit() == 0
+    first, second = (row.job(tmp_path) for row in read_manifest(tmp_path))
+    fail(first)
+    assert submit() == 0  # its job has not ended and may repeat it
+    fake.states["1_0"] = "COMPLETED"
+    assert submit() == 1
+    assert len(fake.arrays) == 1  # the second run of the batch has not ended
+    fail(second)
+    fake.states["1_1"] = "COMPLETED"
+    assert submit() == 1
+    assert [[task.jobs[0].id for task in array] for array in fake.arrays] == [
+        [first.id, second.id],
+        [row.id for row in read_manifest(tmp_path)[2:]],
+    ]
+
+
+def test_without_waiting_a_sweep_without_search_submits_failed_runs_again(tmp_path: Path, fake: FakeSlurm) -> None:
+    settings = load_sweep(write_sweep(tmp_path, grid={}))
+    (job,) = jobs_of(settings, tmp_path)
+    fail(job)
+    assert run_on_slurm(settings, [job], tmp_path, wait=False) == {}
+    assert len(fake.arrays) == 1
+
+
 # ------------------------------------------------------------------------------------------------------------- messages
 
 

@@ -639,6 +639,13 @@ def test_reset_options_without_a_valid_scenario_are_refused(make_single: Make, w
     assert_refuses(env, lambda: env.reset(options=options), ValueError, message)
 
 
+@pytest.mark.parametrize(("turned", "end"), [(130, None), (140, "backwards"), (180, "backwards")])
+def test_a_start_that_faces_away_ends_in_the_first_decision(make_single: Make, turned: int, end: str | None) -> None:
+    env = make_single("one_waypoint")
+    env.reset(options={"start": (7.0, 25.0, math.radians(turned)), "destination": (7.0, 45.0)})
+    assert env.step(0)[4].get("end") == end
+
+
 def test_one_waypoint_has_no_bicycle_option(make_single: Make) -> None:
     env = make_single()
     env.reset(seed=0)

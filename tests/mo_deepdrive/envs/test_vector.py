@@ -221,6 +221,14 @@ def test_two_threads_give_the_results_of_one(make_vector: Make, scenario: str, a
     assert episodes(expected) > 7
 
 
+def test_the_first_reset_seeds_all_worlds_whatever_its_options(make_vector: Make) -> None:
+    plain, pinned = make_vector("one_waypoint", 3), make_vector("one_waypoint", 3)
+    mask = {"reset_mask": np.array([True, False, True])}
+    plain.reset(seed=5, options=mask)
+    pinned.reset(seed=5, options={**mask, "destination": [0.0, 20.0]})
+    assert pinned.np_random_seed == plain.np_random_seed == (5, 6, 7)
+
+
 def workers() -> set[threading.Thread]:
     return {thread for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")}
 
@@ -386,9 +394,10 @@ def test_an_invalid_array_of_a_state_is_refused(make_vector: Make, name: str, ar
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_copy_of_a_vector_environment_continues_exactly(make_vector: Make, scenario: str, how: Any) -> None:
-    env = make_vector(scenario, 4, threads=2, time_limit=1.0)
+    env = make_vector(scenario, 4, threads=2, time_limit=1.0, render_mode="rgb_array")
     actions = sticky_actions(env, 80, seed=9)
     rollout(env, actions[:25], seed=9)
+    env.render()
     twin = how(env)
     rest = [env.step(action) for action in actions[25:]]
     assert_equal([twin.step(action) for action in actions[25:]], rest)
@@ -638,6 +647,22 @@ def test_a_step_before_the_first_reset_is_refused(make_vector: Make, scenario: s
     env.step(env.action_space.sample())
 
 
+def test_a_vehicle_that_was_never_placed_has_not_acted(make_vector: Make) -> None:
+    env = make_vector("intersection", 2)
+    env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+    idle = np.zeros((2, 2), dtype=np.int64)
+    assert env.step(idle)[4]["acted"].tolist() == [[True, True], [False, False]]
+    assert env.step(idle)[4]["acted"].all()
+
+
+def test_a_later_reset_leaves_a_transition_as_it_was(make_vector: Make) -> None:
+    env = make_vector("one_waypoint", 2, autoreset_mode="Disabled", time_limit=0.1)
+    env.reset(seed=0)
+    taken = env.advance(np.zeros((2, 1), dtype=np.int64))
+    env.reset()
+    assert taken.over.all()
+
+
 @pytest.mark.parametrize("look", ["np_random", "np_random_seed", "get_state"])
 def test_reading_an_environment_does_not_replace_its_first_reset(make_vector: Make, look: str) -> None:
     env = make_vector("one_waypoint", 2)
@@ -708,8 +733,11 @@ def test_an_invalid_reset_is_refused_and_no_world_changes(make_vector: Make, wha
     action = env.action_space.sample()
     env.step(action)
     twin = copy.deepcopy(env)
-    with pytest.raises(ValueError, match=message):
-        env.reset(options=options)
+    for seed in (None, 7):
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=seed, options=options)
+        assert_equal(env.get_state(), twin.get_state())
+        assert env.np_random_seed == twin.np_random_seed == (0, 1)
     assert env.telemetry() == twin.telemetry()
     assert_equal(env.step(action), twin.step(action))
 
