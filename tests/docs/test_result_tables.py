@@ -389,7 +389,7 @@ def peers_compared(task: str, scores: tuple[str, str], times: float, row: Row) -
     steps = row["steps"].replace(",", "")
     runs = matching("peer_comparison.csv", task=task, learner=row["learner"].strip("`"), steps=steps)
     tuned = {run["rate"]: float(run["first"]) for run in runs if run["seed"] == "100"}
-    final = [run for run in runs if run["seed"] != "100"]
+    final = sorted((run for run in runs if run["seed"] != "100"), key=lambda run: int(run["seed"]))
     assert {run["rate"] for run in final} == {max(tuned, key=lambda rate: tuned[rate])}
     assert len(final) == 5
     return {
