@@ -130,7 +130,8 @@ def test_a_human_can_play_against_a_policy_by_name(
     options = play.parse_arguments(
         ["--env", INTERSECTION, "--against", "intersection-mo_ppo", "--vehicle", "1"], INSTALLED
     )
-    env, agent = play.open_environment(options)
+    env, agent, seats = play.open_environment(options)
+    assert seats == [1]
     assert env.config.time_limit == 3
     assert_same_episodes(whole_agent(run), agent, run.experiment)
     assert contents(home) == before
