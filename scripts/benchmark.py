@@ -77,6 +77,7 @@ from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from algorithms.sweeps.collection import FOLDER as COLLECTED
 from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
+from algorithms.sweeps.runner import available_cores
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
@@ -498,7 +499,7 @@ def compare(parser: ArgumentParser, arguments: Namespace) -> None:
         names = paired_benchmark.select(arguments.only, paired_benchmark.TRAINING)
     except ValueError as error:
         parser.error(str(error))
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = available_cores()
     if not 2 <= arguments.threads <= cores:
         parser.error(f"--threads {arguments.threads} must be from 2 to {cores}, the number of cores")
     compare_threads(arguments.threads, names, pairs, arguments.output)
@@ -534,7 +535,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if arguments.sweep:
         rows = listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
     else:
-        rows = measure(repetitions, training_steps, sweep_runs, with_threads=(os.cpu_count() or 1) > 1)
+        rows = measure(repetitions, training_steps, sweep_runs, with_threads=available_cores() > 1)
     table = Table("measurement", "value", "unit", "goal")
     for row in rows:
         table.add_row(row.name, f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}", row.unit, row.target)

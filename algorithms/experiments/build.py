@@ -19,12 +19,12 @@ from algorithms.evaluation.metrics import vehicle_name
 from algorithms.evaluation.team import Population, check_same_task
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
-from algorithms.experiments.run_directory import Run
+from algorithms.experiments.run_directory import Run, imported_paths
 from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from gymnasium.vector import VectorEnv
 
@@ -97,7 +97,14 @@ def load_policy(run: Run, *, partners: bool = True) -> Any:
 
 
 def open_driver(
-    name: str, vehicle: int, env: EnvAdapter, action_type: str, *, device: str = "cpu", trust: bool = False
+    name: str,
+    vehicle: int,
+    env: EnvAdapter,
+    action_type: str,
+    *,
+    device: str = "cpu",
+    trust: bool = False,
+    imports: Collection[str] | None = None,
 ) -> Policy:
     """The driver of a vehicle.
 
@@ -109,6 +116,7 @@ def open_driver(
         action_type: of that environment: "discrete", "discrete-16" or "continuous".
         device: of its networks.
         trust: as for :meth:`Run.open`.
+        imports: as for :meth:`Run.open`.
 
     Raises:
         ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
@@ -120,7 +128,7 @@ def open_driver(
         if driver.vehicle != vehicle:
             raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")
         return ScriptedPolicy(env, vehicle, driver)
-    run = Run.open(name, device=device, trust=trust)
+    run = Run.open(name, device=device, trust=trust, imports=imports)
     if not run.experiment.known_utility:
         raise ValueError(f"{name!r} is a front of policies, not one that drives")
     if vehicle_name(vehicle) in run.experiment.training.partners:
@@ -133,11 +141,15 @@ def open_driver(
     return agent  # type: ignore[no-any-return]  # an algorithm of any class
 
 
-def open_population(
-    names: Sequence[str], vehicle: int, env: EnvAdapter, action_type: str, *, device: str = "cpu"
-) -> Population:
-    """Drivers that take turns in driving a vehicle; arguments and errors are those of :func:`open_driver`."""
-    members = [open_driver(name, vehicle, env, action_type, device=device) for name in names]
+def open_population(names: Sequence[str], vehicle: int, env: EnvAdapter, experiment: Experiment) -> Population:
+    """Drivers that take turns in driving a vehicle of an experiment, which may import what its config names.
+
+    The other arguments and errors are those of :func:`open_driver`.
+    """
+    action_type = str(experiment.environment.arguments.get("action_type", "discrete"))
+    device = experiment.training.device  # that of the generator by which they act
+    imports = imported_paths(experiment.to_dict()).values()
+    members = [open_driver(name, vehicle, env, action_type, device=device, imports=imports) for name in names]
     return Population(members, vehicle, [_digest(name) for name in names])
 
 
@@ -150,7 +162,7 @@ def _digest(name: str) -> str:
     """What identifies a driver wherever its files are: the name of a script, the hash of a checkpoint."""
     if name.startswith(PREFIX):
         return name
-    return hashlib.sha256(Run.open(name, device="cpu").checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
+    return hashlib.sha256(Run.open(name, device="cpu", trust=True).checkpoint.read_bytes()).hexdigest()[:DIGEST_LENGTH]
 
 
 def make_environment(settings: EnvironmentSettings, num_envs: int) -> VectorEnv:
@@ -187,15 +199,12 @@ def _make_partners(
     indices = _vehicles_named(settings, "training.partners", adapter)
     if len(settings) == adapter.vehicles:
         raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(settings)}: none is left to learn")
-    found, device = {}, experiment.training.device  # that of the generator by which they act
+    found = {}
     for (name, drivers), v in zip(settings.items(), indices, strict=True):
         if not drivers:
             raise ValueError(f"training.partners.{name} = [] must name at least one driver")
         try:
-            action_type = _action_type(experiment)
-            found[v] = (
-                idle(v, adapter) if idle_only else open_population(drivers, v, adapter, action_type, device=device)
-            )
+            found[v] = idle(v, adapter) if idle_only else open_population(drivers, v, adapter, experiment)
         except ValueError as error:
             raise ValueError(f"training.partners.{name}: {error}") from None
     return found
@@ -210,8 +219,7 @@ def _make_guides(experiment: Experiment, algorithm: type[Agent], adapter: EnvAda
     found = []
     for (name, each), v in zip(settings.items(), indices, strict=True):
         try:
-            device = experiment.training.device
-            driver = open_population([each.driver], v, adapter, _action_type(experiment), device=device)
+            driver = open_population([each.driver], v, adapter, experiment)
         except ValueError as error:
             raise ValueError(f"training.guides.{name}: {error}") from None
         found.append(Guide(driver, each, adapter.num_envs))
@@ -225,10 +233,6 @@ def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list
         if name not in vehicles:
             raise ValueError(f"{key} has {name!r}; {nearest(name, vehicles)}")
     return [vehicles.index(name) for name in names]
-
-
-def _action_type(experiment: Experiment) -> str:
-    return str(experiment.environment.arguments.get("action_type", "discrete"))
 
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:

@@ -19,7 +19,7 @@ from algorithms.experiments.registry import directory_name, find_trained_policy
 from algorithms.experiments.run_files import RESULTS, record_files
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
 if os.name == "posix":
     import fcntl
@@ -128,13 +128,16 @@ class Run:
         return run
 
     @classmethod
-    def open(cls, path: str | Path, *, device: str | None = None, trust: bool = False) -> Run:
+    def open(
+        cls, path: str | Path, *, device: str | None = None, trust: bool = False, imports: Collection[str] | None = None
+    ) -> Run:
         """The run in an existing directory; or a policy of the zoo, which consists of a run's config and policy.
 
         Args:
             path: the directory, or the name of the policy.
             device: replaces the device of the experiment if it is not None.
             trust: allow a config.yaml that names code to import (:func:`imported_paths`).
+            imports: for a run that drives in another one: what the config of that one names, which is allowed anyway.
 
         Raises:
             ValueError: if neither exists, its config.yaml is not valid, or it names code and is not trusted.
@@ -150,10 +153,12 @@ class Run:
             raise ValueError(f"{str(path)!r} is not a run directory: it has no config.yaml")
         values = read_mapping(config)
         for key, name in imported_paths(values).items() if not trust else ():
-            raise ValueError(
-                f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; "
-                "add --trust if you trust whoever made the run"
-            )
+            if name in (imports or ()):
+                continue
+            advice = "add --trust if you trust whoever made the run"
+            if imports is not None:
+                advice = "a run that drives in another may import only what that one's own config names"
+            raise ValueError(f"{str(config)!r} has {key} = {name!r}, code that would be imported and run; {advice}")
         if device is not None and isinstance(values.get("training"), dict):
             values["training"]["device"] = device
         return cls(path, make_experiment(values, f"experiment {str(config)!r}"))

@@ -247,7 +247,7 @@ def test_a_guide_observes_rewards_that_are_accrued_as_here() -> None:
 
 def test_a_trained_pair_may_be_the_guide() -> None:
     env = EnvAdapter(make_env(INTERSECTION, 4))
-    driver = open_population(["intersection_linear-ppo"], 0, env, "discrete")
+    driver = open_population(["intersection_linear-ppo"], 0, env, experiment_with({}))
     agent = agent_with(Guide(driver, GuideSettings(driver="intersection_linear-ppo"), 4), 4, hidden=[16], steps=8)
     agent.train(64)
     assert agent.step == 64

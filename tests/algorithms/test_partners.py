@@ -32,7 +32,7 @@ def experiment_with(partners: Any, algorithm: str = "ppo", **training: Any) -> A
     return pair_experiment(algorithm, partners=partners, **training)
 
 
-@pytest.mark.parametrize("name", ["ppo", "mo_ppo", "a2c", "mo_a2c"])
+@pytest.mark.parametrize("name", ["ppo", "mo_ppo", "a2c", "mo_a2c", "mocac", "mappo"])
 def test_one_vehicle_learns_and_the_other_is_driven(name: str) -> None:
     experiment = experiment_with(PARTNERS, name)
     agent = build(experiment)
@@ -95,6 +95,29 @@ def test_a_run_drives_the_vehicle_that_it_learnt_whatever_became_of_its_partners
         open_driver(str(role.path), 1, env, "discrete")
     with pytest.raises(ValueError, match=r"training.partners.vehicle_1: checkpoint .* cannot be read"):
         load_policy(role)
+
+
+def test_a_partner_may_import_only_what_the_experiment_itself_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "partner_code.py").write_text(
+        "def mine(r):\n    return r[..., 0]\n\n\ndef other(r):\n    return r[..., 0]\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def naming(function: str, **training: Any) -> Any:
+        values = experiment_with(training.pop("partners", {}), **training).to_dict()
+        return make_experiment(values | {"utility": {"name": f"partner_code:{function}"}})
+
+    mine = saved_run(tmp_path / "mine", naming("mine"))
+    assert build(naming("mine", partners={"vehicle_1": [str(mine.path)]})).learners[0].vehicle == 0
+    refused = r"training.partners.vehicle_1: .*utility.name = 'partner_code:mine', code that .*; a run that drives in"
+    for experiment in (
+        naming("other", partners={"vehicle_1": [str(mine.path)]}),
+        experiment_with({"vehicle_1": [str(mine.path)]}),
+    ):
+        with pytest.raises(ValueError, match=refused):
+            build(experiment)
 
 
 @pytest.mark.parametrize(
@@ -169,5 +192,7 @@ def test_partners_are_on_the_device_of_the_run(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(Run, "open", record)
     env = EnvAdapter(make_env(INTERSECTION, 4, {"time_limit": 6.0}))
-    open_population(ZOO[:1], 1, env, "discrete", device="cuda")
+    experiment = experiment_with({})
+    on_a_gpu = {"training": experiment.training.model_copy(update={"device": "cuda"})}
+    open_population(ZOO[:1], 1, env, experiment.model_copy(update=on_a_gpu))
     assert opened[0] == "cuda"
