@@ -296,9 +296,7 @@ class ActorCritic(Agent):
         guides = self.guides.identity()
         return {
             **super().identity(),
-            "hidden": list(self.config.hidden),
-            "activation": self.config.activation,
-            "network": self.config.network,
+            **self.config.identity(continuous=self.env.continuous),
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
             **self._units(),

@@ -43,6 +43,9 @@ v(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that 
 by one preference then learn under another what moving on is worth; a network that stands still under costly preferences
 seldom finds out by itself (docs/learning.md has measurements).
 
+With continuous actions the standard deviations of pi, too, depend on S_t: what one preference has to explore, another
+pays for without gaining by it.
+
 The front consists of the greedy policies under a fixed sample of preferences, from the distribution of training.
 
 A. Abels, D. M. Roijers, T. Lenaerts, A. Nowé, D. Steckelmacher, "Dynamic weights in multi-objective deep reinforcement
@@ -59,7 +62,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import torch
@@ -156,6 +159,9 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
     entropy_until: PositiveFraction = 1.0
     value_coefficient: Positive = 0.5
     max_grad_norm: Positive = 0.5
+    state_dependent_std: bool = True
+
+    new_defaults: ClassVar[dict[str, Any]] = {**NetworkSettings.new_defaults, "state_dependent_std": True}
 
     @model_validator(mode="after")
     def _consistent(self) -> ConditionedMOPPOConfig:
@@ -486,9 +492,7 @@ class ConditionedMOPPO(FrontAgent):
         return {
             **super().identity(),
             **({GUIDES: guides} if guides else {}),
-            "hidden": list(config.hidden),
-            "activation": config.activation,
-            "network": config.network,
+            **config.identity(continuous=self.env.continuous),
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
             "budgets": dict(config.budgets),

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from algorithms.common.hyperparameters import NetworkSettings
 
 LOG_TWO_PI = math.log(2 * math.pi)
+INITIAL_LOG_STD = -0.5  # of Gaussian policies
+LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
 
 # exp(x) = 2^k exp(r), with k the integer nearest to x / log(2), so that r is at most log(2) / 2 from 0.
 LOG2_E = 1.0 / math.log(2.0)
@@ -253,6 +255,71 @@ def gaussian_gradient(
         by_log_std[j] += total
 
 
+@jit
+def log_std_of(output: float) -> float:
+    """The log standard deviation that an output of a network stands for."""
+    return min(max(output + INITIAL_LOG_STD, LOWEST_LOG_STD), HIGHEST_LOG_STD)
+
+
+@jit
+def state_gaussian_sample(
+    outputs: NDArray[np.float32], first: int, noise: NDArray[np.float32], actions: NDArray[np.float32]
+) -> None:
+    """Write m + sigma x for the means m and deviations sigma of outputs and standard normal numbers x.
+
+    Args:
+        outputs: (2 k, rows) means, then what :func:`log_std_of` takes; M columns from ``first`` on count.
+        first: the first column.
+        noise: (M, k) x.
+        actions: (M, k), written.
+    """
+    k = noise.shape[1]
+    for i in range(len(noise)):
+        for j in range(k):
+            deviation = math.exp(log_std_of(outputs[k + j, first + i]))
+            actions[i, j] = outputs[j, first + i] + deviation * noise[i, j]
+
+
+@jit
+def state_gaussian_pass(
+    outputs: NDArray[np.float32],
+    actions: NDArray[np.float32],
+    log_density: NDArray[np.float32],
+    entropy: NDArray[np.float32],
+) -> None:
+    """Write log N(a; m, sigma) and H (M,) for outputs (2 k, M), as in :func:`state_gaussian_sample`, and actions."""
+    k = actions.shape[1]
+    for i in range(len(actions)):
+        total, h = 0.0, 0.5 * k * (1.0 + LOG_TWO_PI)
+        for j in range(k):
+            log_std = log_std_of(outputs[k + j, i])
+            z = (actions[i, j] - outputs[j, i]) * math.exp(-log_std)
+            total -= 0.5 * z * z + log_std + 0.5 * LOG_TWO_PI
+            h += log_std
+        log_density[i] = total
+        entropy[i] = h
+
+
+@jit
+def state_gaussian_gradient(
+    outputs: NDArray[np.float32],
+    actions: NDArray[np.float32],
+    by_log_density: NDArray[np.float32],
+    by_entropy: NDArray[np.float32],
+    by_outputs: NDArray[np.float32],
+) -> None:
+    """Write dL/d outputs (2 k, M), as of :func:`gaussian_gradient`; 0 by outputs beyond the bounds of log sigma."""
+    k = actions.shape[1]
+    for i in range(len(actions)):
+        for j in range(k):
+            log_std = log_std_of(outputs[k + j, i])
+            precision = math.exp(-log_std)
+            z = (actions[i, j] - outputs[j, i]) * precision
+            by_outputs[j, i] = by_log_density[i] * z * precision
+            inside = LOWEST_LOG_STD <= outputs[k + j, i] + INITIAL_LOG_STD <= HIGHEST_LOG_STD
+            by_outputs[k + j, i] = by_log_density[i] * (z * z - 1.0) + by_entropy[i] if inside else 0.0
+
+
 def _is_compiled(outputs: torch.Tensor) -> bool:
     """Whether what follows on the outputs of a network is compiled: no gradient is wanted, or only the tape's."""
     tape = current_tape()
@@ -340,7 +407,7 @@ class CategoricalActor(_Actor):
 
 
 class GaussianActor(_Actor):
-    """Diagonal Gaussian policy with a free log standard deviation; actions are float tensors (..., k).
+    """Diagonal Gaussian policy with one log standard deviation per axis; actions are float tensors (..., k).
 
     The environment clips actions to its box; the log-probability is that of the unclipped sample.
 
@@ -351,13 +418,11 @@ class GaussianActor(_Actor):
 
     def __init__(self, body: nn.Module, actions: int):
         super().__init__(body)
-        self.log_std = nn.Parameter(torch.full((actions,), -0.5))
+        self.log_std = nn.Parameter(torch.full((actions,), INITIAL_LOG_STD))
 
     def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """The random numbers (rows, k) of :meth:`sample`: standard normal."""
-        return torch.randn(
-            (rows, len(self.log_std)), generator=generator, device=generator.device, dtype=self.log_std.dtype
-        )
+        return _standard_normal(rows, len(self.log_std), generator, self.log_std.dtype)
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row."""
@@ -394,13 +459,82 @@ class GaussianActor(_Actor):
         return _shaped(results, shape)
 
 
+class StateGaussianActor(_Actor):
+    """Diagonal Gaussian policy whose standard deviation, too, depends on the state; actions are float tensors (..., k).
+
+    As :class:`GaussianActor` otherwise. What explores in one state, or under one preference, can be certain in another.
+
+    Args:
+        body: network from (..., inputs) to k means, then k log standard deviations less :data:`INITIAL_LOG_STD`.
+        actions: k.
+    """
+
+    def __init__(self, body: nn.Module, actions: int):
+        super().__init__(body)
+        self.actions = actions
+
+    def noise(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """The random numbers (rows, k) of :meth:`sample`: standard normal."""
+        return _standard_normal(rows, self.actions, generator, next(self.parameters()).dtype)
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """One action per row."""
+        outputs: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        noise = self.noise(len(outputs), generator)
+        shape = (*x.shape[:-1], self.actions)
+        if _is_compiled(outputs):
+            actions = np.empty(noise.shape, np.float32)
+            state_gaussian_sample(_transposed(outputs), 0, noise.numpy(), actions)
+            return torch.from_numpy(actions).view(shape)
+        mean, log_std = self._mean_and_log_std(outputs)
+        return (mean + log_std.exp() * noise).view(shape)
+
+    def greedy(self, x: torch.Tensor) -> torch.Tensor:
+        """The mean action per row."""
+        outputs: torch.Tensor = self.body(x)
+        return outputs[..., : self.actions]
+
+    def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-density of ``actions`` and entropy of the policy, each (...)."""
+        outputs: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        shape, flat = actions.shape[:-1], actions.reshape(-1, self.actions)
+        if not _is_compiled(outputs):
+            mean, log_std = self._mean_and_log_std(outputs)
+            z = (flat - mean) / log_std.exp()
+            log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
+            return log_density.view(shape), (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).view(shape)
+        o, a = _transposed(outputs), flat.numpy()
+        log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
+        state_gaussian_pass(o, a, log_probs, entropies)
+        results = (torch.from_numpy(log_probs), torch.from_numpy(entropies))
+
+        def backward(by_results: Sequence[NDArray[Any]], gradients: Mapping[Any, NDArray[Any]]) -> NDArray[Any]:
+            del gradients  # no parameters but the network's
+            by_outputs = np.empty_like(o)
+            by_log_prob, by_entropy = by_results
+            state_gaussian_gradient(o, a, by_log_prob, by_entropy, by_outputs)
+            return by_outputs.T
+
+        if tape := current_tape():
+            tape.record(outputs, results, backward)
+        return _shaped(results, shape)
+
+    def _mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        log_std = (outputs[..., self.actions :] + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
+        return outputs[..., : self.actions], log_std
+
+
+def _standard_normal(rows: int, k: int, generator: torch.Generator, dtype: torch.dtype) -> torch.Tensor:
+    return torch.randn((rows, k), generator=generator, device=generator.device, dtype=dtype)
+
+
 def _shaped(results: tuple[torch.Tensor, torch.Tensor], shape: torch.Size) -> tuple[torch.Tensor, torch.Tensor]:
     """Both in a shape; they are the same tensors, and so on the tape, if that is theirs."""
     log_prob, entropy = results
     return results if log_prob.shape == shape else (log_prob.view(shape), entropy.view(shape))
 
 
-Actor = CategoricalActor | GaussianActor
+Actor = CategoricalActor | GaussianActor | StateGaussianActor
 
 
 def make_actor(
@@ -408,8 +542,13 @@ def make_actor(
 ) -> Actor:
     """The policy network: Gaussian over ``actions`` axes where they are continuous, else softmax over as many.
 
+    With ``config.state_dependent_std`` the network has two outputs per axis.
+
     Raises:
         ValueError: as :func:`algorithms.common.networks.make_network`.
     """
-    body = make_network(config, inputs, actions, generator, output_gain=0.01)
-    return GaussianActor(body, actions) if continuous else CategoricalActor(body)
+    outputs = 2 * actions if continuous and config.state_dependent_std else actions
+    body = make_network(config, inputs, outputs, generator, output_gain=0.01)
+    if not continuous:
+        return CategoricalActor(body)
+    return StateGaussianActor(body, actions) if config.state_dependent_std else GaussianActor(body, actions)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numba import types
 
-from algorithms.common.actors import CategoricalActor, categorical_sample
+from algorithms.common.actors import GaussianActor, categorical_sample, state_gaussian_sample
 from algorithms.common.perceptron import BLOCK, Perceptron, forward_rows
 from algorithms.common.rollout import Buffers, follow_episodes
 from algorithms.common.threads import one_blas_thread, wanted_threads
@@ -54,7 +54,7 @@ class _Policies(NamedTuple):
         weights, biases: of the layers.
         hidden: (T * N, width) per hidden layer, written.
         outputs: (outputs, T * N) written.
-        deviations: (V, k) standard deviations of continuous actions.
+        deviations: (V, k) standard deviations of continuous actions, (V, 0) if they depend on the state.
         observation_scales: (o,).
         accrued_scales: (d,) of the accrued reward, or none if it is not observed.
     """
@@ -161,10 +161,10 @@ def _choose(outputs: Array, at: int, noise: Array, deviations: Array, v: int, ac
     """Write the actions of vehicle ``v`` from the columns ``at`` on of its network's outputs.
 
     Args:
-        outputs: (k, rows) logits, or means.
+        outputs: (k, rows) logits, or means, with what standard deviations are made of if these depend on the state.
         at: the first column.
         noise: (n, k) random numbers.
-        deviations: (V, k) of Gaussian policies.
+        deviations: (V, k) of Gaussian policies, (V, 0) if they depend on the state.
         v: the vehicle.
         actions: (n, V) of softmax policies, (n, V, k) of Gaussian ones, written.
     """
@@ -175,6 +175,12 @@ def _choose(outputs: Array, at: int, noise: Array, deviations: Array, v: int, ac
         categorical_sample(outputs, at, uniform, chosen)
         for i in range(len(actions)):
             actions[i, v] = chosen[i]
+    elif deviations.shape[1] == 0:
+        drawn = np.empty(noise.shape, np.float32)
+        state_gaussian_sample(outputs, at, noise, drawn)
+        for i in range(len(actions)):
+            for k in range(noise.shape[1]):
+                actions[i, v, k] = drawn[i, k]
     else:
         for i in range(len(actions)):
             for k in range(len(outputs)):
@@ -394,14 +400,14 @@ class CompiledCollection:
         networks = [cast("Perceptron", actor.body) for actor in self._actors]
         kept = [network.keep_passes(steps * n) for network in networks]
         arrays = [network.parameter_arrays() for network in networks]
-        continuous = [actor.log_std.detach().exp() for actor in self._actors if not isinstance(actor, CategoricalActor)]
+        deviations = [actor.log_std.detach().exp() for actor in self._actors if isinstance(actor, GaussianActor)]
         policies = _Policies(
             rows=tuple([each.rows for each in kept]),
             weights=tuple([weights for weights, _ in arrays]),
             biases=tuple([biases for _, biases in arrays]),
             hidden=tuple([each.space.hidden(steps * n) for each in kept]),
             outputs=tuple([each.outputs for each in kept]),
-            deviations=torch.stack(continuous).numpy() if continuous else np.zeros((len(kept), 0), dtype=np.float32),
+            deviations=torch.stack(deviations).numpy() if deviations else np.zeros((len(kept), 0), dtype=np.float32),
             observation_scales=self._scales[0],
             accrued_scales=self._scales[1],
         )

@@ -44,21 +44,38 @@ class NetworkSettings(Settings):
         activation: the function between the layers.
         network: "package.module:function" of a function that makes the networks instead, called as
             ``function(inputs, outputs, generator)``; ``hidden`` and ``activation`` are not used then.
+        state_dependent_std: whether the standard deviations of continuous actions are outputs of the network, or one
+            number per axis for all states.
     """
 
     hidden: HiddenSizes = [64, 32]
     activation: Activation = "relu"
     network: DottedPath | None = None
+    state_dependent_std: bool = False
 
     # What earlier versions did not have is left out where it changes nothing, so that their runs and sweeps remain the
     # same experiments.
-    new_defaults: ClassVar[dict[str, Any]] = {"activation": "relu", "network": None, "utility_scale": 10.0}
+    new_defaults: ClassVar[dict[str, Any]] = {
+        "activation": "relu",
+        "network": None,
+        "state_dependent_std": False,
+        "utility_scale": 10.0,
+    }
 
     @model_serializer(mode="wrap")
     def _without_new_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         values: dict[str, Any] = dump(self)
         new = self.new_defaults
         return {key: value for key, value in values.items() if key not in new or value != new[key]}
+
+    def identity(self, *, continuous: bool) -> dict[str, Any]:
+        """What two agents must share to have networks alike, for the identity of a checkpoint."""
+        return {
+            "hidden": list(self.hidden),
+            "activation": self.activation,
+            "network": self.network,
+            "state_dependent_std": continuous and self.state_dependent_std,
+        }
 
 
 class ActorCriticSettings(NetworkSettings):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.common.actors import GaussianActor
+from algorithms.common.actors import CategoricalActor
 from algorithms.common.checkpoints import all_finite, restore_generator, strip_prefix
 
 if TYPE_CHECKING:
@@ -61,6 +61,6 @@ class TrainedNetworks:
             ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
         """
         weights = strip_prefix(state, "actor.")
-        if isinstance(self.actor, GaussianActor) and not all_finite(weights):
+        if not isinstance(self.actor, CategoricalActor) and not all_finite(weights):
             raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
         self.actor.load_state_dict(weights)

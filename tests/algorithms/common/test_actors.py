@@ -13,7 +13,16 @@ import scipy.stats
 import torch
 from torch import distributions, nn
 
-from algorithms.common.actors import CategoricalActor, GaussianActor, exponential
+from algorithms.common.actors import (
+    HIGHEST_LOG_STD,
+    INITIAL_LOG_STD,
+    LOWEST_LOG_STD,
+    Actor,
+    CategoricalActor,
+    GaussianActor,
+    StateGaussianActor,
+    exponential,
+)
 from algorithms.common.networks import mlp
 from algorithms.common.optimisers import Adam
 from algorithms.common.perceptron import Perceptron
@@ -33,7 +42,12 @@ def gaussian(inputs: int, hidden: list[int], actions: int, generator: torch.Gene
     return GaussianActor(mlp(inputs, hidden, actions, generator, output_gain=0.01), actions)
 
 
-ACTORS = pytest.mark.parametrize("kind", [categorical, gaussian])
+def state_gaussian(inputs: int, hidden: list[int], actions: int, generator: torch.Generator) -> StateGaussianActor:
+    return StateGaussianActor(mlp(inputs, hidden, 2 * actions, generator, output_gain=0.01), actions)
+
+
+ACTORS = pytest.mark.parametrize("kind", [categorical, gaussian, state_gaussian])
+GAUSSIAN = pytest.mark.parametrize("kind", [gaussian, state_gaussian])
 COMPILED = pytest.mark.parametrize("compiled", [True, False])
 
 
@@ -45,7 +59,7 @@ def linear_layers(network: nn.Module) -> list[nn.Linear]:
     return [module for module in network.modules() if isinstance(module, nn.Linear)]
 
 
-def with_outputs(actor: CategoricalActor | GaussianActor, outputs: list[float]) -> CategoricalActor | GaussianActor:
+def with_outputs(actor: Actor, outputs: list[float]) -> Actor:
     """The actor, changed to give the same outputs for every input."""
     last = linear_layers(actor.body)[-1]
     with torch.no_grad():
@@ -96,18 +110,27 @@ def test_an_action_without_probability_is_never_drawn(never: int, compiled: bool
         assert not (actor.sample(torch.zeros(20_000, 3), seeded(0)) == never).any()
 
 
+@COMPILED
+@GAUSSIAN
 @pytest.mark.parametrize("seed", range(3))
-def test_continuous_actions_are_drawn_from_the_normal_distribution(seed: int) -> None:
-    actor = with_outputs(gaussian(3, [4], 2, seeded(0)), [0.3, -2.0])
-    with torch.no_grad():
-        actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
-    actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
+def test_continuous_actions_are_drawn_from_the_normal_distribution(
+    kind: Callable[..., Any], seed: int, compiled: bool
+) -> None:
+    actor = kind(3, [4], 2, seeded(0))
+    if kind is gaussian:
+        with_outputs(actor, [0.3, -2.0])
+        with torch.no_grad():
+            actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
+    else:
+        with_outputs(actor, [0.3, -2.0, -0.5 - INITIAL_LOG_STD, 0.7 - INITIAL_LOG_STD])
+    with torch.set_grad_enabled(not compiled):
+        actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
     for axis, (mean, log_std) in enumerate([(0.3, -0.5), (-2.0, 0.7)]):
         assert scipy.stats.kstest(actions[:, axis], "norm", (mean, math.exp(log_std))).pvalue > SIGNIFICANCE
     assert scipy.stats.pearsonr(actions[:, 0], actions[:, 1]).pvalue > SIGNIFICANCE
 
 
-def randomised(kind: Callable[..., Any], inputs: int, actions: int) -> CategoricalActor | GaussianActor:
+def randomised(kind: Callable[..., Any], inputs: int, actions: int) -> Actor:
     """An actor far from its initial, nearly uniform policy."""
     actor = kind(inputs, [16, 8], actions, seeded(1))
     with torch.no_grad():
@@ -115,6 +138,16 @@ def randomised(kind: Callable[..., Any], inputs: int, actions: int) -> Categoric
         if isinstance(actor, GaussianActor):
             actor.log_std.copy_(torch.linspace(-2.0, 1.0, actions))
     return actor.double()
+
+
+def normal_of(actor: GaussianActor | StateGaussianActor, x: torch.Tensor) -> distributions.Distribution:
+    """torch's own distribution of the actions."""
+    outputs = actor.body(x)
+    if isinstance(actor, GaussianActor):
+        return distributions.Independent(distributions.Normal(outputs, actor.log_std.exp()), 1)
+    means, log_std = outputs.chunk(2, dim=-1)
+    deviations = (log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD).exp()
+    return distributions.Independent(distributions.Normal(means, deviations), 1)
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (4, 3), (2, 1, 3)])
@@ -128,11 +161,14 @@ def test_categorical_log_probabilities_and_entropies_are_those_of_torch(shape: t
     torch.testing.assert_close(entropy, reference.entropy())
 
 
+@GAUSSIAN
 @pytest.mark.parametrize("shape", [(), (5,), (4, 3), (2, 1, 3)])
-def test_gaussian_log_densities_and_entropies_are_those_of_torch(shape: tuple[int, ...]) -> None:
-    actor = randomised(gaussian, 6, 3)
+def test_gaussian_log_densities_and_entropies_are_those_of_torch(
+    kind: Callable[..., Any], shape: tuple[int, ...]
+) -> None:
+    actor = randomised(kind, 6, 3)
     x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
-    reference = distributions.Independent(distributions.Normal(actor.body(x), actor.log_std.exp()), 1)
+    reference = normal_of(actor, x)
     actions = torch.randn(*shape, 3, generator=seeded(3), dtype=torch.float64)
     log_density, entropy = actor.log_prob_and_entropy(x, actions)
     torch.testing.assert_close(log_density, reference.log_prob(actions))
@@ -148,7 +184,7 @@ def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: Callable[..., Any])
         reference: distributions.Distribution = distributions.Categorical(logits=actor.body(x))
     else:
         actions = torch.randn(7, 4, generator=seeded(3), dtype=torch.float64)
-        reference = distributions.Independent(distributions.Normal(actor.body(x), actor.log_std.exp()), 1)
+        reference = normal_of(actor, x)
     parameters = list(actor.parameters())
     log_prob, entropy = actor.log_prob_and_entropy(x, actions)
     ours = torch.autograd.grad((log_prob + 0.1 * entropy).sum(), parameters, allow_unused=True)
@@ -210,12 +246,26 @@ def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradie
     assert actor.sample(torch.zeros(100, 2), seeded(0)).tolist() == [0] * 100
 
 
+def test_deviations_that_depend_on_the_state_have_bounds_beyond_which_nothing_is_learnt() -> None:
+    actor = with_outputs(state_gaussian(2, [], 3, seeded(0)), [0.0, 0.0, 0.0, -9.0, 0.2, 9.0])
+    x, expected = torch.zeros(4, 2), [LOWEST_LOG_STD, 0.2 + INITIAL_LOG_STD, HIGHEST_LOG_STD]
+    optimiser = Adam(actor.parameters())
+    with optimiser.recording():
+        log_prob, entropy = actor.log_prob_and_entropy(x, torch.ones(4, 3))
+    assert entropy.tolist() == pytest.approx([sum(expected) + 1.5 * (1.0 + math.log(2.0 * math.pi))] * 4, abs=1e-6)
+    optimiser.minimise((log_prob + entropy).sum(), 0.0)
+    of_bias = list(optimiser.gradients.values())[-1][3:].tolist()
+    assert of_bias == pytest.approx([0.0, 4.0 * math.exp(-2.0 * expected[1]), 0.0])
+
+
 def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
     softmax, normal = randomised(categorical, 6, 22), randomised(gaussian, 6, 3)
     x = torch.randn(50, 6, generator=seeded(4), dtype=torch.float64)
     assert torch.equal(softmax.greedy(x), softmax.body(x).argmax(-1))
     assert len(set(softmax.greedy(x).tolist())) > 1
     assert torch.equal(normal.greedy(x), normal.body(x))
+    of_state = randomised(state_gaussian, 6, 3)
+    assert torch.equal(of_state.greedy(x), of_state.body(x)[:, :3])
     fixed = with_outputs(categorical(3, [4], 4, seeded(0)), [0.0, 0.3, 2.0, 0.1])
     assert fixed.greedy(torch.zeros(2, 5, 3)).tolist() == [[2] * 5] * 2
 
@@ -259,6 +309,8 @@ def test_policies_begin_nearly_uniform_and_nearly_centred() -> None:
     means = gaussian(15, [64, 32], 3, seeded(0))
     assert means.greedy(x).abs().max() < 0.1
     assert torch.equal(means.log_std, torch.full((3,), -0.5))
+    of_state = normal_of(state_gaussian(15, [64, 32], 3, seeded(0)), x)
+    assert (of_state.stddev.log() + 0.5).abs().max() < 0.1
 
 
 def everything(kind: Callable[..., Any]) -> Callable[[], None]:
