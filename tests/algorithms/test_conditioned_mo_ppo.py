@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 
 from algorithms import ConditionedMOPPO
 from algorithms.common.accrued_reward import AccruedReward
+from algorithms.common.actors import GaussianActor, StateGaussianActor
 from algorithms.common.env_adapter import make_env
 from algorithms.common.pareto import non_dominated
 from mo_deepdrive.utilities import make_utility
@@ -56,6 +57,23 @@ class Arms(gymnasium.Env[Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
         return np.zeros(1, dtype=np.float32), self.arms[int(action)].copy(), True, False, {}
+
+
+class Wobble(gymnasium.Env[Any, Any]):
+    """One decision, which costs the square of a continuous action."""
+
+    observation_space = spaces.Box(0.0, 1.0, (1,), dtype=np.float32)
+    action_space = spaces.Box(-1.0, 1.0, (1,), dtype=np.float32)
+    reward_space = spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
+    objectives = ("gain", "cost")
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        return np.zeros(1, dtype=np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, np.ndarray, bool, bool, dict[str, Any]]:
+        cost = np.array([0.0, -(float(action[0]) ** 2)], dtype=np.float32)
+        return np.zeros(1, dtype=np.float32), cost, True, False, {}
 
 
 def arms_env(arms: list[list[float]], num_envs: int = 16) -> VectorEnv:
@@ -346,11 +364,30 @@ def test_a_policy_under_one_condition_acts_in_any_number_of_environments() -> No
     np.testing.assert_array_equal(one, many)
 
 
+@pytest.mark.slow
+def test_a_preference_that_pays_for_exploring_does_not_stop_the_others() -> None:
+    deviations = {}
+    for of_state in (True, False):
+        env = MOSyncVectorEnv(Wobble for _ in range(16))
+        hyper = {"hidden": [16], "steps": 16, "learning_rate": 1e-2, "concentration": 0.1, "entropy_end": 0.01}
+        agent = ConditionedMOPPO(env, seed=0, state_dependent_std=of_state, **hyper)
+        agent.train(10_000)
+        actor, start = agent.learners[0].actor, AccruedReward.begin(400, 1, 2)
+        observations, generator = np.zeros((400, 1, 1), dtype=np.float32), torch.Generator().manual_seed(0)
+        for name in ("gain", "cost"):
+            policy = agent.policy(agent.preferences.condition("linear", {name: 1.0}))
+            deviations[of_state, name] = policy.act(observations, start, generator).std()
+        assert isinstance(actor, StateGaussianActor if of_state else GaussianActor)
+    assert deviations[True, "cost"] < 0.5 * deviations[True, "gain"]
+    assert deviations[False, "cost"] == pytest.approx(deviations[False, "gain"], rel=0.15)
+
+
 # ---------------------------------------------------------------------------------------------------------- checkpoints
 
 PLACES: dict[str, dict[str, Any]] = {
     "discrete": {},
     "continuous": {"env": {**SHORT, **CONTINUOUS}},
+    "continuous, one deviation": {"env": {**SHORT, **CONTINUOUS}, "state_dependent_std": False},
     "mixture": MIXTURE,
     "chebyshev": {"families": {"chebyshev": 1.0}},
     "linear and chebyshev": {"families": {"linear": 0.5, "chebyshev": 0.5}},
@@ -399,6 +436,16 @@ def test_a_checkpoint_of_other_preferences_is_refused(tmp_path: Path) -> None:
         make_agent().load(tmp_path / "mixture.safetensors")
     with pytest.raises(ValueError, match="has budgets = "):
         make_agent(**{**MIXTURE, "budgets": {"g_force": 9.0, "jerk": 150.0}}).load(tmp_path / "mixture.safetensors")
+
+
+def test_a_checkpoint_of_other_deviations_is_refused(tmp_path: Path) -> None:
+    env = {**SHORT, **CONTINUOUS}
+    make_agent(env=env, state_dependent_std=False).save(tmp_path / "one.safetensors")
+    with pytest.raises(ValueError, match="has state_dependent_std = False; this agent has True"):
+        make_agent(env=env).load(tmp_path / "one.safetensors")
+    discrete = make_agent(state_dependent_std=False)
+    discrete.save(tmp_path / "discrete.safetensors")
+    make_agent().load(tmp_path / "discrete.safetensors")  # where actions are discrete it means nothing
 
 
 def test_a_seed_determines_every_weight(tmp_path: Path) -> None:

@@ -35,6 +35,12 @@ SHORT = {"time_limit": 0.5}  # episodes of five decisions, so that random number
 CASES: dict[str, tuple[type[ActorCritic], str, dict[str, Any]]] = {
     "softmax": (A2C, ONE_WAYPOINT, {"num_envs": 300, "env": SHORT, "steps": 40}),
     "Gaussian": (MOA2C, ONE_WAYPOINT, {"num_envs": 20, "env": CONTINUOUS | SHORT, "cost_growth": 0.5}),
+    "Gaussian, deviations of the state": (
+        MOPPO,
+        ONE_WAYPOINT,
+        {"num_envs": 20, "env": CONTINUOUS | SHORT, "state_dependent_std": True},
+    ),
+    "two Gaussians": (MAPPO, INTERSECTION, {"num_envs": 8, "env": CONTINUOUS | SHORT, "state_dependent_std": True}),
     "the past is not observed": (PPO, ONE_WAYPOINT, {"env": SHORT}),
     "other discounts, three layers": (MOPPO, ONE_WAYPOINT, {"accrued_gamma": 1.0, "hidden": [16, 8, 8]}),
     "unfair draws": (MOPPO, STATIC_OBSTACLE, {"num_envs": 64, "env": SHORT, "steps": 30}),
