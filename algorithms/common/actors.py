@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 LOG_TWO_PI = math.log(2 * math.pi)
 INITIAL_LOG_STD = -0.5  # of Gaussian policies
 LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
+# By which an output that depends on the state is multiplied. Adam moves all weights of a layer at once, so an output
+# moves much faster than a parameter of its own would, and exploring would end before anything is found.
+LOG_STD_GAIN = 0.3
 
 # exp(x) = 2^k exp(r), with k the integer nearest to x / log(2), so that r is at most log(2) / 2 from 0.
 LOG2_E = 1.0 / math.log(2.0)
@@ -258,7 +261,7 @@ def gaussian_gradient(
 @jit
 def log_std_of(output: float) -> float:
     """The log standard deviation that an output of a network stands for."""
-    return min(max(output + INITIAL_LOG_STD, LOWEST_LOG_STD), HIGHEST_LOG_STD)
+    return min(max(LOG_STD_GAIN * output + INITIAL_LOG_STD, LOWEST_LOG_STD), HIGHEST_LOG_STD)
 
 
 @jit
@@ -316,8 +319,9 @@ def state_gaussian_gradient(
             precision = math.exp(-log_std)
             z = (actions[i, j] - outputs[j, i]) * precision
             by_outputs[j, i] = by_log_density[i] * z * precision
-            inside = LOWEST_LOG_STD <= outputs[k + j, i] + INITIAL_LOG_STD <= HIGHEST_LOG_STD
-            by_outputs[k + j, i] = by_log_density[i] * (z * z - 1.0) + by_entropy[i] if inside else 0.0
+            by_log_std = by_log_density[i] * (z * z - 1.0) + by_entropy[i]
+            free = LOG_STD_GAIN * outputs[k + j, i] + INITIAL_LOG_STD
+            by_outputs[k + j, i] = LOG_STD_GAIN * by_log_std if LOWEST_LOG_STD <= free <= HIGHEST_LOG_STD else 0.0
 
 
 def _is_compiled(outputs: torch.Tensor) -> bool:
@@ -465,7 +469,7 @@ class StateGaussianActor(_Actor):
     As :class:`GaussianActor` otherwise. What explores in one state, or under one preference, can be certain in another.
 
     Args:
-        body: network from (..., inputs) to k means, then k log standard deviations less :data:`INITIAL_LOG_STD`.
+        body: network from (..., inputs) to k means, then k numbers of which :func:`log_std_of` makes the deviations.
         actions: k.
     """
 
@@ -520,8 +524,8 @@ class StateGaussianActor(_Actor):
         return _shaped(results, shape)
 
     def _mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        log_std = (outputs[..., self.actions :] + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
-        return outputs[..., : self.actions], log_std
+        log_std = LOG_STD_GAIN * outputs[..., self.actions :] + INITIAL_LOG_STD
+        return outputs[..., : self.actions], log_std.clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
 
 
 def _standard_normal(rows: int, k: int, generator: torch.Generator, dtype: torch.dtype) -> torch.Tensor:

@@ -16,6 +16,7 @@ from torch import distributions, nn
 from algorithms.common.actors import (
     HIGHEST_LOG_STD,
     INITIAL_LOG_STD,
+    LOG_STD_GAIN,
     LOWEST_LOG_STD,
     Actor,
     CategoricalActor,
@@ -122,7 +123,7 @@ def test_continuous_actions_are_drawn_from_the_normal_distribution(
         with torch.no_grad():
             actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
     else:
-        with_outputs(actor, [0.3, -2.0, -0.5 - INITIAL_LOG_STD, 0.7 - INITIAL_LOG_STD])
+        with_outputs(actor, [0.3, -2.0, *((log_std - INITIAL_LOG_STD) / LOG_STD_GAIN for log_std in (-0.5, 0.7))])
     with torch.set_grad_enabled(not compiled):
         actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
     for axis, (mean, log_std) in enumerate([(0.3, -0.5), (-2.0, 0.7)]):
@@ -146,7 +147,7 @@ def normal_of(actor: GaussianActor | StateGaussianActor, x: torch.Tensor) -> dis
     if isinstance(actor, GaussianActor):
         return distributions.Independent(distributions.Normal(outputs, actor.log_std.exp()), 1)
     means, log_std = outputs.chunk(2, dim=-1)
-    deviations = (log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD).exp()
+    deviations = (LOG_STD_GAIN * log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD).exp()
     return distributions.Independent(distributions.Normal(means, deviations), 1)
 
 
@@ -247,15 +248,15 @@ def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradie
 
 
 def test_deviations_that_depend_on_the_state_have_bounds_beyond_which_nothing_is_learnt() -> None:
-    actor = with_outputs(state_gaussian(2, [], 3, seeded(0)), [0.0, 0.0, 0.0, -9.0, 0.2, 9.0])
-    x, expected = torch.zeros(4, 2), [LOWEST_LOG_STD, 0.2 + INITIAL_LOG_STD, HIGHEST_LOG_STD]
+    actor = with_outputs(state_gaussian(2, [], 3, seeded(0)), [0.0, 0.0, 0.0, -90.0, 0.2, 90.0])
+    x, expected = torch.zeros(4, 2), [LOWEST_LOG_STD, 0.2 * LOG_STD_GAIN + INITIAL_LOG_STD, HIGHEST_LOG_STD]
     optimiser = Adam(actor.parameters())
     with optimiser.recording():
         log_prob, entropy = actor.log_prob_and_entropy(x, torch.ones(4, 3))
     assert entropy.tolist() == pytest.approx([sum(expected) + 1.5 * (1.0 + math.log(2.0 * math.pi))] * 4, abs=1e-6)
     optimiser.minimise((log_prob + entropy).sum(), 0.0)
     of_bias = list(optimiser.gradients.values())[-1][3:].tolist()
-    assert of_bias == pytest.approx([0.0, 4.0 * math.exp(-2.0 * expected[1]), 0.0])
+    assert of_bias == pytest.approx([0.0, 4.0 * LOG_STD_GAIN * math.exp(-2.0 * expected[1]), 0.0])
 
 
 def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
