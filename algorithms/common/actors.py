@@ -30,7 +30,7 @@ LOG_TWO_PI = math.log(2 * math.pi)
 INITIAL_LOG_STD = -0.5  # of Gaussian policies
 LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
 # By which an output that depends on the state is multiplied. Adam moves all weights of a layer at once, so an output
-# moves much faster than a parameter of its own would, and exploring would end before anything is found.
+# moves faster than a parameter of its own would; with 1, more runs stopped exploring too early (docs/learning.md).
 LOG_STD_GAIN = 0.3
 
 # exp(x) = 2^k exp(r), with k the integer nearest to x / log(2), so that r is at most log(2) / 2 from 0.
@@ -443,9 +443,7 @@ class GaussianActor(_Actor):
         means: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
         shape = actions.shape[:-1]
         if not _is_compiled(means):
-            z = (actions.reshape(means.shape) - means) / self.log_std.exp()
-            log_density = (-0.5 * z.square() - self.log_std - 0.5 * LOG_TWO_PI).sum(-1)
-            entropy = (self.log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum()
+            log_density, entropy = _log_density_and_entropy(means, self.log_std, actions.reshape(means.shape))
             return log_density.view(shape), entropy.expand(shape)
         m, a, log_std = _transposed(means), actions.reshape(means.shape).numpy(), self.log_std.detach().numpy()
         log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
@@ -503,10 +501,8 @@ class StateGaussianActor(_Actor):
         outputs: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
         shape, flat = actions.shape[:-1], actions.reshape(-1, self.actions)
         if not _is_compiled(outputs):
-            mean, log_std = self._mean_and_log_std(outputs)
-            z = (flat - mean) / log_std.exp()
-            log_density = (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1)
-            return log_density.view(shape), (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1).view(shape)
+            log_density, entropy = _log_density_and_entropy(*self._mean_and_log_std(outputs), flat)
+            return log_density.view(shape), entropy.view(shape)
         o, a = _transposed(outputs), flat.numpy()
         log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
         state_gaussian_pass(o, a, log_probs, entropies)
@@ -526,6 +522,14 @@ class StateGaussianActor(_Actor):
     def _mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         log_std = LOG_STD_GAIN * outputs[..., self.actions :] + INITIAL_LOG_STD
         return outputs[..., : self.actions], log_std.clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
+
+
+def _log_density_and_entropy(
+    mean: torch.Tensor, log_std: torch.Tensor, actions: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Log-density log N(a; m, sigma) (M,), and H, of the shape of log sigma without its last axis."""
+    z = (actions - mean) / log_std.exp()
+    return (-0.5 * z.square() - log_std - 0.5 * LOG_TWO_PI).sum(-1), (log_std + 0.5 * (1.0 + LOG_TWO_PI)).sum(-1)
 
 
 def _standard_normal(rows: int, k: int, generator: torch.Generator, dtype: torch.dtype) -> torch.Tensor:
