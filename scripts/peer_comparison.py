@@ -95,6 +95,7 @@ class Task:
 CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500})
 LINEAR_WEIGHTS = Learner(1e-3, 100_000, 256, {"max_policies": 100, "families": {"linear": 1.0}})
 OUR_PCN = Learner(1e-3, 6_000, 16, {})
+CONTINUOUS_PCN = Learner(1e-3, 42_000, 16, {})
 ENVELOPE = Learner(3e-4, 17, 1, {})
 GPI_LS = Learner(3e-4, 44, 1, {"arguments": {"gradient_updates": 1}})
 CAPQL = Learner(3e-4, 93, 1, {})
@@ -124,7 +125,7 @@ TASKS = {
         FIXED | CONTINUOUS,
         {
             "conditioned_mo_ppo": CONDITIONED,
-            "pcn": OUR_PCN,
+            "pcn": CONTINUOUS_PCN,
             "morl_baselines.capql": CAPQL,
             "morl_baselines.gpi_ls_continuous": GPI_LS,
         },

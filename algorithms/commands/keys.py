@@ -70,6 +70,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         if options.config is not None:
             experiment = load_experiment(options.config)
             values, name, env_id = experiment.to_dict(), experiment.algorithm["name"], experiment.environment.id
+        elif name is not None:
+            find_algorithm(name, "--algorithm")
         for title, keys in key_sections(name, env_id).items():
             console.print(f"{title}\n", style="bold", markup=False, highlight=False)
             set_here = differing_values(values, keys)

@@ -79,9 +79,9 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
     """
     from mo_deepdrive.play import make_play_env
 
-    spec = find_environment(options.env)
+    spec = find_environment(options.env, "--env")
     if not is_ours(spec):
-        raise ValueError(f"--env {options.env}: only this package's environments can be driven")
+        raise ValueError(f"--env = {options.env!r}: only this package's environments can be driven")
     if options.against is None:
         for name, given in (("--vehicle", options.vehicle is not None), ("--stochastic", options.stochastic)):
             if given:

@@ -32,6 +32,8 @@ class PreferenceSettings(Settings):
     Attributes:
         families: share of the episodes by family of utilities: "linear", "chebyshev", "comfort_budget".
         concentration: of the Dirichlet distribution from which weights are drawn; below 1 favours few objectives.
+        emphasis: factor of the concentration by objective, 1 unless set; with 3 an objective has, in the mean, three
+            times the weight of another.
         rho: of the Chebyshev function (eq. 2).
         budgets: largest budget by objective (a cost), for "comfort_budget"; budgets are drawn evenly from 0 to it.
         price: of what exceeds a budget, in units of a scale (eq. 3).
@@ -39,6 +41,7 @@ class PreferenceSettings(Settings):
 
     families: dict[Family, NonNegative] = {"linear": 1.0}
     concentration: Positive = 0.5
+    emphasis: dict[str, Positive] = {}
     rho: NonNegative = 0.05
     budgets: dict[str, Positive] = {}
     price: Positive = 5.0
@@ -71,16 +74,18 @@ class Preferences:
         ideal: (d,) z; written by the agent.
 
     Raises:
-        ValueError: if a budget is for an unknown objective.
+        ValueError: if a budget or an emphasis is for an unknown objective.
     """
 
     def __init__(self, config: PreferenceSettings, objectives: Sequence[str], scales: NDArray[np.float32]):
         shares = np.array([config.families.get(family, 0.0) for family in FAMILIES])
-        for name in config.budgets:
-            if name not in objectives:
-                raise ValueError(f"budgets has {name!r}; the objectives are {tuple(objectives)}")
+        for key in ("budgets", "emphasis"):
+            for name in getattr(config, key):
+                if name not in objectives:
+                    raise ValueError(f"{key} has {name!r}; the objectives are {tuple(objectives)}")
         self.objectives = tuple(objectives)
         self.config = config
+        self.concentrations = config.concentration * np.array([config.emphasis.get(name, 1.0) for name in objectives])
         self.scales = torch.from_numpy(scales)
         self.shares = shares / shares.sum()
         self.used = np.flatnonzero(shares).tolist()
@@ -113,8 +118,7 @@ class Preferences:
             rows[np.arange(count), np.searchsorted(self.used, family)] = 1.0
         weighted = family != COMFORT_BUDGET
         if weighted.any():
-            alpha = np.full(len(self.objectives), self.config.concentration)
-            weights = rng.dirichlet(alpha, int(weighted.sum()))
+            weights = rng.dirichlet(self.concentrations, int(weighted.sum()))
             if cost_share < 1.0:
                 weights = weights * np.where(self.ideal.numpy() > 0.0, 1.0, cost_share) + 1e-9
                 weights /= weights.sum(axis=1, keepdims=True)

@@ -318,17 +318,21 @@ def override(values: dict[str, Any], key: str, value: Any) -> None:
         values[last] = value
 
 
-def find_environment(env_id: str) -> EnvSpec:
+def find_environment(env_id: str, source: str = "environment.id") -> EnvSpec:
     """The registered specification of ``env_id``, which may have the form "module:id".
+
+    Args:
+        env_id: of the environment.
+        source: key or option that errors name.
 
     Raises:
         ValueError: if the module cannot be imported, or the id is not registered (with the nearest id).
     """
     module, _, name = env_id.rpartition(":")
     if ":" in module:
-        raise ValueError(f"environment.id = {env_id!r} must be an id, or of the form module:id")
+        raise ValueError(f"{source} = {env_id!r} must be an id, or of the form module:id")
     if module:
-        import_module(f"environment.id = {env_id!r}", module)
+        import_module(f"{source} = {env_id!r}", module)
     if name not in gymnasium.registry:
         ours = ("mo_deepdrive.", "mo_gymnasium.")
         known = [
@@ -337,7 +341,7 @@ def find_environment(env_id: str) -> EnvSpec:
             if str(spec.entry_point or spec.vector_entry_point).startswith(ours)
         ]
         own = "" if module else f"for one of your own write {f'module:{name}'!r}, which imports its module; "
-        raise ValueError(f"environment.id = {env_id!r} is not registered; {own}{nearest(name, known)}")
+        raise ValueError(f"{source} = {env_id!r} is not registered; {own}{nearest(name, known)}")
     return gymnasium.registry[name]
 
 

@@ -48,8 +48,12 @@ def algorithm_names() -> list[str]:
     return sorted(ALGORITHMS)
 
 
-def find_algorithm(name: object) -> AlgorithmEntry:
+def find_algorithm(name: object, source: str = "algorithm.name") -> AlgorithmEntry:
     """The entry of an algorithm: this project's, another library's, or a user's.
+
+    Args:
+        name: of the algorithm.
+        source: key or option that errors name where the name is unknown.
 
     Raises:
         ValueError: if there is none of this name, with the nearest name; if what a path names is no complete algorithm.
@@ -60,7 +64,7 @@ def find_algorithm(name: object) -> AlgorithmEntry:
     peers: Mapping[str, Any] = resolve_name(PEER_TABLE)
     if not isinstance(name, str) or name not in peers:
         hint = nearest(name, [*ALGORITHMS, *peers])
-        raise ValueError(f"algorithm.name = {name!r} is unknown; {hint}; or package.module:Class")
+        raise ValueError(f"{source} = {name!r} is unknown; {hint}; or package.module:Class")
     peer = peers[name]
     return AlgorithmEntry(name, bool(peer.known_utility), peer.Config, is_peer=True)
 

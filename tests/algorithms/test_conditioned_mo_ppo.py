@@ -327,6 +327,12 @@ def test_the_weights_of_costs_grow() -> None:
     np.testing.assert_allclose(none.sum(axis=1), 1.0, rtol=1e-5)
 
 
+def test_an_emphasis_sets_the_share_of_the_weight() -> None:
+    preferences = make_agent(concentration=0.5, emphasis={"distance": 3.0, "jerk": 2.0}).preferences
+    weights = preferences.draw(20_000, np.random.default_rng(0))
+    np.testing.assert_allclose(weights.mean(axis=0), np.array([3.0, 1.0, 1.0, 2.0]) / 7.0, atol=0.01)
+
+
 def test_the_shares_of_families_are_those_of_the_episodes() -> None:
     rows = make_agent(**MIXTURE).preferences.draw(4000, np.random.default_rng(0))
     np.testing.assert_allclose(rows[:, :3].mean(axis=0), [0.4, 0.3, 0.3], atol=0.03)
@@ -492,6 +498,8 @@ def test_metrics_and_fronts_are_logged() -> None:
         ({**MIXTURE, "budgets": {"time": 5.0}}, "budgets has 'time'; the objectives are ('distance', "),
         ({**MIXTURE, "budgets": {"jerk": 0.0}}, "0.0"),
         ({"concentration": 0.0}, "'concentration' = 0.0"),
+        ({"emphasis": {"jerk": 0.0}}, "'emphasis.jerk' = 0.0"),
+        ({"emphasis": {"comfort": 1.0}}, "emphasis has 'comfort'; the objectives are ('distance', "),
         ({"entropy_start": 0.0}, "must both be positive or both be 0"),
         ({"objective_scales": [1.0]}, "needs 4 numbers"),
         ({"max_policies": 0}, "'max_policies' = 0"),

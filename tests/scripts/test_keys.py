@@ -40,9 +40,9 @@ def test_a_file_is_listed_with_its_algorithm_and_what_it_sets(call: Call) -> Non
     assert "algorithm.epochs" in call("keys", "--algorithm", "mo_ppo")[1]
 
 
-@pytest.mark.parametrize("options", [["--algorithm", "mo_ppoo"], ["--config", "one_waypoint/mo_ppo_nonlin"]])
-def test_unknown_names_are_refused_with_the_nearest(call: Call, options: list[str]) -> None:
-    refused(call("keys", *options), "mo_ppo")
+def test_unknown_names_are_refused_with_the_option_and_the_nearest(call: Call) -> None:
+    refused(call("keys", "--algorithm", "mo_ppoo"), "--algorithm = 'mo_ppoo' is unknown; did you mean 'mo_ppo'")
+    refused(call("keys", "--config", "one_waypoint/mo_ppo_nonlin"), "mo_ppo_nonlinear")
 
 
 @pytest.mark.parametrize("command", ["train", "peers"])

@@ -153,6 +153,7 @@ def test_invalid_options_are_refused(
         assert captured.err.startswith("error: ")
         return captured.err
 
+    assert "--env = 'mo-deepdrive-intersction-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
     assert "did you mean 'mo-deepdrive-intersection-v0'" in refused("--env", "mo-deepdrive-intersction-v0")
     assert "only this package's environments" in refused("--env", "minecart-v0")
     assert "not a run directory" in refused("--env", TWO, "--against", str(tmp_path))
