@@ -25,18 +25,20 @@ mean takes the place of the return inside u, which is the utility of the expecte
 running mean of the returns, discounted with g, of finished episodes.
 
 ``advantage: expected_utility`` follows ESR at any lambda and length of the rollout. Its rewards are the increases of u
-along the episode, which sum to u(R_T) - u(0), and its critic has one output, v(S) = E[u(R_T) - u(R_t) | S_t = S], so
-that u(R_t) + v(S_t) is the expected final utility. Equations 2 to 5 become
+along the episode, and its critic has one output, v(S) = E[sum_k c^k (u(R_{t+k+1}) - u(R_{t+k})) | S_t = S] with c =
+gamma / g <= 1. Equations 2 to 5 become
 
-    U_t     = u(R_{t+1}) - u(R_t) + v(S_{t+1}) - v(S_t)                                                (7)
-    A_t     = U_t + lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                     (8)
+    U_t     = u(R_{t+1}) - u(R_t) + c v(S_{t+1}) - v(S_t)                                              (7)
+    A_t     = U_t + c lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                   (8)
 
-and ``utility_scale`` takes the place of the scales in eq. 6. There is no other discount than the g within R_t: any
-factor below 1 on U_t would weight the increases by when they come, and their sum would not be u(R_T). With the true v,
-E[U_t | S_t] under the policy is 0, so that every term beyond U_t only adds noise: E[A_t | S_t, a_t] is the advantage
-for E[u(R_T)] at any lambda, as for a scalar reward (Schulman et al. 2016; the reward is that of a Markov decision
-process over S_t, Hayes et al. 2022, section 4.3). What a truncated episode would still have gained is v of its true
-final state. ``gamma`` matters here as the default of g alone; S_t must have R_t and, where g < 1, g^t.
+and ``utility_scale`` takes the place of the scales in eq. 6. With g = gamma the increases sum to u(R_T) - u(0). With
+c < 1 they sum to E[u(R_tau)] - u(0), where the episode ends after every decision with probability 1 - c, or else at T:
+the increase of decision t counts if the episode gets there, with probability c^t. That is still the expected utility
+of a return, though of one that is cut short; it tends to u(R_T) as c tends to 1, and learns more easily
+(docs/learning.md). With the true v, E[U_t | S_t] under the policy is 0, so that every term beyond U_t only adds noise:
+E[A_t | S_t, a_t] is the advantage at any lambda, as for a scalar reward (Schulman et al. 2016; the reward is that of a
+Markov decision process over S_t, Hayes et al. 2022, section 4.3). What a truncated episode would still have gained is
+v of its true final state. S_t must have R_t and, where g < 1, g^t.
 """
 
 from __future__ import annotations
@@ -64,6 +66,7 @@ from algorithms.common.hyperparameters import (
     Positive,
     PositiveFraction,
     Scales,
+    check_discounts,
     check_entropy_schedule,
 )
 from algorithms.common.losses import Loss, squared_error, weighted_sum
@@ -87,7 +90,7 @@ class MOA2CConfig(ActorCriticSettings):
     Attributes:
         learning_rate: Adam's step size at the start of training.
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the critic.
+        gamma: discount of the critic; with "expected_utility" at most g, and gamma / g is that of the increases of u.
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
         advantage: "utility_difference" (eqs. 4 and 5), "as_printed", "utility_gradient" or "expected_utility" (eqs. 7
             and 8).
@@ -128,6 +131,7 @@ class MOA2CConfig(ActorCriticSettings):
     @model_validator(mode="after")
     def _consistent(self) -> MOA2CConfig:
         check_entropy_schedule(self.entropy_start, self.entropy_end)
+        check_discounts(self.advantage, self.gamma, self.accrued_discount)
         return self
 
     @property
@@ -233,11 +237,12 @@ class MOA2CLearner(Learner):
         # R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
         accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
         next_accrued = accrued + discounts * rollout.rewards
+        ratio = 1.0 if g == gamma else gamma / g
         if self.config.advantage == "expected_utility":
             # Equations 7 and 8.
             increases = u(next_accrued) - u(accrued)
-            gains = increases + next_values.squeeze(-1) - values.squeeze(-1)
-            advantages = generalised_advantages(gains, not_done, decay)
+            gains = increases + ratio * next_values.squeeze(-1) - values.squeeze(-1)
+            advantages = generalised_advantages(gains, not_done, decay * ratio)
             return advantages, advantages.unsqueeze(-1) + values
 
         # Equations 2 and 3.
@@ -251,7 +256,6 @@ class MOA2CLearner(Learner):
         expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
         differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
         # Equation 5.
-        ratio = 1.0 if g == gamma else gamma / g
         return generalised_advantages(differences, not_done, decay * ratio), targets
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:

@@ -15,11 +15,11 @@ and every rollout serves several epochs of minibatches of the clipped surrogate 
     L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
             + c_v E[|(y_t - v(S_t)) / scales|^2 / d] - c_e E[H(pi)]                                    (7)
 
-With ``advantage: expected_utility``, for ESR at any lambda, the critic predicts the scalar v(S) = E[u(R_T) - u(R_t) |
-S_t = S], ``utility_scale`` takes the place of the scales in eq. 7, and eqs. 2 to 5 become
+With ``advantage: expected_utility``, for ESR at any lambda, the critic predicts a scalar, the increases of u that are
+to come, ``utility_scale`` takes the place of the scales in eq. 7, and eqs. 2 to 5 become, with c = gamma / g,
 
-    U_t     = u(R_{t+1}) - u(R_t) + v(S_{t+1}) - v(S_t)                                                (8)
-    A_t     = U_t + lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                     (9)
+    U_t     = u(R_{t+1}) - u(R_t) + c v(S_{t+1}) - v(S_t)                                              (8)
+    A_t     = U_t + c lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                   (9)
 
 The means are over the samples in which the vehicle acted. :mod:`algorithms.mo_a2c` explains ``accrued_gamma`` (g), the
 forms of ``advantage``, and which objective (ESR or SER) each of them follows.
@@ -51,6 +51,7 @@ from algorithms.common.hyperparameters import (
     Positive,
     PositiveFraction,
     Scales,
+    check_discounts,
     check_entropy_schedule,
 )
 from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
@@ -75,7 +76,7 @@ class MOPPOConfig(ActorCriticSettings):
     Attributes:
         learning_rate: Adam's step size at the start of training.
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the critic.
+        gamma: discount of the critic; with "expected_utility" at most g, and gamma / g is that of the increases of u.
         gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
         advantage: "utility_difference" (eqs. 4 and 5), "as_printed", "utility_gradient" or "expected_utility" (eqs. 8
             and 9).
@@ -122,6 +123,7 @@ class MOPPOConfig(ActorCriticSettings):
     @model_validator(mode="after")
     def _consistent(self) -> MOPPOConfig:
         check_entropy_schedule(self.entropy_start, self.entropy_end)
+        check_discounts(self.advantage, self.gamma, self.accrued_discount)
         return self
 
     @property
@@ -232,11 +234,12 @@ class MOPPOLearner(Learner):
         # R_t and g^t of the accrued reward, and R_{t+1} = R_t + g^t r_t.
         accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].unsqueeze(-1)
         next_accrued = accrued + discounts * rollout.rewards
+        ratio = 1.0 if g == gamma else gamma / g
         if self.config.advantage == "expected_utility":
             # Equations 8 and 9.
             increases = u(next_accrued) - u(accrued)
-            gains = increases + next_values.squeeze(-1) - values.squeeze(-1)
-            advantages = generalised_advantages(gains, not_done, decay)
+            gains = increases + ratio * next_values.squeeze(-1) - values.squeeze(-1)
+            advantages = generalised_advantages(gains, not_done, decay * ratio)
             return advantages, advantages.unsqueeze(-1) + values
 
         # Equations 2 and 3.
@@ -250,7 +253,6 @@ class MOPPOLearner(Learner):
         expected_rest = next_values if self.config.advantage == "as_printed" else discounts * gamma * next_values
         differences: torch.Tensor = u(next_accrued + expected_rest) - u(accrued + discounts * values)
         # Equation 5.
-        ratio = 1.0 if g == gamma else gamma / g
         return generalised_advantages(differences, not_done, decay * ratio), targets
 
     def gradient_step(

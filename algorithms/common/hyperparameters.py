@@ -119,3 +119,15 @@ def check_entropy_schedule(entropy_start: float, entropy_end: float) -> None:
             f"entropy_start = {entropy_start} and entropy_end = {entropy_end} must both be positive "
             "or both be 0: the coefficient moves geometrically between them"
         )
+
+
+def check_discounts(advantage: str, gamma: float, accrued_gamma: float) -> None:
+    """Refuse increases of the utility that count the more, the later they come.
+
+    Raises:
+        ValueError: for "expected_utility" with a gamma above g.
+    """
+    if advantage == "expected_utility" and gamma > accrued_gamma:
+        raise ValueError(
+            f"gamma = {gamma} must be at most accrued_gamma = {accrued_gamma} with advantage = {advantage!r}"
+        )

@@ -241,6 +241,10 @@ def test_invalid_hyperparameters_of_one_algorithm_are_refused_by_name() -> None:
         make_agent(MOA2C, advantage="as_print")
     with pytest.raises(ValueError, match="observe_discount"):
         make_agent(MOA2C, observe_discount="no")
+    for cls in (MOA2C, MOPPO):
+        with pytest.raises(ValueError, match=r"gamma = 0.99 must be at most accrued_gamma = 0.9 with advantage ="):
+            make_agent(cls, advantage="expected_utility", accrued_gamma=0.9)
+        make_agent(cls, accrued_gamma=0.9)
 
 
 def test_all_invalid_hyperparameters_are_named_at_once() -> None:

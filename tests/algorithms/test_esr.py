@@ -23,6 +23,11 @@ def test_expected_utility_learns_the_optimum_of_esr_in_short_rollouts(delay: int
     assert probability_of_risky(MOA2C, delay, seed, 2 * total, steps=8, **settings) < 0.2
 
 
+def test_expected_utility_learns_the_optimum_of_esr_with_increases_that_are_discounted() -> None:
+    settings: dict[str, Any] = {"advantage": "expected_utility", "utility_scale": 1.0, "accrued_gamma": 1.0}
+    assert probability_of_risky(MOPPO, 80, 0, 100_000, gamma=0.99, **CHEAP_PPO, **settings) < 0.1
+
+
 @pytest.mark.parametrize(("delay", "total"), [(0, 10_000), (20, 50_000), (80, 100_000)])
 def test_utility_differences_learn_the_optimum_of_esr_with_whole_episodes_and_lambda_1(delay: int, total: int) -> None:
     # With the step that resets, a rollout is an episode.

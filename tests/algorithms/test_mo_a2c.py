@@ -23,6 +23,7 @@ from tests.helpers.agents import (
     make_agent,
     seen_by,
     value_of,
+    value_scale,
 )
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def test_the_next_value_is_zero_after_termination_and_that_of_the_true_final_sta
                 expected = torch.zeros_like(found[t, i])
             elif truncated:
                 accrued = r.accrued[t, i] + r.discounts[t, i] * r.rewards[t, i]
-                expected = value_of(learner, form, r.final[t, i], accrued, 0.9 * r.discounts[t, i])
+                expected = value_of(learner, form, r.final[t, i], accrued, agent.accrued_discount * r.discounts[t, i])
             else:
                 expected = value_of(learner, form, r.observations[t + 1, i], r.accrued[t + 1, i], r.discounts[t + 1, i])
             torch.testing.assert_close(found[t, i], expected, rtol=1e-4, atol=1e-4)
@@ -138,7 +139,7 @@ def u(returns: torch.Tensor) -> float:
 
 def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient: float) -> dict[str, float]:
     """The losses by loops over single samples."""
-    gamma, decay = learner.config.gamma, learner.config.gae_lambda
+    gamma, decay, g = learner.config.gamma, learner.config.gae_lambda, getattr(learner.config, "accrued_discount", learner.config.gamma)
     steps, n = r.acted.shape
     policy, critic, entropies, advantages = [], [], [], []
     # The slope of u at EXPECTED_RETURN, by hand: there distance is above 2.
@@ -157,16 +158,17 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
                     following = torch.zeros_like(value)
                 elif r.truncated[k, i]:
                     after = r.accrued[k, i] + factor * reward
-                    following = value_of(learner, form, r.final[k, i], after, gamma * factor)
+                    following = value_of(learner, form, r.final[k, i], after, g * factor)
                 else:
                     following = value_of(
                         learner, form, r.observations[k + 1, i], r.accrued[k + 1, i], r.discounts[k + 1, i]
                     )
                 gained = u(reward) if form == "a2c" else reward
                 vector = vector + (gamma * decay) ** (k - t) * (gained + gamma * following - value)
-                if form == "expected_utility":
+                if form.startswith("expected_utility"):
                     increase = u(r.accrued[k, i] + factor * reward) - u(r.accrued[k, i])
-                    vector = advantage = advantage + decay ** (k - t) * (increase + following - value)
+                    c = gamma / g
+                    vector = advantage = advantage + (c * decay) ** (k - t) * (increase + c * following - value)
                 elif form == "utility_gradient":
                     advantage = vector @ slope
                 elif form == "a2c":
@@ -177,7 +179,7 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
                     advantage = advantage + decay ** (k - t) * difference
                 if r.terminated[k, i] or r.truncated[k, i]:
                     break
-            scale = {"a2c": 10.0, "expected_utility": 10.0}.get(form, learner.objective_scales)
+            scale = value_scale(learner, form)
             # The critic is at the value itself, so that its error is the advantage.
             critic.append(float(((vector / scale) ** 2).mean()))
             x = seen_by(learner, form, r.observations[t, i], r.accrued[t, i], r.discounts[t, i])
@@ -195,6 +197,27 @@ def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient
     }
     total = losses["loss/policy"] + learner.config.value_coefficient * losses["loss/value"]
     return {"total": total - entropy_coefficient * losses["policy/entropy"], **losses}
+
+
+@pytest.mark.parametrize(("gamma", "accrued_gamma"), [(0.9, 1.0), (0.72, 0.9), (0.9, 0.9), (1.0, 1.0)])
+def test_discounted_increases_sum_to_the_expected_utility_of_an_episode_cut_short(
+    gamma: float, accrued_gamma: float
+) -> None:
+    discounts = {"gamma": gamma, "accrued_gamma": accrued_gamma}
+    agent, learner = learner_of("expected_utility", gae_lambda=1.0, **discounts)
+    rollout = handmade(agent, seed=3)
+    first_end = int(rollout.terminated[:, 0].int().argmax())
+    rollout.terminated[:, 0] = rollout.truncated[:, 0] = False
+    for t in range(first_end, len(rollout.rewards)):
+        rollout.accrued[t + 1, 0] = rollout.accrued[t, 0] + rollout.discounts[t, 0] * rollout.rewards[t, 0]
+        rollout.discounts[t + 1, 0] = accrued_gamma * rollout.discounts[t, 0]
+    rollout.terminated[-1, 0] = True
+    values = torch.zeros(*rollout.acted.shape, 1)
+    found = float(learner.advantages(rollout, values, values)[0][0, 0])
+    c, steps = gamma / accrued_gamma, len(rollout.rewards)
+    ends = [c ** (t - 1) * (1.0 - c) for t in range(1, steps)] + [c ** (steps - 1)]  # after t decisions
+    expected = sum(p * u(rollout.accrued[t, 0]) for t, p in enumerate(ends, start=1)) - u(rollout.accrued[0, 0])
+    assert found == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
 @ALL_FORMS

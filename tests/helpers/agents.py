@@ -32,6 +32,7 @@ FORMS: dict[str, tuple[type[ActorCritic], dict[str, Any]]] = {
     "as_printed": (MOA2C, {"advantage": "as_printed"}),
     "utility_gradient": (MOA2C, {"advantage": "utility_gradient"}),
     "expected_utility": (MOA2C, {"advantage": "expected_utility"}),
+    "expected_utility, cut short": (MOA2C, {"advantage": "expected_utility", "accrued_gamma": 1.0}),
     "without discount": (MOA2C, {"observe_discount": False}),
 }
 ALL_FORMS = pytest.mark.parametrize("form", FORMS)
@@ -106,7 +107,7 @@ def handmade(agent: ActorCritic, *, steps: int = 9, masked: bool = False, seed: 
 
     With ``masked`` a few samples follow every end that do not count, as of a vehicle that has left the road.
     """
-    adapter, gamma = agent.env, agent.gamma
+    adapter, gamma = agent.env, agent.accrued_discount
     n, o, d = adapter.num_envs, adapter.observation_size, len(adapter.objectives)
     rng = np.random.default_rng(seed)
     scales = adapter.observation_scales, adapter.objective_scales
@@ -159,7 +160,7 @@ EXPECTED_RETURN = [12.0, 0.9, -4.0, -30.0]
 def learner_of(form: str, **hyperparameters: Any) -> tuple[ActorCritic, Any]:
     """An agent on OneWaypoint with a non-linear utility, and its learner with larger weights in the actor."""
     cls, settings = FORMS[form]
-    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, gamma=0.9, **{**settings, **hyperparameters})
+    agent = make_agent(cls, num_envs=3, utility=NONLINEAR, **{"gamma": 0.9, **settings, **hyperparameters})
     exaggerate(agent)
     learner = agent.learners[0]
     learner.on_episodes_end(np.array([EXPECTED_RETURN]))
@@ -176,8 +177,12 @@ def seen_by(learner: Learner, form: str, observation: Any, accrued: Any, discoun
     return torch.cat(parts)
 
 
+def value_scale(learner: Any, form: str) -> Any:
+    return 10.0 if form == "a2c" or form.startswith("expected_utility") else learner.objective_scales
+
+
 def value_of(learner: Any, form: str, *what: Any) -> torch.Tensor:
-    scale = {"a2c": 10.0, "expected_utility": 10.0}.get(form, learner.objective_scales)
+    scale = value_scale(learner, form)
     value = (scale * learner.critic(seen_by(learner, form, *what))).detach()
     return value.squeeze(-1) if form == "a2c" else value
 
