@@ -139,7 +139,11 @@ def u(returns: torch.Tensor) -> float:
 
 def plain_losses(learner: Any, form: str, r: VehicleRollout, entropy_coefficient: float) -> dict[str, float]:
     """The losses by loops over single samples."""
-    gamma, decay, g = learner.config.gamma, learner.config.gae_lambda, getattr(learner.config, "accrued_discount", learner.config.gamma)
+    gamma, decay, g = (
+        learner.config.gamma,
+        learner.config.gae_lambda,
+        getattr(learner.config, "accrued_discount", learner.config.gamma),
+    )
     steps, n = r.acted.shape
     policy, critic, entropies, advantages = [], [], [], []
     # The slope of u at EXPECTED_RETURN, by hand: there distance is above 2.
