@@ -78,7 +78,7 @@ def serve(run: Run, preferences: int, episodes: int, seed: int) -> Served:
     agent: Any = load_policy(run)
     if not isinstance(agent, ConditionedMOPPO) or agent.env.vehicles > 1 or agent.preferences.used != [LINEAR]:
         raise ValueError(f"{str(run.path)!r} must be a run of conditioned_mo_ppo, of one vehicle and linear utilities")
-    conditions = agent.preferences.draw(preferences, np.random.default_rng(PREFERENCES_SEED))
+    conditions = agent.preferences.draw(preferences, np.random.default_rng(PREFERENCES_SEED), emphasis=False)
     env = evaluation_env(run.experiment, episodes)
     try:
         found = agent.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=agent.accrued_discount)

@@ -3,7 +3,8 @@
     python scripts/conditioned_specialists.py --config one_waypoint/conditioned_drawn --seeds 0 1 2 --output results.csv
 
 A specialist, MO-PPO with the settings that both algorithms have, is trained for each of a few linear preferences from
-the distribution of training, with the first of the seeds; the config's network is trained with each of them. All drive
+the distribution of training, without its emphasis, with the first of the seeds; the config's network is trained with
+each of them. All drive
 the same episodes of the test split by their greedy policies; the table has the expected utility of the discounted
 return in scales, and a network's share of the specialists' mean. A preference for which standing still is best has
 utility 0.
@@ -116,7 +117,7 @@ def compare(
         raise ValueError(
             f"config {config!r} must be of conditioned_mo_ppo, with one vehicle and linear utilities alone"
         )
-    conditions = agent.preferences.draw(count, np.random.default_rng(PREFERENCES_SEED))
+    conditions = agent.preferences.draw(count, np.random.default_rng(PREFERENCES_SEED), emphasis=False)
     scales, env = agent.scales, evaluation_env(experiments[0], episodes)
     common: dict[str, Any] = {"episodes": episodes, "seed": SPLITS["test"].start, "gamma": agent.accrued_discount}
 

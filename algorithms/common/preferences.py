@@ -85,7 +85,7 @@ class Preferences:
                     raise ValueError(f"{key} has {name!r}; the objectives are {tuple(objectives)}")
         self.objectives = tuple(objectives)
         self.config = config
-        self.concentrations = config.concentration * np.array([config.emphasis.get(name, 1.0) for name in objectives])
+        self.emphasis = np.array([config.emphasis.get(name, 1.0) for name in objectives])
         self.scales = torch.from_numpy(scales)
         self.shares = shares / shares.sum()
         self.used = np.flatnonzero(shares).tolist()
@@ -102,7 +102,9 @@ class Preferences:
             *(f"budget/{name}" for name in config.budgets),
         )
 
-    def draw(self, count: int, rng: np.random.Generator, cost_share: float = 1.0) -> NDArray[np.float32]:
+    def draw(
+        self, count: int, rng: np.random.Generator, cost_share: float = 1.0, *, emphasis: bool = True
+    ) -> NDArray[np.float32]:
         """(count, m) preferences from the distribution of training.
 
         Args:
@@ -111,6 +113,7 @@ class Preferences:
             cost_share: by which weights of costs are multiplied before weights are divided by their sum. Costs are the
                 objectives of which no episode so far has returned more than 0; before the first episode has ended all
                 are, and the weights are as drawn.
+            emphasis: whether that of the config applies; without it all objectives are alike.
         """
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
         family = rng.choice(len(FAMILIES), size=count, p=self.shares)
@@ -118,7 +121,8 @@ class Preferences:
             rows[np.arange(count), np.searchsorted(self.used, family)] = 1.0
         weighted = family != COMFORT_BUDGET
         if weighted.any():
-            weights = rng.dirichlet(self.concentrations, int(weighted.sum()))
+            alpha = self.config.concentration * (self.emphasis if emphasis else np.ones(len(self.objectives)))
+            weights = rng.dirichlet(alpha, int(weighted.sum()))
             if cost_share < 1.0:
                 weights = weights * np.where(self.ideal.numpy() > 0.0, 1.0, cost_share) + 1e-9
                 weights /= weights.sum(axis=1, keepdims=True)

@@ -331,6 +331,8 @@ def test_an_emphasis_sets_the_share_of_the_weight() -> None:
     preferences = make_agent(concentration=0.5, emphasis={"distance": 3.0, "jerk": 2.0}).preferences
     weights = preferences.draw(20_000, np.random.default_rng(0))
     np.testing.assert_allclose(weights.mean(axis=0), np.array([3.0, 1.0, 1.0, 2.0]) / 7.0, atol=0.01)
+    without = preferences.draw(20_000, np.random.default_rng(0), emphasis=False)
+    np.testing.assert_allclose(without.mean(axis=0), 0.25, atol=0.01)
 
 
 def test_the_shares_of_families_are_those_of_the_episodes() -> None:
