@@ -92,7 +92,8 @@ test-fast: $(READY)
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) \
 		-m "not slow and not cluster and not browser" --hypothesis-profile fast
 
-# Worker pools and sweeps: their processes are interrupted and killed, and the results must be the same.
+# Worker pools, sweeps, and scripts that train in processes of their own. Some are interrupted and killed, and the
+# results must be the same.
 test-processes: $(READY)
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) -m processes
 

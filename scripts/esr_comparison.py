@@ -1,10 +1,11 @@
-"""Four methods for non-linear utilities on the same tasks, with the same steps and the same tuning for each.
+"""Methods for non-linear utilities on the same tasks, with the same steps and the same tuning for each.
 
     python scripts/esr_comparison.py --output esr_comparison.csv
     python scripts/esr_comparison.py --only one_waypoint_nonlinear --workers 2 --output esr_comparison.csv
 
 PPO scalarises every decision; MO-PPO with ``utility_difference`` is between ESR and SER; MO-PPO with
-``expected_utility`` and MOCAC optimise ESR. Every method has the settings of the shipped YAML file of its task, or of
+``expected_utility`` and MOCAC optimise ESR, the former of episodes that its discount cuts short, unless gamma is 1.
+Every method has the settings of the shipped YAML file of its task, or of
 the nearest one, but for the learning rate, which is tuned (scripts/tuned_comparison.py). The scores are the expected
 utility of an episode (ESR) and the share of arrivals, of 1,000 episodes with sampled actions.
 """
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
     from algorithms.experiments.config import Experiment
 
 FIRST_SEED, EPISODES = 20, 1000
-PPO, DIFFERENCE, EXPECTED, MOCAC = METHODS = ("ppo", "utility_difference", "expected_utility", "mocac")
+PPO, DIFFERENCE, EXPECTED, MOCAC = "ppo", "utility_difference", "expected_utility", "mocac"
+UNDISCOUNTED = f"{EXPECTED}, gamma 1"
+METHODS = (PPO, DIFFERENCE, EXPECTED, UNDISCOUNTED, MOCAC)
 # What MOCAC does not share with a task's MO-PPO, as in one_waypoint/mocac_comfort: it judges undiscounted returns.
 MOCAC_SETTINGS: dict[str, Any] = {
     "name": "mocac", "gamma": 1.0, "observe_discount": False, "critic": "particles", "particles": 32
@@ -73,6 +76,8 @@ def make_run_experiment(run: Run) -> Experiment:
     settings = values["algorithm"]
     if run.learner == MOCAC:
         settings = MOCAC_SETTINGS | {name: settings[name] for name in SHARED}
+    elif run.learner == UNDISCOUNTED:
+        settings |= {"advantage": EXPECTED, "gamma": 1.0}
     elif run.learner != PPO:
         settings["advantage"] = run.learner
     settings["learning_rate"] *= run.rate

@@ -345,8 +345,8 @@ def specialists(config: str, row: Row) -> dict[str, list[float]]:
 
 
 def esr(row: Row) -> dict[str, list[float]]:
-    methods = ("utility_difference", "expected_utility", "mocac", "ppo")
-    learner = next(method for method in methods if method in row["method"].lower())
+    methods = ("utility_difference", "expected_utility, gamma 1", "expected_utility", "mocac", "ppo")
+    learner = next(method for method in methods if method in row["method"].lower().replace("`", ""))
     runs = matching("esr_comparison.csv", task=row["utility"].strip("`"), learner=learner)
     tuned = {run["rate"]: float(run["first"]) for run in runs if run["seed"] == "100"}
     final = sorted((run for run in runs if run["seed"] != "100"), key=lambda run: int(run["seed"]))
@@ -361,7 +361,7 @@ def esr(row: Row) -> dict[str, list[float]]:
 def comfort(row: Row) -> dict[str, list[float]]:
     """A number for each seed; the config stands in the first row of several."""
     table = table_of("docs/learning.md", "config | objective | started by")
-    configs = [each["config"].split()[0] for each in table[: table.index(row) + 1] if each["config"]]
+    configs = [each["config"].split(" (")[0].replace("`", "") for each in table[: table.index(row) + 1] if each["config"]]
     started = row["started by"].split()[0]
     runs = matching(
         "comfort.csv",

@@ -43,6 +43,9 @@ def test_methods_have_the_settings_of_the_shipped_files(script: ModuleType) -> N
             }
             if method == script.MOCAC:
                 assert different <= {"name", "gamma", "observe_discount"}
+            elif method == script.UNDISCOUNTED:
+                assert different <= {"advantage", "gamma"}
+                assert found["algorithm"]["gamma"] == found["algorithm"]["accrued_gamma"] == 1.0
             else:
                 assert different <= {"advantage"}
 

@@ -157,6 +157,7 @@ def test_what_cannot_be_compared_is_refused(call: Call, options: list[str], mess
     refused(call("benchmark", *options), message)
 
 
+@pytest.mark.processes
 @needs_git
 @pytest.mark.slow
 def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Call, tmp_path: Path) -> None:
@@ -174,6 +175,7 @@ def test_the_head_is_compared_with_the_working_tree(paired: ModuleType, call: Ca
     assert row["new_commit"].removesuffix("-dirty") == row["old_commit"]
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
 def test_training_on_two_threads_is_compared_with_one(paired: ModuleType, call: Call, tmp_path: Path) -> None:

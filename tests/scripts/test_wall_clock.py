@@ -138,6 +138,7 @@ def test_our_learners_run_in_both_environments(wall_clock: ModuleType, learner: 
         assert found.seconds > 0.0
 
 
+@pytest.mark.processes
 def test_the_command_runs_processes_and_writes_both_environments(tmp_path: Path) -> None:
     options = ("--seeds", 1, "--limit", 1e-6, "--cartpole", 1e-6, "--only", "ppo", "--output", "runs.csv")
     done = subprocess.run(

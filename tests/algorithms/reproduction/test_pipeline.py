@@ -40,6 +40,7 @@ def call(
     return run
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callable[..., Any], tmp_path: Path) -> None:
     code, out, err = call("--claim", "1")
@@ -130,6 +131,7 @@ def test_invalid_options_are_refused_before_anything_is_trained(
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_a_run_of_another_plan_in_the_folder_is_refused(call: Callable[..., Any], tmp_path: Path) -> None:
     code, out, _ = call("--quick", "--runs", "mine")
