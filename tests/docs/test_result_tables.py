@@ -404,6 +404,10 @@ def peers_fronts(row: Row) -> dict[str, list[float]]:
     return peers_compared(f"fixed, {row['actions']}", ("hypervolume", "expected utility"), 1.0, row)
 
 
+def peers_drawn(row: Row) -> dict[str, list[float]]:
+    return peers_compared(f"drawn, {row['actions']}", ("expected utility", "arrivals (%)"), 100.0, row)
+
+
 def wall_clock(row: Row) -> dict[str, list[float]]:
     driving, cartpole = (
         matching("wall_clock.csv", learner=row["learner"], environment=name)
@@ -548,6 +552,11 @@ TABLES = [
         "docs/peers.md",
         "actions | learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | hypervolume",
         peers_fronts,
+    ),
+    Table(
+        "docs/peers.md",
+        "actions | learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | expected utility",
+        peers_drawn,
     ),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
