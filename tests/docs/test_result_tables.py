@@ -361,7 +361,9 @@ def esr(row: Row) -> dict[str, list[float]]:
 def comfort(row: Row) -> dict[str, list[float]]:
     """A number for each seed; the config stands in the first row of several."""
     table = table_of("docs/learning.md", "config | objective | started by")
-    configs = [each["config"].split(" (")[0].replace("`", "") for each in table[: table.index(row) + 1] if each["config"]]
+    configs = [
+        each["config"].split(" (")[0].replace("`", "") for each in table[: table.index(row) + 1] if each["config"]
+    ]
     started = row["started by"].split()[0]
     runs = matching(
         "comfort.csv",
