@@ -46,7 +46,7 @@ def test_this_packages_learners_are_also_trained_for_the_others_steps(script: Mo
     rows = script.all_learners(["fixed, continuous", "drawn, discrete"], 1.0)
     assert rows[:6] == [
         ("fixed, continuous", "conditioned_mo_ppo", 6_000_000),
-        ("fixed, continuous", "pcn", 360_000),
+        ("fixed, continuous", "pcn", 2_520_000),
         ("fixed, continuous", "morl_baselines.capql", 5_580),
         ("fixed, continuous", "morl_baselines.gpi_ls_continuous", 2_640),
         ("drawn, discrete", "conditioned_mo_ppo", 6_000_000),
