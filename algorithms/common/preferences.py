@@ -121,7 +121,9 @@ class Preferences:
             rows[np.arange(count), np.searchsorted(self.used, family)] = 1.0
         weighted = family != COMFORT_BUDGET
         if weighted.any():
-            alpha = self.config.concentration * (self.emphasis if emphasis else np.ones(len(self.objectives)))
+            alpha = np.full(len(self.objectives), self.config.concentration)
+            if emphasis:
+                alpha *= self.emphasis
             weights = rng.dirichlet(alpha, int(weighted.sum()))
             if cost_share < 1.0:
                 weights = weights * np.where(self.ideal.numpy() > 0.0, 1.0, cost_share) + 1e-9
