@@ -21,17 +21,19 @@ The increases of the utility, in units of what the rest of the episode is worth,
 
     x_t = (u(R_{t+1}; p) - u(R_t; p)) / gamma^t,    sum_t gamma^t x_t = u(R_T; p) - u(0; p)                          (5)
 
-which is w . r_t / s for a linear utility. It is learnt from as in PPO (Schulman et al. 2017), with a critic v(S) of
-E[sum_k gamma^k x_{t+k}] that is 0 after termination:
+which is w . r_t / s for a linear utility. It is learnt from as in PPO (Schulman et al. 2017). The critic V(S) predicts
+E[sum_k gamma^k X_{t+k}], where X_t is x_t or, with ``vector_critic``, has the components r_t / s for linear utilities
+and x_t for the others; what is not in the mixture is left out. It is 0 after termination:
 
     S_t     = (s_t, p, c_t)                                                                                          (6)
-    delta_t = x_t + gamma v(S_{t+1}) - v(S_t)                                                                        (7)
-    A_t     = delta_t + gamma lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                         (8)
-    L       = -E[min(f_t A_t, clip(f_t, 1 - epsilon, 1 + epsilon) A_t)] + c_v E[(y_t - v(S_t))^2] - c_e E[H(pi)]     (9)
+    delta_t = X_t + gamma V(S_{t+1}) - V(S_t)                                                                        (7)
+    A_t     = delta_t + gamma lambda A_{t+1},    Y_t = A_t + V(S_t)    targets of the critic                         (8)
+    L       = -E[min(f_t a_t, clip(f_t, 1 - epsilon, 1 + epsilon) a_t)] + c_v E[(Y_t - V(S_t))^2] - c_e E[H(pi)]     (9)
 
-with the ratio f_t = pi(a_t | S_t) / pi_old(a_t | S_t). c_t is what the past means for the rest of the episode. Since
-u(R_t + gamma^t X) / gamma^t depends on R_t only through differences of gaps, and through budgets that are left, these
-replace R_t and gamma^t in the state:
+with the ratio f_t = pi(a_t | S_t) / pi_old(a_t | S_t) and a_t = k(p) . A_t: for a linear utility k(p) weighs the
+components r_t / s with w, for another it weighs x_t with 1. c_t is what the past means for the rest of the episode.
+Since u(R_t + gamma^t X) / gamma^t depends on R_t only through differences of gaps, and through budgets that are left,
+these replace R_t and gamma^t in the state:
 
     chebyshev        c_i = (q_i(R_t) - max_j q_j(R_t)) / gamma^t                                                    (10)
     comfort_budget   c_i = (R_{t,i} + b_i) / gamma^t / (largest budget)                                             (11)
@@ -39,7 +41,7 @@ replace R_t and gamma^t in the state:
 both clipped; for linear utilities there is none, because the past does not matter to them.
 
 With ``switching`` the preference also changes within episodes. The reward of eq. 5 then goes on under the new one, and
-v(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
+V(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
 by one preference then learn under another what moving on is worth; a network that stands still under costly preferences
 seldom finds out by itself (docs/learning.md has measurements).
 
@@ -89,7 +91,7 @@ from algorithms.common.hyperparameters import (
 from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
 from algorithms.common.networks import make_network
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
-from algorithms.common.preferences import Preferences, PreferenceSettings
+from algorithms.common.preferences import LINEAR, Preferences, PreferenceSettings
 from algorithms.common.rollout import Collector, Samples
 from algorithms.common.trained_networks import TrainedNetworks
 from algorithms.evaluation.metrics import (
@@ -139,6 +141,8 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
         entropy_end: c_e at the end, to which it moves geometrically.
         entropy_until: fraction of the training after which c_e is ``entropy_end``.
         value_coefficient: c_v.
+        vector_critic: whether the critic predicts the returns of the objectives, which do not depend on the weights but
+            through the policy, instead of linear utilities of them.
         max_grad_norm: maximum norm of the gradient.
     """
 
@@ -158,6 +162,7 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
     entropy_end: NonNegative = 0.001
     entropy_until: PositiveFraction = 1.0
     value_coefficient: Positive = 0.5
+    vector_critic: bool = True
     max_grad_norm: Positive = 0.5
     state_dependent_std: bool = True
 
@@ -198,7 +203,11 @@ class ConditionedLearner(TrainedNetworks):
         self.observation_scales = torch.tensor(env.observation_scales, device=device)
         self.input_size = env.observation_size + preferences.width
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
-        self.critic = make_network(config, self.input_size, 1, generator).to(device)
+        # Which components X_t has.
+        self.objectives = config.vector_critic and LINEAR in preferences.used
+        self.increases = not self.objectives or preferences.used != [LINEAR]
+        components = self.objectives * len(env.objectives) + self.increases
+        self.critic = make_network(config, self.input_size, components, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         # Shuffles the minibatches.
         self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
@@ -246,26 +255,27 @@ class ConditionedLearner(TrainedNetworks):
         # After an episode that ends with the rollout v(S_T) is not used, and one that runs on keeps its preference.
         followed = torch.cat([preferences, preferences[-1:]])
         inputs = self.inputs(rollout.observations, followed, rollout.accrued, rollout.discounts)
-        values = self.critic(inputs).squeeze(-1)
+        values = self.critic(inputs)
         switched = (followed[1:] != followed[:-1]).any(-1) & ~(rollout.terminated | rollout.truncated)
         next_values = self.next_values(rollout, preferences, values, switched)
         advantages = self.advantages(rollout, preferences, values[:-1], next_values, switched)
         targets = advantages + values[:-1]
-        weights = rollout.acted.to(advantages.dtype)
-        normalised = normalise(advantages, weights / weights.sum().clamp(min=1.0))
+        scalars = (self.component_weights(preferences) * advantages).sum(-1)
+        weights = rollout.acted.to(scalars.dtype)
+        normalised = normalise(scalars, weights / weights.sum().clamp(min=1.0))
         log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        all_samples = Samples(inputs[:-1], inputs[:-1], rollout.actions, log_prob, normalised, targets.unsqueeze(-1))
+        all_samples = Samples(inputs[:-1], inputs[:-1], rollout.actions, log_prob, normalised, targets)
         return all_samples.at(rollout.acted)
 
     def next_values(
         self, rollout: VehicleRollout, preferences: torch.Tensor, values: torch.Tensor, switched: torch.Tensor
     ) -> torch.Tensor:
-        """v(S_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
+        """V(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
 
         Args:
             rollout: T steps of this vehicle.
             preferences: (T, N, m) under which it acted.
-            values: (T + 1, N) v of the states in which it acted.
+            values: (T + 1, N, K) V of the states in which it acted.
             switched: (T, N) whether another preference follows in the same episode; S_{t+1} has the one of S_t.
         """
         next_values = values[1:].clone()
@@ -274,11 +284,11 @@ class ConditionedLearner(TrainedNetworks):
         if truncated.any():
             observations, accrued, discounts = rollout.final_states(truncated, self.config.gamma)
             final = self.inputs(observations, preferences[truncated], accrued, discounts)
-            next_values[truncated] = self.critic(final).squeeze(-1)
+            next_values[truncated] = self.critic(final)
         if switched.any():
             after = (each[1:][switched] for each in (rollout.accrued, rollout.discounts))
             states = self.inputs(rollout.observations[1:][switched], preferences[switched], *after)
-            next_values[switched] = self.critic(states).squeeze(-1)
+            next_values[switched] = self.critic(states)
         return next_values
 
     def advantages(
@@ -289,17 +299,35 @@ class ConditionedLearner(TrainedNetworks):
         next_values: torch.Tensor,
         switched: torch.Tensor,
     ) -> torch.Tensor:
-        """A_t (T, N) of eqs. 5, 7 and 8 from v(S_t) and v(S_{t+1}); the sum ends where the preference switches."""
-        config, u = self.config, self.preferences.utility
-        accrued, discounts = rollout.accrued[:-1], rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
-        # Equation 5, in double precision because gamma^t becomes small.
-        before = accrued.double()
-        after = before + discounts.unsqueeze(-1) * rollout.rewards
-        rewards = ((u(after, preferences) - u(before, preferences)) / discounts).to(values.dtype)
-        # Equations 7 and 8.
-        not_done = (~(rollout.terminated | rollout.truncated | switched)).to(values.dtype)
-        deltas = rewards + config.gamma * next_values - values
+        """A_t (T, N, K) of eqs. 7 and 8 from V(S_t) and V(S_{t+1}); the sum ends where the preference switches."""
+        config = self.config
+        not_done = (~(rollout.terminated | rollout.truncated | switched)).to(values.dtype).unsqueeze(-1)
+        deltas = self.components(rollout, preferences) + config.gamma * next_values - values
         return generalised_advantages(deltas, not_done, config.gamma * config.gae_lambda)
+
+    def components(self, rollout: VehicleRollout, preferences: torch.Tensor) -> torch.Tensor:
+        """X_t (T, N, K) of a rollout that acted under preferences (T, N, m)."""
+        parts = []
+        if self.objectives:
+            parts.append(rollout.rewards / self.preferences.scales.to(rollout.rewards))
+        if self.increases:
+            u, discounts = self.preferences.utility, rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
+            # Equation 5, in double precision because gamma^t becomes small.
+            before = rollout.accrued[:-1].double()
+            after = before + discounts.unsqueeze(-1) * rollout.rewards
+            increases = (u(after, preferences) - u(before, preferences)) / discounts
+            parts.append(increases.to(rollout.rewards.dtype).unsqueeze(-1))
+        return torch.cat(parts, dim=-1)
+
+    def component_weights(self, preferences: torch.Tensor) -> torch.Tensor:
+        """k(p) (..., K) of preferences (..., m)."""
+        linear = self.preferences.is_family(preferences, LINEAR).unsqueeze(-1)
+        parts = []
+        if self.objectives:
+            parts.append(self.preferences.weights(preferences) * linear)
+        if self.increases:
+            parts.append((~linear if self.objectives else torch.ones_like(linear)).to(preferences.dtype))
+        return torch.cat(parts, dim=-1)
 
     def gradient_step(
         self, samples: Samples, learning_rate: float, entropy_coefficient: float

@@ -201,17 +201,20 @@ class Preferences:
             return torch.ones(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
         return preferences[..., self.used.index(family)] > 0.5
 
+    def weights(self, preferences: torch.Tensor) -> torch.Tensor:
+        """The weights w (..., d) of preferences (..., m); 0 under budgets."""
+        return preferences[..., self._weights]
+
     def gaps(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
         """The gaps q of eq. 2 (..., d)."""
-        weights = preferences[..., self._weights]
-        return weights * (self.ideal.to(returns) - returns) / self.scales.to(returns)
+        return self.weights(preferences) * (self.ideal.to(returns) - returns) / self.scales.to(returns)
 
     def utility(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
         """u(R; p) (...) of eqs. 1 to 3, for returns (..., d) and preferences (..., m)."""
         scaled = returns / self.scales.to(returns)
         value = torch.zeros(returns.shape[:-1], device=returns.device, dtype=returns.dtype)
         if LINEAR in self.used:
-            linear = (preferences[..., self._weights] * scaled).sum(-1)
+            linear = (self.weights(preferences) * scaled).sum(-1)
             value = torch.where(self.is_family(preferences, LINEAR), linear, value)
         if CHEBYSHEV in self.used:
             gaps = self.gaps(returns, preferences)

@@ -162,26 +162,34 @@ def test_utilities_are_those_of_plain_loops() -> None:
     assert seen == {0, 1, 2}
 
 
-def test_the_discounted_sum_of_the_scalar_rewards_is_the_increase_of_the_utility() -> None:
-    agent = make_agent(num_envs=3, env={"time_limit": 20}, steps=40, gae_lambda=1.0, gamma=0.9, **MIXTURE)
+@pytest.mark.parametrize("vector_critic", [False, True])
+def test_the_discounted_sum_of_the_scalar_rewards_is_the_increase_of_the_utility(vector_critic: bool) -> None:
+    settings = {"steps": 40, "gae_lambda": 1.0, "gamma": 0.9, "vector_critic": vector_critic, **MIXTURE}
+    agent = make_agent(num_envs=6, env={"time_limit": 20}, **settings)
     agent.preferences.ideal = torch.tensor([12.0, 0.8, 0.0, 0.0])
     agent.begin()
-    rows = np.repeat(agent.preferences.draw(3, np.random.default_rng(3))[:, None], 1, axis=1)
+    rows = np.repeat(agent.preferences.draw(6, np.random.default_rng(3))[:, None], 1, axis=1)
     rollout, _ = agent.collector.collect(
         lambda observations, accrued: agent.choose_actions(observations, rows, accrued, agent.generator)
     )
     own = rollout.of_vehicle(0, torch.device("cpu"))
     assert not (own.terminated | own.truncated).any()
-    followed = torch.from_numpy(rows[:, 0]).expand(40, 3, -1)
-    zeros, never = torch.zeros(40, 3), torch.zeros(40, 3, dtype=torch.bool)
-    found = agent.learners[0].advantages(own, followed, zeros, zeros, never)[0]
+    followed = torch.from_numpy(rows[:, 0]).expand(40, 6, -1)
+    learner, never = agent.learners[0], torch.zeros(40, 6, dtype=torch.bool)
+    components = 1 + len(agent.env.objectives) * vector_critic
+    zeros = torch.zeros(40, 6, components)
+    advantages = learner.advantages(own, followed, zeros, zeros, never)[0]
+    found = (learner.component_weights(followed[0]) * advantages).sum(-1)
     utility = agent.preferences.utility
-    increase = utility(own.accrued[-1], followed[0]) - utility(torch.zeros(3, 4), followed[0])
+    increase = utility(own.accrued[-1], followed[0]) - utility(torch.zeros(6, 4), followed[0])
+    assert len({row[: len(MIXTURE["families"])].tobytes() for row in rows[:, 0]}) == len(MIXTURE["families"])
     torch.testing.assert_close(found, increase, rtol=1e-4, atol=1e-5)
 
 
-def test_advantages_are_those_of_a_plain_loop_and_linear_ones_need_no_past() -> None:
-    agent = make_agent(num_envs=3, env={"time_limit": 0.5}, steps=7, gamma=0.9, gae_lambda=0.8)
+@pytest.mark.parametrize("vector_critic", [False, True])
+def test_advantages_are_those_of_a_plain_loop_and_linear_ones_need_no_past(vector_critic: bool) -> None:
+    settings = {"steps": 7, "gamma": 0.9, "gae_lambda": 0.8, "vector_critic": vector_critic}
+    agent = make_agent(num_envs=3, env={"time_limit": 0.5}, **settings)
     agent.begin()
     agent.update(0.0)
     rows = agent.preferences.draw(3, np.random.default_rng(1))[:, None]
@@ -190,20 +198,23 @@ def test_advantages_are_those_of_a_plain_loop_and_linear_ones_need_no_past() -> 
     )
     own = rollout.of_vehicle(0, torch.device("cpu"))
     generator = torch.Generator().manual_seed(0)
-    values, next_values = torch.randn(2, 7, 3, generator=generator)
+    components = len(agent.env.objectives) if vector_critic else 1
+    values, next_values = torch.randn(2, 7, 3, components, generator=generator)
     followed = torch.from_numpy(rows[:, 0]).expand(7, 3, -1)
     switched = torch.rand(7, 3, generator=generator) < 0.2
     found = agent.learners[0].advantages(own, followed, values, next_values, switched)
     ends = (own.terminated | own.truncated | switched).numpy()
     assert switched.any()
     assert (own.terminated | own.truncated).any()
+    weights = agent.learners[0].component_weights(followed)
     for n in range(3):
+        w = rows[n, 0] if vector_critic else np.ones(1)
         later = 0.0
         for t in range(6, -1, -1):
             reward = float((own.rewards[t, n].numpy() / agent.scales) @ rows[n, 0])
-            delta = reward + 0.9 * float(next_values[t, n]) - float(values[t, n])
+            delta = reward + 0.9 * float(next_values[t, n].numpy() @ w) - float(values[t, n].numpy() @ w)
             later = delta + (0.0 if ends[t, n] else 0.9 * 0.8 * later)
-            assert float(found[t, n]) == pytest.approx(later, abs=2e-5)
+            assert float(weights[t, n] @ found[t, n]) == pytest.approx(later, abs=2e-5)
 
 
 def test_the_state_knows_of_the_past_what_the_rest_of_the_utility_depends_on() -> None:
@@ -237,15 +248,15 @@ def test_values_are_bootstrapped_after_truncation_and_not_after_termination() ->
     )
     own = rollout.of_vehicle(0, torch.device("cpu"))
     followed = torch.from_numpy(rows[:, 0]).expand(7, 3, -1).contiguous()
-    values = torch.randn(8, 3, generator=torch.Generator().manual_seed(0))
+    values = torch.randn(8, 3, len(agent.env.objectives), generator=torch.Generator().manual_seed(0))
     learner = agent.learners[0]
     with torch.no_grad():
         never = torch.zeros(7, 3, dtype=torch.bool)
         found = learner.next_values(own, followed, values, never)
         final = learner.inputs(own.final, followed, own.accrued[:-1], own.discounts[:-1])  # linear: no past
-        at_end = learner.critic(final).squeeze(-1)
+        at_end = learner.critic(final)
     assert own.truncated.any()
-    expected = torch.where(own.truncated, at_end, values[1:])
+    expected = torch.where(own.truncated.unsqueeze(-1), at_end, values[1:])
     torch.testing.assert_close(found, expected)
     own.terminated[:] = own.truncated
     with torch.no_grad():
@@ -264,14 +275,14 @@ def test_where_the_preference_switches_the_next_value_is_that_of_the_old_one() -
     followed = torch.from_numpy(rows[:, :, 0])
     always = torch.ones(7, 3, dtype=torch.bool)
     with torch.no_grad():
-        found = learner.next_values(own, followed, torch.zeros(8, 3), always)
+        found = learner.next_values(own, followed, torch.zeros(8, 3, 1 + len(agent.env.objectives)), always)
         under_old = learner.inputs(own.observations[1:], followed, own.accrued[1:], own.discounts[1:])
-        torch.testing.assert_close(found, learner.critic(under_old).squeeze(-1))
+        torch.testing.assert_close(found, learner.critic(under_old))
         samples = learner.samples(own, followed)
         before = learner.critic(learner.inputs(own.observations[:-1], followed, own.accrued[:-1], own.discounts[:-1]))
-        one_step = learner.advantages(own, followed, before.squeeze(-1), found, always)
+        one_step = learner.advantages(own, followed, before, found, always)
     # The last decision of the rollout keeps its preference, so all of its advantages are one-step ones.
-    torch.testing.assert_close(samples.targets.squeeze(-1).reshape(7, 3), one_step + before.squeeze(-1))
+    torch.testing.assert_close(samples.targets.reshape(before.shape), one_step + before)
 
 
 # ---------------------------------------------------------------------------------------------- preferences of episodes
