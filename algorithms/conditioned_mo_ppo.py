@@ -162,11 +162,15 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
     entropy_end: NonNegative = 0.001
     entropy_until: PositiveFraction = 1.0
     value_coefficient: Positive = 0.5
-    vector_critic: bool = True
+    vector_critic: bool = False
     max_grad_norm: Positive = 0.5
     state_dependent_std: bool = True
 
-    new_defaults: ClassVar[dict[str, Any]] = {**NetworkSettings.new_defaults, "state_dependent_std": True}
+    new_defaults: ClassVar[dict[str, Any]] = {
+        **NetworkSettings.new_defaults,
+        "state_dependent_std": True,
+        "vector_critic": False,
+    }
 
     @model_validator(mode="after")
     def _consistent(self) -> ConditionedMOPPOConfig:

@@ -240,7 +240,7 @@ def test_the_state_knows_of_the_past_what_the_rest_of_the_utility_depends_on() -
 
 
 def test_values_are_bootstrapped_after_truncation_and_not_after_termination() -> None:
-    agent = make_agent(num_envs=3, env={"time_limit": 0.5}, steps=7)
+    agent = make_agent(num_envs=3, env={"time_limit": 0.5}, steps=7, vector_critic=True)
     agent.begin()
     rows = agent.preferences.draw(3, np.random.default_rng(1))[:, None]
     rollout, _ = agent.collector.collect(
@@ -264,7 +264,7 @@ def test_values_are_bootstrapped_after_truncation_and_not_after_termination() ->
 
 
 def test_where_the_preference_switches_the_next_value_is_that_of_the_old_one() -> None:
-    agent = make_agent(num_envs=3, env={"time_limit": 20}, steps=7, **MIXTURE)
+    agent = make_agent(num_envs=3, env={"time_limit": 20}, steps=7, vector_critic=True, **MIXTURE)
     agent.begin()
     rows = agent.preferences.draw(21, np.random.default_rng(1)).reshape(7, 3, 1, -1)
     step = iter(rows)
@@ -407,6 +407,8 @@ PLACES: dict[str, dict[str, Any]] = {
     "discrete": {},
     "continuous": {"env": {**SHORT, **CONTINUOUS}},
     "continuous, one deviation": {"env": {**SHORT, **CONTINUOUS}, "state_dependent_std": False},
+    "vector critic": {"vector_critic": True},
+    "vector critic of a mixture": {"vector_critic": True, **MIXTURE},
     "mixture": MIXTURE,
     "chebyshev": {"families": {"chebyshev": 1.0}},
     "linear and chebyshev": {"families": {"linear": 0.5, "chebyshev": 0.5}},
@@ -465,6 +467,16 @@ def test_a_checkpoint_of_other_deviations_is_refused(tmp_path: Path) -> None:
     discrete = make_agent(state_dependent_std=False)
     discrete.save(tmp_path / "discrete.safetensors")
     make_agent().load(tmp_path / "discrete.safetensors")  # where actions are discrete it means nothing
+
+
+def test_training_does_not_go_on_with_another_critic_but_the_policy_acts(tmp_path: Path) -> None:
+    scalar, vector = make_agent(), make_agent(vector_critic=True)
+    scalar.save(tmp_path / "scalar.safetensors")
+    scalar.save_policy(tmp_path / "policy.safetensors")
+    with pytest.raises(ValueError, match=r"'vehicle_0.critic.*' of shape \(1, 16\); this agent needs \(4, 16\)"):
+        vector.load(tmp_path / "scalar.safetensors")
+    vector.load(tmp_path / "policy.safetensors", policy_only=True)
+    assert same(scalar.get_policy(), vector.get_policy())
 
 
 def test_a_seed_determines_every_weight(tmp_path: Path) -> None:
