@@ -141,8 +141,8 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
         entropy_end: c_e at the end, to which it moves geometrically.
         entropy_until: fraction of the training after which c_e is ``entropy_end``.
         value_coefficient: c_v.
-        vector_critic: whether the critic predicts the returns of the objectives, which do not depend on the weights but
-            through the policy, instead of linear utilities of them.
+        vector_critic: whether the critic predicts the return of each objective, as the vector-valued Q of Abels et al.
+            (2019) and Yang et al. (2019) do, instead of linear utilities of them; only where families has linear ones.
         max_grad_norm: maximum norm of the gradient.
     """
 
@@ -208,9 +208,9 @@ class ConditionedLearner(TrainedNetworks):
         self.input_size = env.observation_size + preferences.width
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         # Which components X_t has.
-        self.objectives = config.vector_critic and LINEAR in preferences.used
-        self.increases = not self.objectives or preferences.used != [LINEAR]
-        components = self.objectives * len(env.objectives) + self.increases
+        self.has_objectives = config.vector_critic and LINEAR in preferences.used
+        self.has_increases = not self.has_objectives or preferences.used != [LINEAR]
+        components = self.has_objectives * len(env.objectives) + self.has_increases
         self.critic = make_network(config, self.input_size, components, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
         # Shuffles the minibatches.
@@ -312,9 +312,9 @@ class ConditionedLearner(TrainedNetworks):
     def components(self, rollout: VehicleRollout, preferences: torch.Tensor) -> torch.Tensor:
         """X_t (T, N, K) of a rollout that acted under preferences (T, N, m)."""
         parts = []
-        if self.objectives:
+        if self.has_objectives:
             parts.append(rollout.rewards / self.preferences.scales.to(rollout.rewards))
-        if self.increases:
+        if self.has_increases:
             u, discounts = self.preferences.utility, rollout.discounts[:-1].clamp(min=SMALLEST_DISCOUNT)
             # Equation 5, in double precision because gamma^t becomes small.
             before = rollout.accrued[:-1].double()
@@ -327,10 +327,10 @@ class ConditionedLearner(TrainedNetworks):
         """k(p) (..., K) of preferences (..., m)."""
         linear = self.preferences.is_family(preferences, LINEAR).unsqueeze(-1)
         parts = []
-        if self.objectives:
+        if self.has_objectives:
             parts.append(self.preferences.weights(preferences) * linear)
-        if self.increases:
-            parts.append((~linear if self.objectives else torch.ones_like(linear)).to(preferences.dtype))
+        if self.has_increases:
+            parts.append((~linear if self.has_objectives else torch.ones_like(linear)).to(preferences.dtype))
         return torch.cat(parts, dim=-1)
 
     def gradient_step(
