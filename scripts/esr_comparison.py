@@ -65,7 +65,7 @@ TASKS = {
     "one_waypoint_comfort_budget": Task("one_waypoint/ppo_comfort", "one_waypoint/mo_ppo_comfort", 4_000_000),
     "one_waypoint_nonlinear": Task("one_waypoint/ppo_nonlinear", "one_waypoint/mo_ppo_nonlinear", 4_000_000),
     "static_obstacle_nonlinear": Task("static_obstacle/ppo_nonlinear", "static_obstacle/mo_ppo_nonlinear", 4_000_000),
-    "left_turn_risk_averse": Task("left_turn/ppo_linear", "left_turn/mo_ppo_linear", 10_000_000),
+    "left_turn_risk_averse": Task("left_turn/ppo_linear", "left_turn/mo_ppo_risk_averse", 10_000_000),
 }
 
 
