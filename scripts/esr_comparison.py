@@ -43,7 +43,16 @@ METHODS = (PPO, DIFFERENCE, EXPECTED, UNDISCOUNTED, MOCAC)
 MOCAC_SETTINGS: dict[str, Any] = {
     "name": "mocac", "gamma": 1.0, "observe_discount": False, "critic": "particles", "particles": 32
 }  # fmt: skip
-SHARED = ("learning_rate", "learning_rate_end", "gae_lambda", "steps", "entropy_start", "entropy_end", "hidden")
+SHARED = (
+    "learning_rate",
+    "learning_rate_end",
+    "gae_lambda",
+    "steps",
+    "entropy_start",
+    "entropy_end",
+    "hidden",
+    "objective_scales",
+)
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ def test_methods_have_the_settings_of_the_shipped_files(script: ModuleType) -> N
             }
             if method == script.MOCAC:
                 assert different <= {"name", "gamma", "observe_discount"}
+                assert found["algorithm"]["objective_scales"] == wanted["algorithm"]["objective_scales"]
             elif method == script.UNDISCOUNTED:
                 assert different <= {"advantage", "gamma"}
                 assert found["algorithm"]["gamma"] == found["algorithm"]["accrued_gamma"] == 1.0
