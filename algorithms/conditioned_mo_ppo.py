@@ -43,7 +43,7 @@ both clipped; for linear utilities there is none, because the past does not matt
 With ``switching`` the preference also changes within episodes. The reward of eq. 5 then goes on under the new one, and
 V(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
 by one preference then learn under another what moving on is worth; a network that stands still under costly preferences
-seldom finds out by itself (docs/learning.md has measurements).
+seldom finds out by itself (docs/results/conditioned.md has measurements).
 
 With continuous actions the standard deviations of pi, too, depend on S_t: what one preference has to explore, another
 pays for without gaining by it.

@@ -77,8 +77,10 @@ def specialist_experiment(experiment: Experiment, weights: NDArray[np.float64]) 
     """MO-PPO for the linear utility of ``weights`` (d,) of returns, with what its settings share with the network's."""
     values: dict[str, Any] = experiment.to_dict()
     shared = {key: value for key, value in experiment.algorithm.items() if key in MOPPOConfig.model_fields}
-    # The past does not matter to a linear utility.
-    values["algorithm"] = {**shared, "name": "mo_ppo", "observe_accrued": False, "observe_discount": False}
+    # The past does not matter to a linear utility, and with accrued_gamma = 1 late decisions count as much as early
+    # ones, as they do for the network.
+    past = {"accrued_gamma": 1.0, "observe_accrued": False, "observe_discount": False}
+    values["algorithm"] = {**shared, **past, "name": "mo_ppo"}
     values["utility"] = {"name": "linear", "arguments": {"weights": weights.tolist()}}
     return make_experiment(values)
 

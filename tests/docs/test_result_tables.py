@@ -325,7 +325,8 @@ def strangers(vehicle: int, row: Row) -> dict[str, list[float]]:
 
 
 def conditioned(row: Row) -> dict[str, list[float]]:
-    runs = matching("conditioned.csv", config=row["config"])
+    changed_settings = f" with {row['changed']}" if "changed" in row else ""
+    runs = matching("conditioned.csv", config=row["config"] + changed_settings)
     values = {"seeds": [float(len(runs))], "steps": [float(runs[0]["steps"])]}
     for shown, name in (("hypervolume", "hypervolume"), ("expected utility", "expected_utility")):
         shares = 100 * column(runs, name)
@@ -360,7 +361,7 @@ def esr(row: Row) -> dict[str, list[float]]:
 
 def comfort(row: Row) -> dict[str, list[float]]:
     """A number for each seed; the config stands in the first row of several."""
-    table = table_of("docs/learning.md", "config | objective | started by")
+    table = table_of("docs/results/nonlinear_utilities.md", "config | objective | started by")
     configs = [
         each["config"].split(" (")[0].replace("`", "") for each in table[: table.index(row) + 1] if each["config"]
     ]
@@ -533,17 +534,18 @@ TABLES = [
     Table("docs/left_turn.md", "gap (s) | arrivals", rules),
     Table("docs/left_turn.md", "driver | arrivals", left_turners),
     Table("docs/left_turn.md", "source | policies | non-dominated", left_turn_front),
-    Table("docs/learning.md", "config | seeds | steps | hypervolume", conditioned),
+    Table("docs/results/conditioned.md", "config | seeds | steps | hypervolume", conditioned),
+    Table("docs/results/conditioned.md", "config | changed | seeds", conditioned),
     *(
-        Table("docs/learning.md", f"weights: distance, destination, {costs} | networks", partial(specialists, config))
+        Table("docs/results/conditioned.md", f"weights: distance, destination, {costs} | networks", partial(specialists, config))
         for costs, config in (
             ("g-force, jerk", "one_waypoint/conditioned_drawn"),
             ("g-force, collision, jerk", "static_obstacle/conditioned_drawn"),
             ("g-force, collision, jerk, lane violation, time", "left_turn/conditioned"),
         )
     ),
-    Table("docs/learning.md", "config | objective | started by", comfort),
-    Table("docs/learning.md", "utility | method | tuning", esr),
+    Table("docs/results/nonlinear_utilities.md", "config | objective | started by", comfort),
+    Table("docs/results/nonlinear_utilities.md", "utility | method | tuning", esr),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table(
         "docs/peers.md",
