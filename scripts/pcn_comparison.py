@@ -10,25 +10,25 @@ one thread, and the learners take turns. The front that counts is that of greedy
 from __future__ import annotations
 
 import multiprocessing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import paired_benchmark
 import torch
+from result_file import check_folder, read_results, write_results
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from algorithms.commands.peers import seed_everything
-from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.pareto import hypervolume
 from algorithms.evaluation.statistics import mean
 from algorithms.experiments.build import build
-from algorithms.experiments.cli import make_parser
+from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
@@ -81,19 +81,28 @@ class Result:
         environment: a key of :data:`PROBLEMS`.
         learner: one of :data:`LEARNERS`.
         seed: of the run.
-        steps: environment steps.
+        steps: environment steps that were asked for.
+        taken: environment steps that were taken.
         hypervolume: of the front of greedy policies.
         policies: their number.
         seconds: CPU time of the training.
+        commit: of the code.
     """
 
     environment: str
     learner: str
     seed: int
     steps: int
-    hypervolume: float
+    taken: int
+    hypervolume: Annotated[float, ".6g"]
     policies: int
-    seconds: float
+    seconds: Annotated[float, ".1f"]
+    commit: str
+
+    @property
+    def run(self) -> tuple[str, str, int, int]:
+        """The arguments of :func:`learn`."""
+        return self.environment, self.learner, self.seed, self.steps
 
 
 def make_run(env_id: str, learner: str, seed: int, steps: int) -> Experiment:
@@ -129,17 +138,18 @@ def learn(env_id: str, learner: str, seed: int, steps: int) -> Result:
     if learner in PEERS:
         task = prepare(experiment, lambda _step, _metrics: None)
         policies = PEERS[learner].adapter(task)
-        seconds, steps = process_time() - started, task.recorder.steps
+        seconds, taken = process_time() - started, task.recorder.steps
         front = evaluate_peer_front(policies, experiment)
     else:
         agent = build(experiment)
         agent.train(steps)
-        seconds, steps = process_time() - started, agent.step
+        seconds, taken = process_time() - started, agent.step
         front = evaluate_front(agent, experiment, episodes=EPISODES, seed=experiment.evaluation.final_seed)
     point = np.array(PROBLEMS[env_id].reference_point)
     beyond = bool((front.discounted > point).all(axis=1).any())
     volume = hypervolume(front.discounted, point) if beyond else 0.0
-    return Result(env_id, learner, seed, steps, volume, len(front.discounted), seconds)
+    commit = paired_benchmark.working_tree()
+    return Result(env_id, learner, seed, steps, taken, volume, len(front.discounted), seconds, commit)
 
 
 def learn_in_new_process(arguments: tuple[str, str, int, int]) -> Result:
@@ -165,16 +175,6 @@ def rows(results: Sequence[Result]) -> list[list[str]]:
     return table
 
 
-def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV, atomically."""
-    commit = paired_benchmark.working_tree()
-    rows = [[*(each.name for each in fields(Result)), "commit"]]
-    for result in results:
-        cells = asdict(result) | {"hypervolume": f"{result.hypervolume:.6g}", "seconds": f"{result.seconds:.1f}"}
-        rows.append([*map(str, cells.values()), commit])
-    atomic_write(path, csv_bytes(rows))
-
-
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = make_parser(__doc__)
@@ -186,14 +186,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--learners", nargs="+", choices=LEARNERS, default=list(LEARNERS), help="default: both")
     parser.add_argument("--steps", type=int, help="of every run, instead of the environment's")
-    parser.add_argument("--output", type=Path, help="also write every run to this CSV file")
+    parser.add_argument("--output", type=Path, help="CSV file of every run, continued if it exists")
     arguments = parser.parse_args(argv)
     for name in ("seeds", "steps"):
         value = getattr(arguments, name)
         if value is not None and value < 1:
             parser.error(f"--{name} {value} must be at least 1")
-    if arguments.output is not None and not arguments.output.parent.is_dir():
-        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    check_folder(parser, arguments.output)
     for name in arguments.learners:
         reason = PEERS[name].unavailable_reason() if name in PEERS else None
         if reason is not None:
@@ -202,11 +201,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         (env_id, learner, FIRST_SEED + seed, arguments.steps or PROBLEMS[env_id].steps)
         for env_id, seed, learner in product(arguments.only, range(arguments.seeds), arguments.learners)
     ]
-    results = []
-    for run in track(runs):
-        results.append(learn_in_new_process(run))
-        if arguments.output is not None:
-            write_results(arguments.output, results)  # after every run: all of them take minutes
+    with exit_on_error(ValueError, OSError):
+        results = read_results(arguments.output, Result)
+        done = {result.run for result in results}
+        for run in track([run for run in runs if run not in done]):
+            results.append(learn_in_new_process(run))
+            write_results(arguments.output, results)
     caption = f"{arguments.seeds} seeds: mean [95% interval]; {paired_benchmark.machine()}, one thread"
     table = Table("environment", "learner", "seeds", "hypervolume", "policies", "CPU seconds", caption=caption)
     for row in rows(results):

@@ -7,16 +7,14 @@ are not repeated, so that a comparison can be continued. Every run is a new proc
 
 from __future__ import annotations
 
-import csv
 import multiprocessing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import paired_benchmark
+from result_file import check_folder, read_results, write_results
 from rich.progress import track
-
-from algorithms.common.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -67,9 +65,9 @@ class Result:
     seed: int
     steps: int
     taken: int
-    first: float
-    second: float
-    seconds: float
+    first: Annotated[float, ".6g"]
+    second: Annotated[float, ".6g"]
+    seconds: Annotated[float, ".1f"]
 
     @property
     def key(self) -> tuple[str, str, str, int, int]:
@@ -87,7 +85,7 @@ def missing_runs(
         learners: triples of task, learner and steps.
         seeds: those that count.
     """
-    done = {result.key: result.first for result in results}
+    done = {result.key: float(f"{result.first:.6g}") for result in results}  # with the digits that the file has
     runs = []
     for task, learner, steps in learners:
         tuning = [Run(task, learner, rate, TUNING_SEED, steps) for rate in RATES]
@@ -109,10 +107,12 @@ def complete(
     """Make the missing runs of a comparison, ``workers`` at a time, and write each result to ``path``; all results.
 
     Raises:
-        ValueError: if ``path`` is another file.
+        ValueError: if ``path`` is another file, or the seeds that count have that of the tuning.
         OSError: if it cannot be written.
     """
-    results = read_results(path)
+    if TUNING_SEED in seeds:
+        raise ValueError(f"seeds = {min(seeds)} to {max(seeds)}: {TUNING_SEED} is that of the tuning; take fewer seeds")
+    results = read_results(path, Result)
     while runs := missing_runs(results, learners, seeds):
         for result in track(_learn_in_new_processes(learn, runs, workers), total=len(runs)):
             results.append(result)
@@ -125,33 +125,6 @@ def _learn_in_new_processes(learn: Callable[[Run], Result], runs: Sequence[Run],
     context = multiprocessing.get_context("spawn")
     with paired_benchmark.one_thread_each(), context.Pool(workers, maxtasksperchild=1) as pool:
         yield from pool.imap_unordered(learn, runs, chunksize=1)
-
-
-def read_results(path: Path) -> list[Result]:
-    """The results that :func:`write_results` wrote to ``path``; an empty list if the file does not exist.
-
-    Raises:
-        ValueError: if it is another file.
-    """
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    try:
-        kinds = {field.name: {"int": int, "float": float, "str": str}[str(field.type)] for field in fields(Result)}
-        return [Result(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in rows]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is not a file of this script: {type(error).__name__}: {error}") from None
-
-
-def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV, atomically."""
-    rows = [[field.name for field in fields(Result)]]
-    for result in results:
-        cells = asdict(result) | {"seconds": f"{result.seconds:.1f}"}
-        cells |= {name: f"{cells[name]:.6g}" for name in ("first", "second")}
-        rows.append([str(cell) for cell in cells.values()])
-    atomic_write(path, csv_bytes(rows))
 
 
 def add_arguments(parser: ArgumentParser, tasks: Sequence[str]) -> None:
@@ -167,5 +140,4 @@ def check_arguments(parser: ArgumentParser, arguments: Namespace) -> None:
     for name in ("seeds", "workers"):
         if getattr(arguments, name) < 1:
             parser.error(f"--{name} {getattr(arguments, name)} must be at least 1")
-    if not arguments.output.parent.is_dir():
-        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    check_folder(parser, arguments.output)

@@ -325,8 +325,7 @@ def strangers(vehicle: int, row: Row) -> dict[str, list[float]]:
 
 
 def conditioned(row: Row) -> dict[str, list[float]]:
-    changed_settings = f" with {row['changed']}" if "changed" in row else ""
-    runs = matching("conditioned.csv", config=row["config"] + changed_settings)
+    runs = matching("conditioned.csv", config=row["config"], changed=row.get("changed", ""))
     values = {"seeds": [float(len(runs))], "steps": [float(runs[0]["steps"])]}
     for shown, name in (("hypervolume", "hypervolume"), ("expected utility", "expected_utility")):
         shares = 100 * column(runs, name)
@@ -537,7 +536,11 @@ TABLES = [
     Table("docs/results/conditioned.md", "config | seeds | steps | hypervolume", conditioned),
     Table("docs/results/conditioned.md", "config | changed | seeds", conditioned),
     *(
-        Table("docs/results/conditioned.md", f"weights: distance, destination, {costs} | networks", partial(specialists, config))
+        Table(
+            "docs/results/conditioned.md",
+            f"weights: distance, destination, {costs} | networks",
+            partial(specialists, config),
+        )
         for costs, config in (
             ("g-force, jerk", "one_waypoint/conditioned_drawn"),
             ("g-force, collision, jerk", "static_obstacle/conditioned_drawn"),

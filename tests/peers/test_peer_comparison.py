@@ -89,5 +89,5 @@ def test_a_comparison_is_continued(
     assert made == [9, 6]
     script.main(arguments)
     assert made == [9, 6]
-    assert len(script.tuned_comparison.read_results(tmp_path / "found.csv")) == 15
+    assert len(script.tuned_comparison.read_results(tmp_path / "found.csv", script.Result)) == 15
     assert "stable_baselines3.ppo" in capsys.readouterr().out

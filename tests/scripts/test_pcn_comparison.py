@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from tests.helpers.paths import REPOSITORY
@@ -51,16 +50,19 @@ def test_a_run_is_measured_by_its_front_of_new_episodes(comparison: ModuleType) 
     found = comparison.learn("deep-sea-treasure-v0", "pcn", 10, 700)
     again = comparison.learn("deep-sea-treasure-v0", "pcn", 10, 700)
     assert (found.environment, found.learner, found.seed) == ("deep-sea-treasure-v0", "pcn", 10)
-    assert found.steps >= 700
+    assert found.taken >= found.steps == 700
+    assert len(found.commit.removesuffix("-dirty")) == 40
     assert 0.0 <= found.hypervolume <= 360.5
     assert 1 <= found.policies <= 10
-    assert (found.hypervolume, found.policies, found.steps) == (again.hypervolume, again.policies, again.steps)
+    assert (found.hypervolume, found.policies, found.taken) == (again.hypervolume, again.policies, again.taken)
 
 
-def test_the_table_has_means_over_the_seeds(comparison: ModuleType, tmp_path: Path) -> None:
+def test_the_table_has_means_over_the_seeds(comparison: ModuleType) -> None:
     runs = [("fruit-tree-v0", "pcn", 10, 9.0, 60), ("fruit-tree-v0", "pcn", 11, 11.0, 64)]
-    results = [comparison.Result(env_id, name, seed, 20_000, hv, k, 1.26) for env_id, name, seed, hv, k in runs]
-    results.append(comparison.Result("four-room-v0", "morl_baselines.pcn", 10, 60_000, 0.0, 1, 20.0))
+    results = [
+        comparison.Result(env_id, name, seed, 20_000, 20_064, hv, k, 1.26, "abc") for env_id, name, seed, hv, k in runs
+    ]
+    results.append(comparison.Result("four-room-v0", "morl_baselines.pcn", 10, 60_000, 60_000, 0.0, 1, 20.0, "abd"))
     assert [row[:3] for row in comparison.rows(results)] == [
         ["fruit-tree-v0", "pcn", "2"],
         ["four-room-v0", "morl_baselines.pcn", "1"],
@@ -69,12 +71,23 @@ def test_the_table_has_means_over_the_seeds(comparison: ModuleType, tmp_path: Pa
     assert first[3].startswith("10")
     assert first[4].startswith("62")
     assert first[4].endswith(" of 64")
-    comparison.write_results(tmp_path / "runs.csv", results)
-    with (tmp_path / "runs.csv").open() as file:
-        written = list(csv.DictReader(file))
-    assert [row["hypervolume"] for row in written] == ["9", "11", "0"]
-    assert written[0]["seconds"] == "1.3"
-    assert np.unique([row["commit"] for row in written]).size == 1
+
+
+def test_a_comparison_is_continued(
+    comparison: ModuleType, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(comparison, "learn_in_new_process", lambda run: comparison.learn(*run))
+    file = tmp_path / "runs.csv"
+    known = comparison.Result("deep-sea-treasure-v0", "pcn", 10, 200, 250, 0.25, 3, 9.0, "abc")
+    comparison.write_results(file, [known])
+    code, _, _ = call(
+        "pcn_comparison",
+        *("--only", "deep-sea-treasure-v0", "--learners", "pcn", "--seeds", 2, "--steps", 200, "--output", file),
+    )
+    assert code is None
+    first, second = comparison.read_results(file, comparison.Result)
+    assert first == known
+    assert second.run == replace(known, seed=11).run
 
 
 @pytest.mark.parametrize(
@@ -86,10 +99,8 @@ def test_the_table_has_means_over_the_seeds(comparison: ModuleType, tmp_path: Pa
         (("--only", "cart-v0"), "invalid choice: 'cart-v0'"),
     ],
 )
-def test_invalid_arguments_are_refused(
-    call: Call, monkeypatch: pytest.MonkeyPatch, arguments: tuple[object, ...], message: str
-) -> None:
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+@pytest.mark.usefixtures("comparison")
+def test_invalid_arguments_are_refused(call: Call, arguments: tuple[object, ...], message: str) -> None:
     code, _, error = call("pcn_comparison", "--learners", "pcn", *arguments)
     assert code == 2
     assert message in error

@@ -52,17 +52,26 @@ def test_a_learner_that_is_tuned_does_not_wait_for_others(script: ModuleType) ->
     assert len(runs) == len(SEEDS) + 2 * len(script.RATES)
 
 
-def test_results_are_continued_and_other_files_refused(script: ModuleType, tmp_path: Path) -> None:
+def test_the_file_has_what_tells_runs_apart(script: ModuleType, tmp_path: Path) -> None:
     run = script.Run("a task", "one", 1 / 3, 100, 500)
     file = tmp_path / "results.csv"
-    assert script.read_results(file) == []
+    assert script.read_results(file, script.Result) == []
     script.write_results(file, [result(script, run, 0.25)])
-    [read] = script.read_results(file)
+    [read] = script.read_results(file, script.Result)
     assert read == script.Result("a task", "one", "0.333", 100, 500, 507, 0.25, 0.5, 1.2)
     assert read.key == run.key
-    file.write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match=r"results\.csv is not a file of this script: KeyError: 'task'"):
-        script.read_results(file)
+
+
+def test_the_seeds_that_count_are_not_that_of_the_tuning(script: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="seeds = 99 to 101: 100 is that of the tuning; take fewer seeds"):
+        script.complete(tmp_path / "results.csv", LEARNERS, range(99, 102), lambda run: result(script, run, 0.0), 1)
+
+
+def test_a_continued_comparison_chooses_as_one_in_one_go(script: ModuleType) -> None:
+    tuning = script.missing_runs([], LEARNERS[:1], SEEDS)
+    scores = {1.0: 0.1234561, 3.0: 0.1234563, 1 / 3: 0.0}  # equal in the file
+    tuned = [result(script, run, scores[run.rate]) for run in tuning]
+    assert {run.rate for run in script.missing_runs(tuned, LEARNERS[:1], SEEDS)} == {1.0}
 
 
 def test_a_comparison_makes_what_is_missing(
@@ -80,7 +89,7 @@ def test_a_comparison_makes_what_is_missing(
     script.write_results(file, [result(script, known, 9.0)])
     results = script.complete(file, LEARNERS[:1], SEEDS, lambda run: result(script, run, run.rate), 1)
     assert [(run.rate, run.seed) for run in made] == [(3.0, 100), (1 / 3, 100), (1.0, 3), (1.0, 4)]
-    assert [each.key for each in script.read_results(file)] == [each.key for each in results]
+    assert [each.key for each in script.read_results(file, script.Result)] == [each.key for each in results]
     assert len(results) == 1 + len(made)
 
 

@@ -1,0 +1,62 @@
+"""The CSV file of a comparison: a row for each result, written whenever one is known, so that it can be continued.
+
+@dataclass(frozen=True)
+class Result:
+seed: int
+utility: Annotated[float, ".4f"]  # the format in the file
+
+results = read_results(path, Result)
+write_results(path, [*results, Result(0, 0.5)])
+"""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
+
+from algorithms.common.atomic_io import atomic_write, csv_bytes
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
+    from collections.abc import Sequence
+    from pathlib import Path
+
+R = TypeVar("R")
+
+
+def _columns(kind: type) -> dict[str, tuple[type, str]]:
+    """Type and format of the fields of a dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: get_args(hint) or (hint, "") for name, hint in hints.items()}
+
+
+def read_results(path: Path | None, kind: type[R]) -> list[R]:
+    """The results of ``kind``, a dataclass, that the file has; none if there is no file yet.
+
+    Raises:
+        ValueError: if it is another file.
+    """
+    if path is None or not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    columns = _columns(kind).items()
+    try:
+        return [kind(**{name: of_type(row[name]) for name, (of_type, _) in columns}) for row in rows]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not a file of this script: {type(error).__name__}: {error}") from None
+
+
+def write_results(path: Path | None, results: Sequence[Any]) -> None:
+    """Write the results, all of one dataclass, atomically; without a path nothing is written."""
+    if path is None or not results:
+        return
+    columns = _columns(type(results[0])).items()
+    rows = [[format(getattr(result, name), form) for name, (_, form) in columns] for result in results]
+    atomic_write(path, csv_bytes([[name for name, _ in columns], *rows]))
+
+
+def check_folder(parser: ArgumentParser, path: Path | None) -> None:
+    """Exit with a message unless ``--output`` can be written, before any work is done."""
+    if path is not None and not path.parent.is_dir():
+        parser.error(f"--output {path}: there is no folder {path.parent}")
