@@ -312,8 +312,14 @@ class Agent(ABC):
             log_front: called as ``log_front(step, front)`` by agents that learn a front.
             log_interval: updates between two rows of training metrics.
             after_update: called as ``after_update(agent)``; True stops training.
+
+        Raises:
+            ValueError: for intervals below 1.
         """
-        interval = eval_interval or max(1, total_timesteps // EVALUATION_INTERVALS)
+        for name, value in (("eval_interval", eval_interval), ("log_interval", log_interval)):
+            if value is not None and value < 1:
+                raise ValueError(f"{name} = {value} must be at least 1")
+        interval = max(1, total_timesteps // EVALUATION_INTERVALS) if eval_interval is None else eval_interval
         plan = None
         if eval_env is not None:
             plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)

@@ -8,10 +8,11 @@ all of them. With returns R in R^d, scales s, weights w of the simplex, budgets 
     chebyshev        u(R) = -(max_i q_i + rho sum_i q_i),    q_i = w_i (z_i - R_i) / s_i                             (2)
     comfort_budget   u(R) = sum_{i not in B} R_i / s_i - price sum_{i in B} max(0, -R_i - b_i) / s_i                 (3)
 
-Eq. 2 is the augmented Chebyshev function (Steuer and Choo 1983), which has optima that no weights of eq. 1 have where a
-front is not convex (Van Moffaert et al. 2013). Eq. 3 lets a passenger bear so much of some costs (g-force, jerk) and
-charges what exceeds it: the constraint method of Haimes et al. (1971) with a penalty. z is the best discounted return
-of each objective in any episode so far.
+Eq. 2 is the augmented Chebyshev function (Steuer and Choo 1983), here with the weights in its second sum, too, so that
+an objective of weight 0 does not count; it has optima that no weights of eq. 1 have where a front is not convex (Van
+Moffaert et al. 2013). Eq. 3 lets a passenger bear so much of some costs (g-force, jerk) and charges what exceeds it:
+the constraint method of Haimes et al. (1971) with a penalty. z is the best discounted return of each objective in any
+episode so far, and 0 before one has ended.
 
 The objective is the expected utility of the discounted return (ESR), in the mean over preferences,
 
@@ -22,33 +23,35 @@ The increases of the utility, in units of what the rest of the episode is worth,
     x_t = (u(R_{t+1}; p) - u(R_t; p)) / gamma^t,    sum_t gamma^t x_t = u(R_T; p) - u(0; p)                          (5)
 
 which is w . r_t / s for a linear utility. It is learnt from as in PPO (Schulman et al. 2017). The critic V(S) predicts
-E[sum_k gamma^k X_{t+k}], where X_t is x_t or, with ``vector_critic``, has the components r_t / s for linear utilities
-and x_t for the others; what is not in the mixture is left out. It is 0 after termination:
+E[sum_k gamma^k X_{t+k}], 0 after termination, where X_t has K components: x_t alone, or with ``vector_critic`` the d
+components r_t / s, whose weighted sum is x_t for a linear utility, and x_t only if there are other families:
 
     S_t     = (s_t, p, c_t)                                                                                          (6)
     delta_t = X_t + gamma V(S_{t+1}) - V(S_t)                                                                        (7)
     A_t     = delta_t + gamma lambda A_{t+1},    Y_t = A_t + V(S_t)    targets of the critic                         (8)
-    L       = -E[min(f_t a_t, clip(f_t, 1 - epsilon, 1 + epsilon) a_t)] + c_v E[(Y_t - V(S_t))^2] - c_e E[H(pi)]     (9)
+    L       = -E[min(f_t B_t, clip(f_t, 1 - epsilon, 1 + epsilon) B_t)] + c_v E[|Y_t - V(S_t)|^2 / K] - c_e E[H(pi)] (9)
 
-with the ratio f_t = pi(a_t | S_t) / pi_old(a_t | S_t) and a_t = k(p) . A_t: for a linear utility k(p) weighs the
-components r_t / s with w, for another it weighs x_t with 1. c_t is what the past means for the rest of the episode.
-Since u(R_t + gamma^t X) / gamma^t depends on R_t only through differences of gaps, and through budgets that are left,
-these replace R_t and gamma^t in the state:
+with the ratio f_t = pi(a_t | S_t) / pi_old(a_t | S_t) and B_t = k(p) . A_t, normalised to mean 0 and standard deviation
+1 over the rollout: for a linear utility k(p) weighs the components r_t / s with w, for another it weighs x_t with 1.
+All components are predicted under all preferences. c_t is what the past means for the rest of the episode. Since
+(u(R_t + gamma^t X) - u(R_t)) / gamma^t depends on R_t only through differences of gaps, and through budgets that are
+left, these replace R_t and gamma^t in the state:
 
     chebyshev        c_i = (q_i(R_t) - max_j q_j(R_t)) / gamma^t                                                    (10)
     comfort_budget   c_i = (R_{t,i} + b_i) / gamma^t / (largest budget)                                             (11)
 
 both clipped; for linear utilities there is none, because the past does not matter to them.
 
-With ``switching`` the preference also changes within episodes. The reward of eq. 5 then goes on under the new one, and
-V(S_{t+1}) of the last decision under the old one, at which eq. 8 ends, is that of the old one. Cars that are under way
-by one preference then learn under another what moving on is worth; a network that stands still under costly preferences
-seldom finds out by itself (docs/results/conditioned.md has measurements).
+With ``switching`` the preference also changes within episodes. From then on eq. 5 is that of the new preference; the
+sum of eq. 8 ends with the last decision under the old one, which bootstraps with V(S_{t+1}) under the old one. Cars
+that are under way by one preference then learn under another what moving on is worth; a network that stands still under
+costly preferences seldom finds out by itself (docs/results/conditioned.md has measurements).
 
 With continuous actions the standard deviations of pi, too, depend on S_t: what one preference has to explore, another
 pays for without gaining by it.
 
-The front consists of the greedy policies under a fixed sample of preferences, from the distribution of training.
+The front consists of the greedy policies under a fixed sample of preferences, from the distribution of training, as far
+as no other dominates them.
 
 A. Abels, D. M. Roijers, T. Lenaerts, A. Nowé, D. Steckelmacher, "Dynamic weights in multi-objective deep reinforcement
 learning", ICML 2019. R. Yang, X. Sun, K. Narasimhan, "A generalized algorithm for multi-objective reinforcement
@@ -74,7 +77,7 @@ from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import GUIDES, restore_generator, strip_prefix
+from algorithms.common.checkpoints import GUIDES, PRICE, RHO, restore_generator, strip_prefix
 from algorithms.common.guides import Guides
 from algorithms.common.hyperparameters import (
     Count,
@@ -91,7 +94,7 @@ from algorithms.common.hyperparameters import (
 from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
 from algorithms.common.networks import make_network
 from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
-from algorithms.common.preferences import LINEAR, Preferences, PreferenceSettings
+from algorithms.common.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
 from algorithms.common.rollout import Collector, Samples
 from algorithms.common.trained_networks import TrainedNetworks
 from algorithms.evaluation.metrics import (
@@ -128,7 +131,7 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
         cost_growth: fraction of the training in which the weights of costs grow from 0 to what is drawn; 0 for none.
             Costs are the objectives of which no episode so far has returned more than 0: the destination, too, until
             the first arrival.
-        max_policies: preferences under which the front is evaluated.
+        max_policies: number of preferences under which the front is evaluated.
         learning_rate: Adam's step size at the start of training.
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
         gamma: discount of the return of which the utility is taken.
@@ -255,8 +258,8 @@ class ConditionedLearner(TrainedNetworks):
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout, preferences: torch.Tensor) -> Samples:
-        """The samples in which the vehicle acted, with A_t, y_t and log pi_old of the networks as they are now."""
-        # After an episode that ends with the rollout v(S_T) is not used, and one that runs on keeps its preference.
+        """The samples in which the vehicle acted, with B_t, Y_t and log pi_old of the networks as they are now."""
+        # V(S_T) is not used where the episode ends with the rollout, else it is that under the preference so far.
         followed = torch.cat([preferences, preferences[-1:]])
         inputs = self.inputs(rollout.observations, followed, rollout.accrued, rollout.discounts)
         values = self.critic(inputs)
@@ -505,20 +508,22 @@ class ConditionedMOPPO(FrontAgent):
         """What acts under preferences (N, V m), one per environment, or under one (1, V m) in all.
 
         Raises:
-            ValueError: for another width, or numbers that are not finite.
+            ValueError: for another width, or numbers that are no preference.
         """
         rows = np.atleast_2d(np.asarray(conditions, dtype=np.float32))
-        if rows.shape[1:] != (len(self.condition_names),) or not np.isfinite(rows).all():
+        if rows.shape[1:] != (len(self.condition_names),):
             raise ValueError(
-                f"conditions of shape {rows.shape} must be finite numbers (n, {len(self.condition_names)}): "
+                f"conditions of shape {rows.shape} must be numbers (n, {len(self.condition_names)}): "
                 f"{', '.join(self.condition_names)}"
             )
-        return PreferencePolicy(self, rows.reshape(len(rows), self.env.vehicles, -1))
+        preferences = rows.reshape(len(rows), self.env.vehicles, -1)
+        self.preferences.check(preferences)
+        return PreferencePolicy(self, preferences)
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def identity(self) -> dict[str, Any]:
-        """What a checkpoint must share; with other scales or families a preference means something else."""
+        """What a checkpoint must share; with other scales, families, rho or price a preference means something else."""
         config = self.config
         guides = self.guides.identity()
         return {
@@ -528,6 +533,8 @@ class ConditionedMOPPO(FrontAgent):
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
             "budgets": dict(config.budgets),
+            **({RHO: config.rho} if CHEBYSHEV in self.preferences.used else {}),
+            **({PRICE: config.price} if COMFORT_BUDGET in self.preferences.used else {}),
             "gamma": self.accrued_discount,
         }
 

@@ -191,6 +191,8 @@ class MOCACLearner(Learner):
 
     def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
         """One gradient step of eq. 6 on a rollout of T steps in N environments; the losses by name."""
+        if not rollout.acted.any():
+            return {}
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
         self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)

@@ -408,8 +408,12 @@ class PCN(FrontAgent):
         return np.column_stack(self.commands())
 
     def policies(self, conditions: NDArray[np.float32]) -> CommandPolicy:
-        """The policy that follows commands (N, d + 1), one per environment."""
-        return CommandPolicy(self, conditions[:, :-1], conditions[:, -1])
+        """The policy that follows commands (N, d + 1), one per environment.
+
+        Raises:
+            ValueError: as :meth:`command`.
+        """
+        return self.command(conditions[:, :-1], conditions[:, -1])
 
     # ----------------------------------------------------------------------------------------------------- checkpoints
 

@@ -3,11 +3,13 @@
     mo-deepdrive choose RUN --weights distance=1 jerk=0.01
     mo-deepdrive choose RUN --utility one_waypoint_nonlinear --video drive.mp4
     mo-deepdrive choose RUN --target distance=14 g_force=-6
+    mo-deepdrive choose RUN --weights distance=1 jerk=0.01 --policy 12 --split test
 
 RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo. All of its policies are
 evaluated again. --weights chooses the greatest weighted sum of returns (objectives that are not named have weight 0),
 --utility the greatest expected utility, --target the policy whose mean returns fall short of the named returns by the
-smallest distance, in nominal scales of the objectives.
+smallest distance, in nominal scales of the objectives. What is chosen looks better than it is in the episodes by which
+it was chosen: --policy scores one policy in others.
 """
 
 from __future__ import annotations
@@ -51,11 +53,16 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser = make_parser(__doc__, program, "choose")
     parser.add_argument("run", metavar="RUN", help="directory of a finished run, or a name in the zoo")
     preference = parser.add_mutually_exclusive_group(required=True)
-    preference.add_argument("--weights", nargs="+", metavar="OBJECTIVE=W", help="the weight of each return")
+    preference.add_argument(
+        "--weights", nargs="+", metavar="OBJECTIVE=W", help="the weight of each undiscounted return"
+    )
     preference.add_argument("--utility", metavar="NAME", help="a utility by name, or package.module:function")
     preference.add_argument("--target", nargs="+", metavar="OBJECTIVE=R", help="undiscounted returns to be reached")
     parser.add_argument(
         "--arguments", default="{}", metavar="YAML", help="arguments of the utility, such as '{weights: [1, 2]}'"
+    )
+    parser.add_argument(
+        "--policy", type=int, metavar="K", help="score this policy of front.csv instead of choosing one"
     )
     add_evaluation_arguments(
         parser, default_episodes=CHOICE_EPISODES, default_split=CHOICE_SPLIT, video="also film the chosen policy"
@@ -86,9 +93,23 @@ def parse_preference(options: Namespace, objectives: tuple[str, ...], scales: ND
 
 
 def choice_table(
-    front: Front, evaluations: list[Evaluation], preference: Preference, values: NDArray[Any], order: list[int]
+    front: Front,
+    evaluations: list[Evaluation],
+    preference: Preference,
+    values: NDArray[Any],
+    order: list[int],
+    numbers: list[int],
 ) -> Table:
-    """The chosen policy with intervals, and the next best policies next to it."""
+    """The best policy with intervals, and the next best policies next to it.
+
+    Args:
+        front: K policies.
+        evaluations: of each of them.
+        preference: by which they were ordered.
+        values: (K,) what each is worth.
+        order: their positions, the best one first.
+        numbers: of the K policies in front.csv.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -99,17 +120,23 @@ def choice_table(
     intervals = episodes >= MIN_SAMPLES
     how = f"{episodes} episode{'' if episodes == 1 else 's'} each" + (", 95% intervals" if intervals else "")
     table = Table(
-        title=f"{len(front)} policies by {preference.name}; {how}",
+        title=f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {preference.name}; {how}",
         title_justify="left",
         title_style="bold",
         box=SIMPLE_HEAD,
     )
     table.add_column("", overflow="fold")
-    table.add_column(f"policy {chosen}: chosen", justify="right", no_wrap=True)
+    table.add_column(f"policy {numbers[chosen]}{': chosen' if others else ''}", justify="right", no_wrap=True)
     for k in others:
-        table.add_column(f"policy {k}", justify="right", no_wrap=True)
+        table.add_column(f"policy {numbers[k]}", justify="right", no_wrap=True)
     shown = [evaluations[k] for k in (chosen, *others)]
-    rows = [(preference.name, [Estimate(float(values[k])) for k in (chosen, *others)])]
+    # The value by which a policy was chosen is too high, whatever its interval.
+    worth = (
+        [Estimate(float(values[k])) for k in (chosen, *others)]
+        if others
+        else [preference.estimate(shown[0].returns[:, 0])]
+    )
+    rows = [(preference.name, worth)]
     for i, objective in enumerate(front.objectives):
         rows.append((objective, [mean(each.returns[:, 0, i]) for each in shown]))
     if np.isfinite(front.success).all():
@@ -140,6 +167,12 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         episodes, seed = evaluation_arguments(options, experiment)
         warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
         front = Front.read(run.path)
+        numbers = list(range(len(front)))
+        if options.policy is not None:
+            if options.policy not in numbers:
+                raise ValueError(f"--policy {options.policy} must be from 0 to {numbers[-1]}, a policy of front.csv")
+            numbers = [options.policy]
+            front = front.take(numbers)
         agent = load_policy(run)
         scales = np.asarray(agent.scales, dtype=np.float64)
         preference = parse_preference(options, front.objectives, scales)
@@ -148,8 +181,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         with np.errstate(all="ignore"):  # what is not finite is refused below
             values = preference.values(returns)
         order = rank_policies(values, returns.mean(axis=1), scales).tolist()
-        console.print(choice_table(front, evaluations, preference, values, order))
-        console.print(f"policy {order[0]} of {run.path / 'front.csv'}")
+        console.print(choice_table(front, evaluations, preference, values, order, numbers))
+        console.print(f"policy {numbers[order[0]]} of {run.path / 'front.csv'}")
         filmed = not options.video or film_policies_of_front(
             agent, front, experiment, options.video, console, seed=seed, policies=order[:1]
         )

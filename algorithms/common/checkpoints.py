@@ -24,7 +24,8 @@ GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicl
 STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
 OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
 ADDED = {"activation": "relu", "state_dependent_std": False, UPDATES: 0}  # entries that files of earlier versions lack
-UNKNOWN = (OBJECTIVE_SCALES, ACCRUED_GAMMA)  # entries that they lack, and whose value is not known
+RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
+UNKNOWN = (OBJECTIVE_SCALES, ACCRUED_GAMMA, RHO, PRICE)  # entries that they lack, and whose value is not known
 MOST_STEPS = 2**63 - 1
 WORDS = 624  # of the state of a Mersenne Twister
 # The tensor that torch.Generator.get_state gives for the CPU.

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import torch
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.hyperparameters import NonNegative, Positive
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+Share = Annotated[float, Field(ge=0.0, le=1e6)]
+Concentration = Annotated[float, Field(gt=0.0, le=1e3)]
 Family = Literal["linear", "chebyshev", "comfort_budget"]
 FAMILIES: tuple[Family, ...] = ("linear", "chebyshev", "comfort_budget")
 LINEAR, CHEBYSHEV, COMFORT_BUDGET = range(3)  # indices of FAMILIES
-FURTHEST = 2.0  # a gap behind the largest one, or a budget left, counts for no more than this (eqs. 10 and 11)
+FURTHEST = 2.0  # how far a gap is behind the largest one, and what is left of a budget, are clipped at (eqs. 10 and 11)
 
 
 class PreferenceSettings(Settings):
@@ -39,9 +41,9 @@ class PreferenceSettings(Settings):
         price: of what exceeds a budget, in units of a scale (eq. 3).
     """
 
-    families: dict[Family, NonNegative] = {"linear": 1.0}
-    concentration: Positive = 0.5
-    emphasis: dict[str, Positive] = {}
+    families: dict[Family, Share] = {"linear": 1.0}
+    concentration: Concentration = 0.5
+    emphasis: dict[str, Concentration] = {}
     rho: NonNegative = 0.05
     budgets: dict[str, Positive] = {}
     price: Positive = 5.0
@@ -111,8 +113,8 @@ class Preferences:
             count: number of preferences.
             rng: draws them.
             cost_share: by which weights of costs are multiplied before weights are divided by their sum. Costs are the
-                objectives of which no episode so far has returned more than 0; before the first episode has ended all
-                are, and the weights are as drawn.
+                objectives of which no episode so far has returned more than 0; before the first gain all are, and the
+                weights are as drawn, or equal if the share is 0.
             emphasis: whether that of the config applies; without it all objectives are alike.
         """
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
@@ -146,7 +148,7 @@ class Preferences:
             budgets: by objective, for "comfort_budget"; 0 for those that are not named.
 
         Raises:
-            ValueError: for a family that was not trained, or numbers that are not valid.
+            ValueError: for a family that was not trained, or numbers that are not valid, as a budget above the largest.
         """
         families = [FAMILIES[each] for each in self.used]
         if family not in families:
@@ -167,6 +169,8 @@ class Preferences:
                 raise ValueError(f"{what} has {name!r}; it must be one of {', '.join(allowed)}")
             if not (np.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{what} of {name!r} = {value} must be finite and not negative")
+            if chosen == COMFORT_BUDGET and value > self.config.budgets[name]:
+                raise ValueError(f"{what} of {name!r} = {value} must be at most {self.config.budgets[name]}")
         numbers = np.array([given.get(name, 0.0) for name in allowed])
         if chosen != COMFORT_BUDGET:
             if not numbers.any():

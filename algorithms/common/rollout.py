@@ -124,8 +124,8 @@ class Samples(NamedTuple):
     def _each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
         inputs = function(self.inputs)
         # Where the critic sees what the actor sees, it is not copied twice.
-        same = self.critic_inputs.data_ptr() == self.inputs.data_ptr()
-        return Samples(inputs, inputs if same else function(self.critic_inputs), *map(function, self[2:]))
+        seen, valued = ((each.data_ptr(), each.shape, each.stride()) for each in self[:2])
+        return Samples(inputs, inputs if seen == valued else function(self.critic_inputs), *map(function, self[2:]))
 
     def split(self, parts: int) -> list[Samples]:
         """Consecutive parts of nearly equal size; fewer than ``parts`` if there are fewer samples."""

@@ -56,7 +56,7 @@ class Front:
         objectives: names of the d components.
         returns: (K, d) mean undiscounted return of each policy.
         low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes
-            are the same.
+            are the same, and with fewer than three episodes, too few for an interval.
         discounted: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
         success: (K,) share of the episodes that reached the goal; NaN where the environment does not say.
         length: (K,) mean number of decisions.

@@ -44,11 +44,17 @@ def first_seed(split: Split | None, seed: int | None, episodes: int) -> int:
     """The seed of the first of ``episodes`` episodes: that of a split (default: "validation"), or a given one.
 
     Raises:
-        ValueError: for an unknown split, one that is too small, or a split and a seed.
+        ValueError: for an unknown split, one that is too small, a split and a seed, or a seed from which episodes would
+            reach those of training.
     """
     if seed is not None:
         if split is not None:
             raise ValueError(f"split = {split!r} and seed = {seed!r} are both given; give one of them")
+        if not 0 <= seed <= EVALUATION_SEED_LIMIT - episodes:
+            raise ValueError(
+                f"seed = {seed} must be from 0 to {EVALUATION_SEED_LIMIT - episodes}: "
+                f"that of the first of {episodes} episodes, below the seeds of training"
+            )
         return seed
     split = "validation" if split is None else split
     if split not in SPLITS:

@@ -169,6 +169,14 @@ def test_metrics_are_logged_at_the_log_interval_and_at_the_end() -> None:
     assert all(math.isfinite(value) for value in metrics.values())
 
 
+@pytest.mark.parametrize("name", ["log_interval", "eval_interval"])
+def test_intervals_below_1_are_refused_before_any_work(name: str) -> None:
+    agent = make_agent(MOA2C)
+    with pytest.raises(ValueError, match=f"{name} = 0 must be at least 1"):
+        agent.train(64, **{name: 0})
+    assert agent.step == 0
+
+
 def test_metrics_of_two_vehicles_are_logged_separately() -> None:
     lines = recorded(make_agent(A2C, INTERSECTION, num_envs=4, steps=5, env={"time_limit": 0.3}), 20)
     for v in (0, 1):

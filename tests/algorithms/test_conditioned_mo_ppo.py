@@ -457,6 +457,12 @@ def test_a_checkpoint_of_other_preferences_is_refused(tmp_path: Path) -> None:
         make_agent().load(tmp_path / "mixture.safetensors")
     with pytest.raises(ValueError, match="has budgets = "):
         make_agent(**{**MIXTURE, "budgets": {"g_force": 9.0, "jerk": 150.0}}).load(tmp_path / "mixture.safetensors")
+    for name in ("rho", "price"):
+        with pytest.raises(ValueError, match=f"has {name} = .*; this agent has 7.0"):
+            make_agent(**MIXTURE, **{name: 7.0}).load(tmp_path / "mixture.safetensors")
+    linear = tmp_path / "linear.safetensors"
+    make_agent().save(linear)
+    make_agent(rho=7.0, price=7.0).load(linear)  # which linear utilities do not have
 
 
 def test_a_checkpoint_of_other_deviations_is_refused(tmp_path: Path) -> None:
@@ -523,6 +529,8 @@ def test_metrics_and_fronts_are_logged() -> None:
         ({**MIXTURE, "budgets": {"time": 5.0}}, "budgets has 'time'; the objectives are ('distance', "),
         ({**MIXTURE, "budgets": {"jerk": 0.0}}, "0.0"),
         ({"concentration": 0.0}, "'concentration' = 0.0"),
+        ({"concentration": 1e300}, "'concentration' = 1e+300"),
+        ({"families": {"linear": 1e308, "chebyshev": 1e308}}, "'families.linear' = 1e+308"),
         ({"emphasis": {"jerk": 0.0}}, "'emphasis.jerk' = 0.0"),
         ({"emphasis": {"comfort": 1.0}}, "emphasis has 'comfort'; the objectives are ('distance', "),
         ({"entropy_start": 0.0}, "must both be positive or both be 0"),
@@ -545,6 +553,7 @@ def test_invalid_hyperparameters_are_refused_by_name(changed: dict[str, Any], me
         ("linear", {"weights": {"jerk": 1.0}, "budgets": {"jerk": 1.0}}, "needs weights and nothing else"),
         ("comfort_budget", {"weights": {"jerk": 1.0}}, "needs budgets and nothing else"),
         ("comfort_budget", {"budgets": {"distance": 1.0}}, "budgets has 'distance'; it must be one of g_force, jerk"),
+        ("comfort_budget", {"budgets": {"jerk": 1e6}}, "budgets of 'jerk' = 1000000.0 must be at most 150.0"),
         ("linear", {"weights": {"comfort": 1.0}}, "weights has 'comfort'; it must be one of distance, "),
         ("linear", {"weights": {"jerk": -1.0}}, "weights of 'jerk' = -1.0 must be finite and not negative"),
         ("chebyshev", {"weights": {"jerk": 0.0}}, "must have a positive number"),
@@ -567,9 +576,10 @@ def test_several_vehicles_are_evaluated_under_preferences_of_their_own_but_have_
         agent.front(env, episodes=1, seed=0, gamma=0.99)
 
 
-def test_conditions_of_the_wrong_shape_or_not_finite_are_refused() -> None:
+def test_conditions_of_the_wrong_shape_or_that_are_no_preference_are_refused() -> None:
     agent = make_agent()
-    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be finite numbers (n, 4)")):
+    with pytest.raises(ValueError, match=re.escape("conditions of shape (1, 3) must be numbers (n, 4)")):
         agent.policy([1.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="must be finite"):
-        agent.policy([1.0, np.nan, 0.0, 0.0])
+    for weights in ([1.0, np.nan, 0.0, 0.0], [-3.0, 4.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0]):
+        with pytest.raises(ValueError, match="is no preference; it must have one family"):
+            agent.policy(weights)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import given
 
-from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.common.advantages import generalised_advantages
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
@@ -270,6 +270,19 @@ def test_a_rollout_without_acting_vehicles_has_zero_gradients(form: str) -> None
     rollout = handmade(agent)
     rollout.acted[:] = False
     assert all(not gradient.any() for gradient in gradients(learner, rollout))
+
+
+@pytest.mark.parametrize("cls", [A2C, MOA2C, MOCAC])
+def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
+    agent = make_agent(cls, num_envs=3)
+    learner = agent.learners[0]
+    learner.update(handmade(agent), 0.003, 0.05)
+    before = {name: tensor.clone() for name, tensor in learner.get_state().items()}
+    rollout = handmade(agent, seed=1)
+    rollout.acted[:] = False
+    assert learner.update(rollout, 0.003, 0.05) == {}
+    after = learner.get_state()
+    assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())
 
 
 @pytest.mark.parametrize("cls", [A2C, MOA2C])

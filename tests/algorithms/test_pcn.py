@@ -203,6 +203,11 @@ def test_commands_of_the_wrong_shape_are_refused(seasoned: PCN, desired: Any, ho
         seasoned.command(desired, horizon)
 
 
+def test_the_commands_of_several_policies_are_checked_too(seasoned: PCN) -> None:
+    with pytest.raises(ValueError, match="horizon = 0 must be at least 1"):
+        seasoned.policies(np.array([[1.0, -1.0, 0.0]], np.float32))
+
+
 # What the network is asked.
 
 

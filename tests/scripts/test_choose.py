@@ -133,6 +133,20 @@ def test_the_chosen_policy_is_shown_next_to_the_next_best(folder: Path, returns:
     np.testing.assert_allclose(others, np.sort(worth)[::-1][:5], rtol=1e-3)
 
 
+def test_one_policy_is_scored_without_a_choice(
+    folder: Path, returns: np.ndarray, choose: Choose, tmp_path: Path
+) -> None:
+    worst = int(returns[:, :, 0].mean(axis=1).argmin())
+    options = [*SETTINGS, "--weights", "distance=1", "--policy", worst]
+    code, out, error = choose(folder, *options, "--video", tmp_path / "drive.mp4")
+    assert code == 0, out + error
+    assert "1 policy by weighted sum" in out
+    assert f"policy {worst} of" in out
+    assert "chosen" not in out
+    assert numbers_of(out, "weighted sum") == pytest.approx([returns[worst, :, 0].mean()], rel=1e-3, abs=1e-4)
+    assert (tmp_path / "drive.mp4").stat().st_size > 0
+
+
 @pytest.mark.parametrize("name", ["one_waypoint_linear", "one_waypoint_nonlinear"])
 def test_a_utility_chooses_the_greatest_expected_utility(
     folder: Path, returns: np.ndarray, choose: Choose, name: str
@@ -211,6 +225,8 @@ def test_few_episodes_have_no_intervals(folder: Path, choose: Choose) -> None:
         (["--utility", "linear", "--arguments", "{weights: [1]}"], ["weights"]),
         (["--utility", "one_waypoint_liner"], ["one_waypoint_linear"]),
         (["--utility", "intersection_linear"], ["intersection_linear"]),
+        (["--weights", "jerk=1", "--policy", "-1"], ["--policy -1 must be from 0 to", "a policy of front.csv"]),
+        (["--weights", "jerk=1", "--policy", "100000"], ["--policy 100000 must be from 0 to"]),
         (["--weights", "jerk=1", "--episodes", "0"], ["--episodes 0 must be at least 1"]),
         (["--weights", "jerk=1", "--seed", "-1"], ["--seed -1 must be between 0 and 2147483647"]),
         (["--weights", "jerk=1", "--seed", str(2**31)], ["--seed 2147483648"]),

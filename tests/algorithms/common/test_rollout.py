@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.common.rollout import Act, Collector, Episodes, Rollout
+from algorithms.common.rollout import Act, Collector, Episodes, Rollout, Samples
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 
 if TYPE_CHECKING:
@@ -674,3 +674,18 @@ def test_names_that_are_not_one_per_objective_are_refused(names: Any) -> None:
     message = f"environment '{SEA}' has objectives = {names!r}; they must be 2 distinct names"
     with pytest.raises(ValueError, match=re.escape(message)):
         named(names)
+
+
+# What is learnt from.
+
+
+def test_a_critic_that_sees_more_than_the_actor_keeps_what_it_sees() -> None:
+    """Also where both begin at the same address."""
+    everything = torch.arange(12.0).view(4, 3)
+    one = torch.zeros(4)
+    mask = torch.tensor([True, False, True, True])
+    found = Samples(everything[:, :2], everything, one, one, one, one).at(mask)
+    assert torch.equal(found.inputs, everything[mask][:, :2])
+    assert torch.equal(found.critic_inputs, everything[mask])
+    same = Samples(everything, everything[:], one, one, one, one).at(mask)
+    assert same.critic_inputs is same.inputs

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from algorithms.evaluation.choice import distance_to_target, expected_utility, rank_policies, weighted_sum
+from algorithms.evaluation.statistics import mean
 from mo_deepdrive.utilities import make_utility
 
 NAMES = ("distance", "destination", "g_force", "jerk")
@@ -31,6 +32,25 @@ def test_a_utility_is_averaged_over_the_episodes_and_not_taken_of_their_mean() -
     np.testing.assert_allclose(preference.values(RETURNS), expected)
     assert not np.allclose(utility(RETURNS.mean(axis=1)), expected)
     assert preference.name == "expected one_waypoint_nonlinear"
+
+
+@pytest.mark.parametrize("kind", ["weights", "utility", "target"])
+def test_the_value_of_one_policy_has_an_interval_over_its_episodes(kind: str) -> None:
+    preference = {
+        "weights": weighted_sum({"distance": 1.0, "g_force": 2.0}, NAMES),
+        "utility": expected_utility(make_utility("one_waypoint_nonlinear", NAMES)),
+        "target": distance_to_target({"distance": 5.0}, NAMES, np.ones(4)),
+    }[kind]
+    returns = np.random.default_rng(1).normal(0.0, [20.0, 1.0, 5.0, 500.0], (400, 4))
+    found = preference.estimate(returns)
+    assert found.value == preference.values(returns[None])[0]
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < found.value < found.high
+    if kind == "weights":
+        plain = mean(returns @ [1.0, 0.0, 2.0, 0.0])
+        assert (found.low, found.high) == pytest.approx((plain.low, plain.high), abs=0.15)
+    assert preference.estimate(returns[:2]).low is None
 
 
 def test_only_shortfalls_of_named_objectives_count_towards_the_distance_to_a_target() -> None:

@@ -17,6 +17,7 @@ from algorithms.evaluation.splits import (
     Split,
     check_episodes,
     describe_episodes,
+    first_seed,
 )
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import Job, perform
@@ -36,6 +37,14 @@ def test_no_scenario_is_in_two_splits() -> None:
     for first, second in itertools.pairwise(sorted(SPLITS.values(), key=lambda seeds: seeds.start)):
         assert first.stop <= second.start
     assert max(seeds.stop for seeds in SPLITS.values()) <= EVALUATION_SEED_LIMIT <= FIRST_TRAINING_SEED
+
+
+def test_the_episodes_of_an_evaluation_do_not_reach_the_seeds_of_training() -> None:
+    last = EVALUATION_SEED_LIMIT - 10
+    assert first_seed(None, last, 10) == last
+    for seed in (-1, last + 1, FIRST_TRAINING_SEED):
+        with pytest.raises(ValueError, match=f"seed = {seed} must be from 0 to {last}"):
+            first_seed(None, seed, 10)
 
 
 @pytest.mark.parametrize("split", ["validation", "test"])
