@@ -2,8 +2,8 @@
 
 An :class:`ActorCritic` has one :class:`Learner` per vehicle. All learners act on one rollout, and each then learns from
 its own vehicle's part of it. Vehicles that do not learn are driven by partners, and guides may begin the episodes of
-those that do; the weights of both are no part of the agent.
-The file of an algorithm defines its Learner, from the networks to the update.
+those that do; the weights of both are no part of the agent. The file of an algorithm defines its Learner, from the
+networks to the update.
 """
 
 from __future__ import annotations

@@ -3,10 +3,11 @@
     python scripts/conditioned_preferences.py one_waypoint_drawn_front-conditioned_mo_ppo --episodes 100
 
 Every preference has a greedy policy, and all drive the same episodes. *Own* is the expected utility of a preference, of
-the discounted return in scales, under its own policy; *best* is that under the best of all these policies for it. The
-two are equal where every preference has been learnt. Then arrivals, and the shares of the policies that arrive in 95%
-or more and in less than 5% of their episodes. The second table has means over the thirds of the preferences with the
-lowest and with the highest weight on an objective: its return, and arrivals.
+the discounted return in scales, under its own policy; *best* is that under the best of all these policies for it. Being
+the best of many estimates, it is above *own* by their noise even where every preference has been learnt. Then arrivals,
+and the shares of the policies that arrive in 95% or more and in less than 5% of their episodes. The second table has
+means over the thirds of the preferences with the lowest and with the highest weight on an objective: its return, and
+arrivals.
 """
 
 from __future__ import annotations

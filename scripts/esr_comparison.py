@@ -5,9 +5,9 @@
 
 PPO scalarises every decision; MO-PPO with ``utility_difference`` is between ESR and SER; MO-PPO with
 ``expected_utility`` and MOCAC optimise ESR, the former of episodes that its discount cuts short, unless gamma is 1.
-Every method has the settings of the shipped YAML file of its task, or of
-the nearest one, but for the learning rate, which is tuned (scripts/tuned_comparison.py). The scores are the expected
-utility of an episode (ESR) and the share of arrivals, of 1,000 episodes with sampled actions.
+Every method has the settings of the shipped YAML file of its task, or of the nearest one, but for the learning rate,
+which is tuned (scripts/tuned_comparison.py). The scores are the expected utility of an episode (ESR) and the share of
+arrivals, of 1,000 episodes with sampled actions.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment, make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_policies
+from algorithms.mocac import MOCACConfig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,16 +44,6 @@ METHODS = (PPO, DIFFERENCE, EXPECTED, UNDISCOUNTED, MOCAC)
 MOCAC_SETTINGS: dict[str, Any] = {
     "name": "mocac", "gamma": 1.0, "observe_discount": False, "critic": "particles", "particles": 32
 }  # fmt: skip
-SHARED = (
-    "learning_rate",
-    "learning_rate_end",
-    "gae_lambda",
-    "steps",
-    "entropy_start",
-    "entropy_end",
-    "hidden",
-    "objective_scales",
-)
 
 
 @dataclass(frozen=True)
@@ -84,7 +75,9 @@ def make_run_experiment(run: Run) -> Experiment:
     values = load_experiment(task.ppo if run.learner == PPO else task.mo_ppo, []).to_dict()
     settings = values["algorithm"]
     if run.learner == MOCAC:
-        settings = MOCAC_SETTINGS | {name: settings[name] for name in SHARED}
+        settings = {
+            name: value for name, value in settings.items() if name in MOCACConfig.model_fields
+        } | MOCAC_SETTINGS
     elif run.learner == UNDISCOUNTED:
         settings |= {"advantage": EXPECTED, "gamma": 1.0}
     elif run.learner != PPO:

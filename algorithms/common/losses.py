@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Loss:
-    """A scalar with its gradient by the outputs of networks; sums and multiples have the gradients that they should.
+    """A scalar with its gradient by the outputs of networks, for which +, - and multiplication by a number are defined.
 
     Args:
         value: the scalar.

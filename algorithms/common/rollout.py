@@ -140,7 +140,7 @@ class Episodes:
     Attributes:
         vehicles: (E,) index of the vehicle.
         returns: (E, d) undiscounted.
-        discounted: (E, d) with the discount of the accrued reward.
+        discounted: (E, d) of the rewards that are learnt from, with the discount of the accrued reward.
         lengths: (E,) decisions.
         succeeded: (E,) whether the goal was reached.
     """

@@ -38,7 +38,7 @@ class Estimate:
     high: float | None = None
 
     def text(self, other_width: float = 0.0) -> str:
-        """``1.23 [1.20, 1.26]``, to two significant digits of the interval's width; the value where it has none.
+        """``1.23 [1.20, 1.26]``, to two significant digits of the interval's width, but at most four decimals.
 
         Args:
             other_width: width of an interval for another source of error; the digits are those of the wider one.
@@ -159,7 +159,7 @@ def iqm_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
 
 
 def spread_ratio(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
-    """Standard deviation of ``first`` (n,) divided by that of ``second`` (m,); infinite if the latter is 0."""
+    """Standard deviation of ``first`` (n,) divided by that of ``second`` (m,); 1 if both are 0."""
 
     def ratio(x: Any, y: Any) -> Any:
         with np.errstate(divide="ignore", invalid="ignore"):
