@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.common.yaml_io import read_value
-from algorithms.evaluation.choice import Preference, distance_to_target, expected_utility, rank_policies, weighted_sum
+from algorithms.evaluation.choice import Criterion, distance_to_target, expected_utility, rank_policies, weighted_sum
 from algorithms.experiments.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
@@ -71,8 +71,8 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     return parser.parse_args(arguments)
 
 
-def parse_preference(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> Preference:
-    """The preference of the command line.
+def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> Criterion:
+    """What to choose by, from the command line.
 
     Raises:
         ValueError: for unknown objectives or utilities, or numbers that are not valid.
@@ -95,7 +95,7 @@ def parse_preference(options: Namespace, objectives: tuple[str, ...], scales: ND
 def choice_table(
     front: Front,
     evaluations: list[Evaluation],
-    preference: Preference,
+    criterion: Criterion,
     values: NDArray[Any],
     order: list[int],
     numbers: list[int],
@@ -105,7 +105,7 @@ def choice_table(
     Args:
         front: K policies.
         evaluations: of each of them.
-        preference: by which they were ordered.
+        criterion: by which they were ordered.
         values: (K,) what each is worth.
         order: their positions, the best one first.
         numbers: of the K policies in front.csv.
@@ -120,7 +120,7 @@ def choice_table(
     intervals = episodes >= MIN_SAMPLES
     how = f"{episodes} episode{'' if episodes == 1 else 's'} each" + (", 95% intervals" if intervals else "")
     table = Table(
-        title=f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {preference.name}; {how}",
+        title=f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {how}",
         title_justify="left",
         title_style="bold",
         box=SIMPLE_HEAD,
@@ -134,9 +134,9 @@ def choice_table(
     worth = (
         [Estimate(float(values[k])) for k in (chosen, *others)]
         if others
-        else [preference.estimate(shown[0].returns[:, 0])]
+        else [criterion.estimate(shown[0].returns[:, 0])]
     )
-    rows = [(preference.name, worth)]
+    rows = [(criterion.name, worth)]
     for i, objective in enumerate(front.objectives):
         rows.append((objective, [mean(each.returns[:, 0, i]) for each in shown]))
     if np.isfinite(front.success).all():
@@ -175,13 +175,13 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             front = front.take(numbers)
         agent = load_policy(run)
         scales = np.asarray(agent.scales, dtype=np.float64)
-        preference = parse_preference(options, front.objectives, scales)
+        criterion = parse_criterion(options, front.objectives, scales)
         evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
         returns = np.stack([each.returns[:, 0] for each in evaluations])
         with np.errstate(all="ignore"):  # what is not finite is refused below
-            values = preference.values(returns)
+            values = criterion.values(returns)
         order = rank_policies(values, returns.mean(axis=1), scales).tolist()
-        console.print(choice_table(front, evaluations, preference, values, order, numbers))
+        console.print(choice_table(front, evaluations, criterion, values, order, numbers))
         console.print(f"policy {numbers[order[0]]} of {run.path / 'front.csv'}")
         filmed = not options.video or film_policies_of_front(
             agent, front, experiment, options.video, console, seed=seed, policies=order[:1]

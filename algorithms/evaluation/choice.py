@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Preference:
+class Criterion:
     """What to maximise over the policies of a front.
 
     Attributes:
@@ -41,7 +41,7 @@ class Preference:
         return Estimate(value, float(low), float(high))
 
 
-def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> Preference:
+def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> Criterion:
     """Prefer the greatest weighted sum of mean returns.
 
     Args:
@@ -54,15 +54,15 @@ def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> Pre
     if any(weight < 0.0 for weight in weights.values()):
         raise ValueError(f"weights {dict(weights)}: returns are maximised, so weights must not be negative")
     w = np.array([weights.get(name, 0.0) for name in objectives])
-    return Preference("weighted sum", lambda returns: (returns @ w).mean(axis=1))
+    return Criterion("weighted sum", lambda returns: (returns @ w).mean(axis=1))
 
 
-def expected_utility(utility: Utility) -> Preference:
+def expected_utility(utility: Utility) -> Criterion:
     """Prefer the greatest expected utility of the returns (the ESR criterion): the mean of the episodes' utilities."""
-    return Preference(f"expected {utility.name}", lambda returns: np.asarray(utility(returns)).mean(axis=1))
+    return Criterion(f"expected {utility.name}", lambda returns: np.asarray(utility(returns)).mean(axis=1))
 
 
-def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> Preference:
+def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> Criterion:
     """Prefer the smallest Euclidean distance by which the mean returns fall short of a target.
 
     Args:
@@ -76,7 +76,7 @@ def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], s
         shortfall = np.maximum(wanted - returns.mean(axis=1), 0.0) / scales
         return -np.asarray(np.linalg.norm(shortfall, axis=1))
 
-    return Preference("minus the distance to the target", closeness)
+    return Criterion("minus the distance to the target", closeness)
 
 
 def rank_policies(
