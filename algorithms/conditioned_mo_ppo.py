@@ -404,7 +404,6 @@ class ConditionedMOPPO(FrontAgent):
         self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
         m = len(self.preferences.names)
         self._current = np.zeros((self.env.num_envs, self.env.vehicles, m), dtype=np.float32)
-        self._seen_any = False  # an episode that ended, from which z is known
 
     # ------------------------------------------------------------------------------------------------------ the update
 
@@ -445,10 +444,7 @@ class ConditionedMOPPO(FrontAgent):
             losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient)
             prefix = vehicle_prefix(v, len(self.learners))
             metrics |= {prefix + name: value for name, value in losses.items()}
-        if len(episodes.discounted):
-            best = torch.from_numpy(episodes.discounted.max(axis=0)).float()
-            self.preferences.ideal = torch.maximum(self.preferences.ideal, best) if self._seen_any else best
-            self._seen_any = True
+        self.preferences.note_episodes(episodes.discounted)
         return metrics
 
     # ---------------------------------------------------------------------------------------------------------- acting
@@ -544,7 +540,7 @@ class ConditionedMOPPO(FrontAgent):
             "generator": self.generator.get_state(),
             "draws": self.draws.get_state(),
             "preferences": torch.from_numpy(self._current.copy()),
-            "seen_any": torch.tensor(self._seen_any),
+            "seen_any": torch.tensor(self.preferences.seen_any),
             **self._ideal_tensor(),
             **self.guides.get_state(),
         }
@@ -565,7 +561,7 @@ class ConditionedMOPPO(FrontAgent):
         if self.step:
             self.preferences.check(state["preferences"].numpy())
         self._current[...] = state["preferences"].numpy()
-        self._seen_any = bool(state["seen_any"])
+        self.preferences.seen_any = bool(state["seen_any"])
         self.guides.set_state(state)
         restore_generator(self.generator, "generator", state["generator"])
         restore_generator(self.draws, "draws", state["draws"])

@@ -73,7 +73,8 @@ class Preferences:
 
     Attributes:
         names: of the m components.
-        ideal: (d,) z; written by the agent.
+        ideal: (d,) z, by which :meth:`draw` tells costs and which Chebyshev utilities depend on.
+        seen_any: whether an episode has ended, from which z is known.
 
     Raises:
         ValueError: if a budget or an emphasis is for an unknown objective.
@@ -94,6 +95,7 @@ class Preferences:
         self.budgeted = [self.objectives.index(name) for name in config.budgets]
         self.largest = torch.tensor([*config.budgets.values()], dtype=torch.float32)
         self.ideal = torch.zeros(len(objectives))
+        self.seen_any = False
         weighted = self.used != [COMFORT_BUDGET]
         d, first = len(objectives), len(self.used) if len(self.used) > 1 else 0
         self._weights = slice(first, first + d * weighted)
@@ -103,6 +105,13 @@ class Preferences:
             *((f"weight/{name}" for name in objectives) if weighted else ()),
             *(f"budget/{name}" for name in config.budgets),
         )
+
+    def note_episodes(self, discounted: NDArray[np.float64]) -> None:
+        """Raise z to the best discounted returns (E, d) of episodes that ended."""
+        if len(discounted):
+            best = torch.from_numpy(discounted.max(axis=0)).float()
+            self.ideal = torch.maximum(self.ideal, best) if self.seen_any else best
+            self.seen_any = True
 
     def draw(
         self, count: int, rng: np.random.Generator, cost_share: float = 1.0, *, emphasis: bool = True
