@@ -335,12 +335,14 @@ def conditioned(row: Row) -> dict[str, list[float]]:
 
 def specialists(config: str, row: Row) -> dict[str, list[float]]:
     weights = next(iter(row.values())).replace(",", "")
-    runs = matching("conditioned_specialists.csv", config=config, weights=weights)
+    runs = partial(matching, "conditioned_specialists.csv", config=config, changed="", weights=weights)
+    networks, [specialist] = runs(learner="network"), runs(learner="specialist")
+    assert len(networks) == 10
     return {
-        "networks": [column(runs, "conditioned").mean()],
-        "specialist": [column(runs, "specialist")[0]],
-        "arrivals (%)": [100 * column(runs, "arrivals").mean()],
-        "of the specialist (%)": [100 * column(runs, "specialist_arrivals")[0]],
+        "networks": [column(networks, "utility").mean()],
+        "specialist": [float(specialist["utility"])],
+        "arrivals (%)": [100 * column(networks, "arrivals").mean()],
+        "of the specialist (%)": [100 * float(specialist["arrivals"])],
     }
 
 
