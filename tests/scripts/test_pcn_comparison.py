@@ -62,7 +62,7 @@ def test_the_table_has_means_over_the_seeds(comparison: ModuleType) -> None:
     results = [
         comparison.Result(env_id, name, seed, 20_000, 20_064, hv, k, 1.26, "abc") for env_id, name, seed, hv, k in runs
     ]
-    results.append(comparison.Result("four-room-v0", "morl_baselines.pcn", 10, 60_000, 60_000, 0.0, 1, 20.0, "abd"))
+    results.append(comparison.Result("four-room-v0", "morl_baselines.pcn", 10, 60_000, 60_000, 0.0, 1, 20.0, "abe"))
     assert [row[:3] for row in comparison.rows(results)] == [
         ["fruit-tree-v0", "pcn", "2"],
         ["four-room-v0", "morl_baselines.pcn", "1"],
