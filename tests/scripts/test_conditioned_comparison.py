@@ -74,7 +74,7 @@ def test_a_comparison_is_continued(comparison: ModuleType, call: Call, tmp_path:
     ("arguments", "message"),
     [
         (["--output", "nowhere/runs.csv"], "there is no folder nowhere"),
-        (["--change", "algorithm.switchin=0"], "'switchin'"),
+        (["--change", "algorithm.switch=0"], "'switch'"),
         (["--change", "training.total_timesteps=0"], "'training.total_timesteps' = 0"),
         (["--change", "environment.arguments={}"], "no best-known front is shipped for it"),
     ],
