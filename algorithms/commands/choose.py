@@ -99,6 +99,8 @@ def choice_table(
     values: NDArray[Any],
     order: list[int],
     numbers: list[int],
+    *,
+    was_chosen: bool,
 ) -> Table:
     """The best policy with intervals, and the next best policies next to it.
 
@@ -109,6 +111,7 @@ def choice_table(
         values: (K,) what each is worth.
         order: their positions, the best one first.
         numbers: of the K policies in front.csv.
+        was_chosen: whether the best one was chosen by these episodes; if not, its value has an interval.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -126,14 +129,14 @@ def choice_table(
         box=SIMPLE_HEAD,
     )
     table.add_column("", overflow="fold")
-    table.add_column(f"policy {numbers[chosen]}{': chosen' if others else ''}", justify="right", no_wrap=True)
+    table.add_column(f"policy {numbers[chosen]}{': chosen' if was_chosen else ''}", justify="right", no_wrap=True)
     for k in others:
         table.add_column(f"policy {numbers[k]}", justify="right", no_wrap=True)
     shown = [evaluations[k] for k in (chosen, *others)]
     # The value by which a policy was chosen is too high, whatever its interval.
     worth = (
         [Estimate(float(values[k])) for k in (chosen, *others)]
-        if others
+        if was_chosen
         else [criterion.estimate(shown[0].returns[:, 0])]
     )
     rows = [(criterion.name, worth)]
@@ -181,7 +184,9 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         with np.errstate(all="ignore"):  # what is not finite is refused below
             values = criterion.values(returns)
         order = rank_policies(values, returns.mean(axis=1), scales).tolist()
-        console.print(choice_table(front, evaluations, criterion, values, order, numbers))
+        console.print(
+            choice_table(front, evaluations, criterion, values, order, numbers, was_chosen=options.policy is None)
+        )
         console.print(f"policy {numbers[order[0]]} of {run.path / 'front.csv'}")
         filmed = not options.video or film_policies_of_front(
             agent, front, experiment, options.video, console, seed=seed, policies=order[:1]

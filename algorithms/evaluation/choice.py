@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.evaluation.statistics import LEVEL, MIN_SAMPLES, RESAMPLES, Estimate
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from algorithms.evaluation.statistics import Estimate
     from mo_deepdrive.utilities import Utility
 
 
@@ -31,6 +30,8 @@ class Criterion:
 
     def estimate(self, returns: NDArray[np.float64]) -> Estimate:
         """The value of one policy from returns (E, d) of its episodes, with its bootstrap interval."""
+        from algorithms.evaluation.statistics import LEVEL, MIN_SAMPLES, RESAMPLES, Estimate
+
         value, n = float(self.values(returns[None])[0]), len(returns)
         if n < MIN_SAMPLES:
             return Estimate(value)
