@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.common.yaml_io import read_value
-from algorithms.evaluation.choice import Criterion, distance_to_target, expected_utility, rank_policies, weighted_sum
+from algorithms.evaluation.choice import (
+    ChoiceCriterion,
+    distance_to_target,
+    expected_utility,
+    rank_policies,
+    weighted_sum,
+)
 from algorithms.experiments.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
@@ -71,7 +77,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     return parser.parse_args(arguments)
 
 
-def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> Criterion:
+def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDArray[Any]) -> ChoiceCriterion:
     """What to choose by, from the command line.
 
     Raises:
@@ -95,7 +101,7 @@ def parse_criterion(options: Namespace, objectives: tuple[str, ...], scales: NDA
 def choice_table(
     front: Front,
     evaluations: list[Evaluation],
-    criterion: Criterion,
+    criterion: ChoiceCriterion,
     values: NDArray[Any],
     order: list[int],
     numbers: list[int],

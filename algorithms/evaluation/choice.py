@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Criterion:
+class ChoiceCriterion:
     """What to maximise over the policies of a front.
 
     Attributes:
@@ -42,7 +42,7 @@ class Criterion:
         return Estimate(value, float(low), float(high))
 
 
-def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> Criterion:
+def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> ChoiceCriterion:
     """Prefer the greatest weighted sum of mean returns.
 
     Args:
@@ -55,15 +55,15 @@ def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> Cri
     if any(weight < 0.0 for weight in weights.values()):
         raise ValueError(f"weights {dict(weights)}: returns are maximised, so weights must not be negative")
     w = np.array([weights.get(name, 0.0) for name in objectives])
-    return Criterion("weighted sum", lambda returns: (returns @ w).mean(axis=1))
+    return ChoiceCriterion("weighted sum", lambda returns: (returns @ w).mean(axis=1))
 
 
-def expected_utility(utility: Utility) -> Criterion:
+def expected_utility(utility: Utility) -> ChoiceCriterion:
     """Prefer the greatest expected utility of the returns (the ESR criterion): the mean of the episodes' utilities."""
-    return Criterion(f"expected {utility.name}", lambda returns: np.asarray(utility(returns)).mean(axis=1))
+    return ChoiceCriterion(f"expected {utility.name}", lambda returns: np.asarray(utility(returns)).mean(axis=1))
 
 
-def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> Criterion:
+def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], scales: NDArray[Any]) -> ChoiceCriterion:
     """Prefer the smallest Euclidean distance by which the mean returns fall short of a target.
 
     Args:
@@ -77,7 +77,7 @@ def distance_to_target(target: Mapping[str, float], objectives: Sequence[str], s
         shortfall = np.maximum(wanted - returns.mean(axis=1), 0.0) / scales
         return -np.asarray(np.linalg.norm(shortfall, axis=1))
 
-    return Criterion("minus the distance to the target", closeness)
+    return ChoiceCriterion("minus the distance to the target", closeness)
 
 
 def rank_policies(
