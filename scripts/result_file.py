@@ -31,7 +31,7 @@ def _columns(kind: type) -> dict[str, tuple[type, str]]:
 
 
 def read_results(path: Path | None, kind: type[R]) -> list[R]:
-    """The results of ``kind``, a dataclass, that the file has; none if there is no file yet.
+    """Read results of the dataclass ``kind`` from the file; an empty list if there is no file.
 
     Raises:
         ValueError: if it is another file.

@@ -29,6 +29,7 @@ import torch
 from gymnasium import spaces
 from gymnasium.envs.classic_control import CartPoleEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+from result_file import check_folder
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -412,8 +413,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     for name in ("limit", "cartpole"):
         if not getattr(arguments, name) > 0.0:
             parser.error(f"--{name} {getattr(arguments, name)} must be positive")
-    if arguments.output is not None and not arguments.output.parent.is_dir():
-        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    check_folder(parser, arguments.output)
     for name in arguments.only:
         reason = PEERS[name].unavailable_reason() if name in PEERS else None
         if reason is not None:

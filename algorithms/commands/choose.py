@@ -175,8 +175,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             raise ValueError(f"{options.run!r} learnt one policy, not a front: mo-deepdrive evaluate shows it")
         episodes, seed = evaluation_arguments(options, experiment)
         warn_of_changes(run.path, ("config.yaml", "checkpoint.safetensors", "front.csv", "evaluation.json"))
-        front = Front.read(run.path)
-        numbers = list(range(len(front)))
+        front = every = Front.read(run.path)
+        numbers = list(range(len(every)))
         if options.policy is not None:
             if options.policy not in numbers:
                 raise ValueError(f"--policy {options.policy} must be from 0 to {numbers[-1]}, a policy of front.csv")
@@ -195,6 +195,6 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         )
         console.print(f"policy {numbers[order[0]]} of {run.path / 'front.csv'}")
         filmed = not options.video or film_policies_of_front(
-            agent, front, experiment, options.video, console, seed=seed, policies=order[:1]
+            agent, every, experiment, options.video, console, seed=seed, policies=[numbers[order[0]]]
         )
     return 0 if filmed else 1

@@ -141,7 +141,8 @@ def test_one_policy_is_scored_without_a_choice(
     code, out, error = choose(folder, *options, "--video", tmp_path / "drive.mp4")
     assert code == 0, out + error
     assert "1 policy by weighted sum" in out
-    assert f"policy {worst} of" in out
+    assert f"policy {worst} of {folder / 'front.csv'}" in out.replace("\n", "")
+    assert f"policy {worst} of the front" in out
     assert "chosen" not in out
     assert numbers_of(out, "weighted sum") == pytest.approx([returns[worst, :, 0].mean()], rel=1e-3, abs=1e-4)
     assert (tmp_path / "drive.mp4").stat().st_size > 0
