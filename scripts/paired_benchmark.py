@@ -68,7 +68,7 @@ ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
 )
 THREADS = 1
-SPINNING = {"GOMP_SPINCOUNT": "3000"}  # of idle threads, as commands set it
+SPINNING = {"GOMP_SPINCOUNT": "6000"}  # of idle threads, as commands set it
 
 
 @contextmanager

@@ -93,22 +93,23 @@ class Task:
 
 
 CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500})
-LINEAR_WEIGHTS = Learner(1e-3, 100_000, 256, {"max_policies": 100, "families": {"linear": 1.0}})
-OUR_PCN = Learner(1e-3, 6_000, 16, {})
-CONTINUOUS_PCN = Learner(1e-3, 42_000, 16, {})
-ENVELOPE = Learner(3e-4, 17, 1, {})
-GPI_LS = Learner(3e-4, 44, 1, {"arguments": {"gradient_updates": 1}})
-CAPQL = Learner(3e-4, 93, 1, {})
-THEIR_PCN = Learner(1e-3, 2_000, 1, {})
+CONTINUOUS_CONDITIONED = Learner(1e-3, 160_000, 256, {"max_policies": 500})
+LINEAR_WEIGHTS = Learner(1e-3, 150_000, 256, {"max_policies": 100, "families": {"linear": 1.0}})
+OUR_PCN = Learner(1e-3, 8_000, 16, {})
+CONTINUOUS_PCN = Learner(1e-3, 36_000, 16, {})
+ENVELOPE = Learner(3e-4, 11, 1, {})
+GPI_LS = Learner(3e-4, 42, 1, {"arguments": {"gradient_updates": 1}})
+CAPQL = Learner(3e-4, 82, 1, {})
+THEIR_PCN = Learner(1e-3, 1_300, 1, {})
 FIXED, CONTINUOUS = {"fixed_destination": True}, {"action_type": "continuous"}
 TASKS = {
     "known utility": Task(
         {},
         {
-            "ppo": Learner(1e-3, 170_000, 256, {}),
-            "mo_ppo": Learner(1e-3, 150_000, 256, {}),
+            "ppo": Learner(1e-3, 120_000, 256, {}),
+            "mo_ppo": Learner(1e-3, 120_000, 256, {}),
             "stable_baselines3.ppo": Learner(3e-4, 1_400, 8, {}),
-            "morl_baselines.nl_mo_ppo": Learner(2.5e-4, 7_000, 8, {}),
+            "morl_baselines.nl_mo_ppo": Learner(2.5e-4, 4_500, 8, {}),
         },
         known_utility=True,
     ),
@@ -124,7 +125,7 @@ TASKS = {
     "fixed, continuous": Task(
         FIXED | CONTINUOUS,
         {
-            "conditioned_mo_ppo": CONDITIONED,
+            "conditioned_mo_ppo": CONTINUOUS_CONDITIONED,
             "pcn": CONTINUOUS_PCN,
             "morl_baselines.capql": CAPQL,
             "morl_baselines.gpi_ls_continuous": GPI_LS,

@@ -37,7 +37,7 @@ CHOICE_SPLIT: Split = "validation"
 INSTALLED = "mo-deepdrive {}"
 # Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
 # sleeps after some 10 microseconds instead of spinning on a core that others need.
-PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "3000"}
+PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "6000"}
 
 
 def prepare_process(environment: MutableMapping[str, str], path: list[str], defaults: Mapping[str, str]) -> None:
