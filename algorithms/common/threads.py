@@ -27,7 +27,7 @@ def set_threads(count: int) -> None:
     thread goes through the networks at once, and the last bits of products depend on the number of rows. Each thread
     needs a core of its own. BLAS gets one thread: the products in compiled code are small.
 
-    An idle thread spins for milliseconds, on a core that others need, unless ``GOMP_SPINCOUNT`` is 3000 or so when the
+    An idle thread spins for milliseconds, on a core that others need, unless ``GOMP_SPINCOUNT`` is 6000 or so when the
     process starts; the command line sees to that.
     """
     global _count, _wanted

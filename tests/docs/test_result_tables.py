@@ -466,8 +466,12 @@ def training_speeds(row: Row) -> dict[str, list[float]]:
 
 def thread_speeds(row: Row) -> dict[str, list[float]]:
     """Of the layers, which are numbers, too, none is a result."""
-    title, layers = row["training"].split(", ")
-    found = one("benchmark_threads.csv", measurement=f"{algorithm(title)}-{layers}-discrete")
+    training = row["training"]
+    if "/" in training:
+        found = one("benchmark_threads_shipped.csv", measurement=training)
+    else:
+        title, layers = training.split(", ")
+        found = one("benchmark_threads.csv", measurement=f"{algorithm(title)}-{layers}-discrete")
     return {
         "one thread, steps/s": [float(found["old"])],
         "two threads, steps/s": [float(found["new"])],
