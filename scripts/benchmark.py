@@ -39,6 +39,7 @@ import numpy as np
 import paired_benchmark
 import polars as pl
 from gymnasium.vector import AutoresetMode
+from result_file import check_folder
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -522,8 +523,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         help="measurements that are compared, such as a2c-64-32-discrete 'mo_*'",
     )
     arguments = parser.parse_args(argv)
-    if arguments.output is not None and not arguments.output.parent.is_dir():
-        parser.error(f"--output {arguments.output}: there is no folder {arguments.output.parent}")
+    check_folder(parser, arguments.output)
     if arguments.against is not None or arguments.threads is not None:
         compare(parser, arguments)
         return

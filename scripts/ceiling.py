@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from result_file import check_folder
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -35,8 +36,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     for name, least in (("scenarios", 1), ("seed", 0), ("beam", len(LETTERS))):
         if getattr(options, name) < least:
             parser.error(f"--{name} {getattr(options, name)} must be at least {least}")
-    if options.output is not None and not options.output.parent.is_dir():
-        parser.error(f"--output {options.output}: there is no folder {options.output.parent}")
+    check_folder(parser, options.output)
     return options
 
 

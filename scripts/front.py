@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from typing import get_args
 
+from result_file import check_folder
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -45,8 +46,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     for name in ("decisions", "seed", "episodes"):
         if getattr(options, name) < 0:
             parser.error(f"--{name} {getattr(options, name)} must be at least 0")
-    if options.output is not None and not options.output.absolute().parent.is_dir():
-        parser.error(f"--output {options.output}: there is no folder {options.output.absolute().parent}")
+    check_folder(parser, options.output)
     return options
 
 

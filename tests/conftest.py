@@ -104,15 +104,17 @@ def run_python() -> Callable[[str], str]:
 
 
 @pytest.fixture(scope="session")
-def load_script() -> Callable[[str], ModuleType]:
+def load_script() -> Iterator[Callable[[str], ModuleType]]:
     """Import a command or a script by its name: ``main`` is what its command line runs. Each is imported once."""
+    folder = REPOSITORY / "scripts"
+    sys.path.append(str(folder))  # scripts find each other
 
     def load(name: str) -> ModuleType:
         if name in COMMANDS:
             return importlib.import_module(f"algorithms.commands.{name}")
         module_name = f"scripts_{name}"
         if module_name not in sys.modules:
-            spec = importlib.util.spec_from_file_location(module_name, REPOSITORY / "scripts" / f"{name}.py")
+            spec = importlib.util.spec_from_file_location(module_name, folder / f"{name}.py")
             assert spec is not None
             assert spec.loader is not None
             sys.modules[module_name] = importlib.util.module_from_spec(spec)
@@ -123,7 +125,8 @@ def load_script() -> Callable[[str], ModuleType]:
                 raise
         return sys.modules[module_name]
 
-    return load
+    yield load
+    sys.path.remove(str(folder))
 
 
 @pytest.fixture

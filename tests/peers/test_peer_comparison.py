@@ -10,7 +10,6 @@ import pytest
 
 from algorithms import ALGORITHMS
 from algorithms.peers import PEERS
-from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,9 +27,8 @@ def skip_without(learner: str) -> None:
 
 
 @pytest.fixture
-def script(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     return load_script("peer_comparison")
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.peers import PEERS
-from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,12 +19,11 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("learner", ["stable_baselines3.ppo", "morl_baselines.nl_mo_ppo"])
 @pytest.mark.parametrize("env_id", ["mo-deepdrive-one-waypoint-v0", "CartPole-v1"])
 def test_a_learner_of_another_library_stops_at_its_limit(
-    load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch, learner: str, env_id: str
+    load_script: Callable[[str], ModuleType], learner: str, env_id: str
 ) -> None:
     reason = PEERS[learner].unavailable_reason()
     if reason is not None:
         pytest.skip(reason)
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     wall_clock = load_script("wall_clock")
     found = wall_clock.race(learner, env_id, 1, limit=1e-6)
     assert (found.learner, found.environment, found.reached) == (learner, env_id, False)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.experiments.config import load_experiment
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import refused
 
 if TYPE_CHECKING:
@@ -21,9 +20,8 @@ SHORT = ("training.total_timesteps=8192", "algorithm.max_policies=20")
 
 
 @pytest.fixture
-def comparison(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def comparison(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     return load_script("conditioned_comparison")
 
 

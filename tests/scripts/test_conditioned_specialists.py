@@ -11,7 +11,6 @@ from rich.console import Console
 
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import refused
 
 if TYPE_CHECKING:
@@ -25,9 +24,8 @@ SHORT = ("training.total_timesteps=16384",)
 
 
 @pytest.fixture
-def script(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     return load_script("conditioned_specialists")
 
 

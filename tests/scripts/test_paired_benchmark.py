@@ -26,9 +26,8 @@ needs_git = pytest.mark.skipif(IN_A_REPOSITORY.returncode != 0, reason="not a Gi
 
 
 @pytest.fixture
-def paired(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The module; scripts find each other as Python's own search path has it."""
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+def paired(load_script: Callable[[str], ModuleType]) -> ModuleType:
+    """The script as a module."""
     return load_script("paired_benchmark")
 
 

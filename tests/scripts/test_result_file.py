@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import pytest
 
-from tests.helpers.paths import REPOSITORY
-
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
@@ -25,9 +23,8 @@ class Result:
 
 
 @pytest.fixture
-def script(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     return load_script("result_file")
 
 

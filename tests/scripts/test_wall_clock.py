@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import TIMEOUT, command, environment, refused
 
 if TYPE_CHECKING:
@@ -24,9 +23,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def wall_clock(load_script: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def wall_clock(load_script: Callable[[str], ModuleType]) -> ModuleType:
     """The script as a module."""
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     return load_script("wall_clock")
 
 
