@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.guides import Guide
+    from algorithms.evaluation.episodes import UtilityLike
     from algorithms.evaluation.team import Population
     from mo_deepdrive.utilities import Utility
 
@@ -118,7 +119,7 @@ class ActorCritic(Agent):
 
     Args:
         env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
-        utility: the known utility, or one per vehicle.
+        utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
         partners: what drives the vehicles that do not learn, by their indices.
@@ -141,7 +142,7 @@ class ActorCritic(Agent):
     def __init__(
         self,
         env: VectorEnv,
-        utility: Utility | Sequence[Utility],
+        utility: UtilityLike | Sequence[UtilityLike],
         *,
         seed: int = 0,
         device: str = "cpu",

@@ -29,7 +29,7 @@ from algorithms.common.checkpoints import (
 from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
 from algorithms.common.threads import limited_threads
-from algorithms.evaluation.episodes import evaluate, evaluate_each
+from algorithms.evaluation.episodes import evaluate, evaluate_each, vehicle_utilities
 from algorithms.evaluation.front import Front, measure_front
 from algorithms.evaluation.metrics import (
     FRONT,
@@ -44,7 +44,6 @@ from algorithms.evaluation.metrics import (
 )
 from algorithms.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.config import Settings, parse
-from mo_deepdrive.utilities import Utility
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,7 +52,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.evaluation.episodes import Evaluation, Policy
+    from algorithms.evaluation.episodes import Evaluation, Policy, UtilityLike
+    from mo_deepdrive.utilities import Utility
 
 EVALUATION_INTERVALS = 20
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
@@ -111,7 +111,8 @@ class Agent(ABC):
 
     Args:
         env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
-        utility: the known utility, or one per vehicle; None for agents that learn a front.
+        utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle; None for
+            agents that learn a front.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
         **hyperparameters: fields of the class's Config.
@@ -159,7 +160,7 @@ class Agent(ABC):
     def __init__(
         self,
         env: VectorEnv,
-        utility: Utility | Sequence[Utility] | None = None,
+        utility: UtilityLike | Sequence[UtilityLike] | None = None,
         *,
         seed: int = 0,
         device: str = "cpu",
@@ -171,7 +172,7 @@ class Agent(ABC):
         self.env = EnvAdapter(env)
         self.seed = seed
         self.device = torch.device(device)
-        self.utilities: list[Utility] = [] if utility is None else self._checked(utility)
+        self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
         weights_seed, actions_seed, env_seed = np.random.SeedSequence(seed).generate_state(3)
         self.initial = torch.Generator().manual_seed(int(weights_seed))
         self.generator = torch.Generator(self.device).manual_seed(int(actions_seed))
@@ -189,21 +190,6 @@ class Agent(ABC):
     def gamma(self) -> float | NDArray[np.float32]:
         """Discount of the accrued rewards that :meth:`act` is given: one number, or one per vehicle (V,)."""
         return self.accrued_discount
-
-    def _checked(self, utility: Utility | Sequence[Utility]) -> list[Utility]:
-        """One utility per vehicle, over the objectives of the environment."""
-        env = self.env
-        utilities = [utility] * env.vehicles if isinstance(utility, Utility) else list(utility)
-        if len(utilities) != env.vehicles:
-            raise ValueError(f"{len(utilities)} utilities for {env.vehicles} vehicles")
-        for each in utilities:
-            fits = each.objectives == env.objectives if env.named else len(each.objectives) == len(env.objectives)
-            if not fits:
-                raise ValueError(
-                    f"utility {each.name!r} reads {each.objectives} in this order; the environment emits "
-                    f"{env.objectives}"
-                )
-        return utilities
 
     def get_config(self) -> dict[str, Any]:
         """The resolved hyperparameters, for logs."""
@@ -314,11 +300,16 @@ class Agent(ABC):
             after_update: called as ``after_update(agent)``; True stops training.
 
         Raises:
-            ValueError: for intervals below 1.
+            ValueError: for negative steps, or intervals below 1.
+            RuntimeError: if an update takes no steps.
         """
-        for name, value in (("eval_interval", eval_interval), ("log_interval", log_interval)):
-            if value is not None and value < 1:
-                raise ValueError(f"{name} = {value} must be at least 1")
+        for name, value, least in (
+            ("total_timesteps", total_timesteps, 0),
+            ("eval_interval", eval_interval, 1),
+            ("log_interval", log_interval, 1),
+        ):
+            if value is not None and value < least:
+                raise ValueError(f"{name} = {value} must be at least {least}")
         interval = max(1, total_timesteps // EVALUATION_INTERVALS) if eval_interval is None else eval_interval
         plan = None
         if eval_env is not None:
@@ -330,6 +321,8 @@ class Agent(ABC):
         while self.step < total_timesteps:
             before = self.step
             metrics = self.update(before / total_timesteps)
+            if self.step <= before:
+                raise RuntimeError(f"{type(self).__name__}.update must add the environment steps that it takes to step")
             last = self.step >= total_timesteps
             if log is None:
                 self.episodes.clear()

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
 
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import Rollout, VehicleRollout
+    from algorithms.evaluation.episodes import UtilityLike
     from mo_deepdrive.utilities import Utility
 
 
@@ -308,7 +309,7 @@ class MAPPO(ActorCritic):
     trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
     finite = (*ActorCritic.finite, "team.")
 
-    def __init__(self, env: VectorEnv, utility: Utility | Sequence[Utility], **options: Any):
+    def __init__(self, env: VectorEnv, utility: UtilityLike | Sequence[UtilityLike], **options: Any):
         super().__init__(env, utility, **options)
         if self.env.vehicles == 1:
             raise ValueError(f"{self.env.name} has one vehicle; algorithm {self.name!r} is for a team")

@@ -358,7 +358,8 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         zeros: ``numpy.zeros`` or ``torch.zeros``, which makes the returns.
 
     Raises:
-        ValueError: naming the utility and the shape, if the call fails or does not give one number per return.
+        ValueError: naming the utility and the shape, if the call fails or does not give one number per return, or for
+            returns of 0 none that is a number.
     """
     d = len(utility.objectives)
     for shape in ((d,), (2, d), (3, 2, d)):
@@ -377,6 +378,10 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         found = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
         if found != shape[:-1]:
             raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
+        if np.isnan(np.asarray(values)).any():
+            raise ValueError(
+                f"utility {utility.name!r} gives {values} for {given} that are 0, as at the first decision"
+            )
 
 
 def _custom(path: str, arguments: dict[str, Any]) -> Function:

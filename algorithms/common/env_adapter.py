@@ -107,11 +107,16 @@ class EnvAdapter:
         bare: our environment, if it is neither wrapped nor of a subclass, whose own ``step`` would have to be called.
 
     Raises:
+        TypeError: for an environment that is no vector environment.
         ValueError: for spaces that the trainers do not handle, or an attribute ``objectives`` that does not give every
             component of the reward a name of its own.
     """
 
     def __init__(self, env: VectorEnv):
+        if not isinstance(env, VectorEnv):
+            raise TypeError(
+                f"env = {env!r} must be a vector environment: algorithms.common.env_adapter.make_env makes one"
+            )
         self.vector_env = env
         self.num_envs = env.num_envs
         inner = env.unwrapped
@@ -185,7 +190,14 @@ class EnvAdapter:
 
         Args:
             actions: (N, V) indices, or (N, V, k) with each axis in [-1, 1] (clipped and scaled to the box).
+
+        Raises:
+            ValueError: for another shape.
         """
+        actions = np.asarray(actions)
+        expected = (self.num_envs, self.vehicles, *((self.actions,) if self.continuous else ()))
+        if actions.shape != expected:
+            raise ValueError(f"actions of shape {actions.shape} must have shape {expected}")
         if self.bare is not None:
             return self._bare_step(self.bare, actions)
         actions = self.environment_actions(actions)

@@ -16,6 +16,7 @@ from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
 from algorithms.evaluation.function_policy import FunctionPolicy
 from algorithms.evaluation.metrics import SUCCESS, WORST_OFF_UTILITY_ESR, end_rates, summarise, vehicle_prefix
 from algorithms.evaluation.splits import first_seed
+from algorithms.evaluation.team import check_same_task
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ def evaluate(
 
     Raises:
         TypeError: for an unknown environment argument, or a policy that is neither an agent nor a function.
-        ValueError: for invalid arguments, or actions of the wrong shape.
+        ValueError: for invalid arguments, an agent that was trained on another task, or actions of the wrong shape.
     """
     if not (isinstance(episodes, int) and episodes > 0):
         raise ValueError(f"episodes = {episodes!r} must be a positive integer")
@@ -192,16 +193,18 @@ def as_policy(
 
     Raises:
         TypeError: for anything else.
-        ValueError: if a utility does not fit the environment.
+        ValueError: if an agent was trained on another task, or a utility does not fit the environment.
     """
     if hasattr(policy, "act"):
-        return cast("Policy", policy)
+        agent = cast("Policy", policy)
+        check_same_task(agent.env, env)
+        return agent
     if not callable(policy):
         raise TypeError(
             f"policy = {policy!r} must be an agent or a function policy(observations, accrued, discounts) -> actions, "
             "such as lambda observations, *_: model.predict(observations)[0]"
         )
-    return FunctionPolicy(policy, env, _utilities(utility, env), gamma)
+    return FunctionPolicy(policy, env, vehicle_utilities(utility, env), gamma)
 
 
 def _evaluate(
@@ -216,7 +219,7 @@ def _evaluate(
     actor = as_policy(policy, adapter, utility, gamma)
     if not greedy and isinstance(actor, FunctionPolicy):
         raise ValueError("greedy = False is for agents; a function samples its actions itself")
-    utilities = tuple(actor.utilities) if utility is None else _utilities(utility, adapter)
+    utilities = tuple(actor.utilities) if utility is None else vehicle_utilities(utility, adapter)
     columns = _in_batches(
         lambda _: actor, adapter, seeds, gamma, None if greedy else seeded_generator(actor, int(seeds[0]))
     )
@@ -236,8 +239,16 @@ def _make_env(env_id: str, episodes: int, arguments: dict[str, Any]) -> VectorEn
     return make_env(env_id, min(episodes, OUR_ENVS if ours else OTHER_ENVS), arguments)
 
 
-def _utilities(utility: UtilityLike | Sequence[UtilityLike] | None, env: EnvAdapter) -> tuple[Utility, ...]:
-    """One utility per vehicle; none for None."""
+def vehicle_utilities(utility: UtilityLike | Sequence[UtilityLike] | None, env: EnvAdapter) -> tuple[Utility, ...]:
+    """One utility per vehicle, over the objectives of the environment; none for None.
+
+    Args:
+        utility: as of :func:`evaluate`.
+        env: the environment.
+
+    Raises:
+        ValueError: if there is not one per vehicle, or one does not fit the environment's objectives.
+    """
     if utility is None:
         return ()
     each: list[Any] = list(utility) if isinstance(utility, (list, tuple)) else [utility] * env.vehicles
@@ -251,8 +262,11 @@ def _utility(utility: UtilityLike, env: EnvAdapter) -> Utility:
         return make_utility(utility, env.objectives, env.cost_sign)
     if not isinstance(utility, Utility):
         utility = Utility(getattr(utility, "__name__", "utility"), env.objectives, utility)
-    if len(utility.objectives) != len(env.objectives):
-        raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; the environment has {env.objectives}")
+    fits = utility.objectives == env.objectives if env.named else len(utility.objectives) == len(env.objectives)
+    if not fits:
+        raise ValueError(
+            f"utility {utility.name!r} reads {utility.objectives} in this order; the environment emits {env.objectives}"
+        )
     check_utility(utility, np.zeros)
     return utility
 

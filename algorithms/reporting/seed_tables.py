@@ -25,6 +25,7 @@ from algorithms.evaluation.metrics import (
     IGD_PLUS,
     LENGTH,
     POLICIES,
+    RETURN,
     SUCCESS,
     UTILITY_ESR,
     UTILITY_SER,
@@ -34,7 +35,12 @@ from algorithms.evaluation.metrics import (
     return_of,
     split_name,
 )
-from algorithms.evaluation.seed_groups import distinct_labels, group_by_experiment, task_settings
+from algorithms.evaluation.seed_groups import (
+    distinct_labels,
+    group_by_experiment,
+    identifying_settings,
+    task_settings,
+)
 from algorithms.evaluation.statistics import (
     MIN_SAMPLES,
     Estimate,
@@ -52,6 +58,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+# The columns of the terminal; files also have the returns of all objectives.
 TABLE_METRICS = (
     *(UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), return_of("lane_violation")),
     *(LENGTH, mean_of("g_force"), mean_of("jerk")),
@@ -211,13 +218,25 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
             group.seeds.append(configs[i]["training"]["seed"])
             for name, score in scores[i].items():
                 place = split_name(name)
-                if place.metric in TABLE_METRICS:
+                if place.metric in TABLE_METRICS or place.metric.startswith(RETURN):
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
         _remove_impossible_collisions(group, scores[members[0]])
         groups.append(group)
+    _tell_apart(groups, [identifying_settings(configs[members[0]]) for members in experiments])
     return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
+
+
+def _tell_apart(groups: Sequence[ScoreGroup], settings: Sequence[Mapping[str, Any]]) -> None:
+    """Add the settings that differ to what is said about groups of the same task, algorithm and steps."""
+    namesakes: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for g, group in enumerate(groups):
+        namesakes[tuple(group.about.values())].append(g)
+    for members in namesakes.values():
+        labels = distinct_labels([settings[g] for g in members], lambda _: "")
+        for g, label in zip(members, labels, strict=True):
+            groups[g].about["settings"] = label
 
 
 def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estimate]) -> None:
@@ -256,11 +275,17 @@ def utility_label(utility: Mapping[str, Any] | None) -> str:
     return " ".join([utility["name"], *others])
 
 
-def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] = TABLE_METRICS) -> Rows:
+def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
     """One row per group, policy and vehicle: the means over seeds with their intervals.
 
     The digits are also no more than one run's interval over evaluation episodes supports, where it is known.
+
+    Args:
+        groups: the rows.
+        metrics: the columns; None for :data:`TABLE_METRICS` and all other metrics of the groups.
     """
+    if metrics is None:
+        metrics = list(dict.fromkeys([*TABLE_METRICS, *(place.metric for group in groups for place in group.scores)]))
     about = list(dict.fromkeys(name for group in groups for name in group.about))
     places = [(g, place) for g, group in enumerate(groups) for place in group.scores]
     estimates = means([groups[g].values(place) for g, place in places])
@@ -329,14 +354,15 @@ def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], No
     groups = group_runs(paths, warn)
     if not groups:
         raise ValueError("no run has a final evaluation")
-    scores, compared = scores_table(groups), comparison_table(groups)
-    for task, rows in _by_task(scores, groups[0].task).items():
+    compared = comparison_table(groups)
+    for task, rows in _by_task(scores_table(groups, TABLE_METRICS), groups[0].task).items():
         print_rows(console, rows, task, rows[0].index("seeds") + 1)
     for task, rows in _by_task(compared, groups[0].task).items():
         print_rows(console, rows, f"{task}: differences of the algorithms", rows[0].index("value"))
+    console.print("Means over seeds with 95% bootstrap intervals over seeds.", highlight=False)
     if any(1 < len(group.seeds) < MIN_SAMPLES for group in groups):
         console.print(f"Fewer than {MIN_SAMPLES} seeds have no interval.", highlight=False)
-    return [scores, compared]
+    return [scores_table(groups), compared]
 
 
 def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:

@@ -64,7 +64,8 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
     result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", overflow="fold")
     if any(_is_end(name) for estimates in columns.values() for name in estimates):
-        result.caption, result.caption_justify = f"Ends ({END}...) that no episode had are left out.", "left"
+        result.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."
+        result.caption_justify = "left"
     for policy in columns:
         result.add_column(policy, justify="right", overflow="fold")
     for name in names:

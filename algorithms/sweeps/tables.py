@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from algorithms.evaluation.metrics import MetricName
+from algorithms.evaluation.metrics import RETURN, MetricName
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
     ScoreGroup,
@@ -87,7 +87,8 @@ def print_sweep(
 
 def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
     """The cells of a ranking that have final evaluations, in its order."""
-    wanted = collection.scores.filter(pl.col("metric").is_in([*TABLE_METRICS, ranking.metric]))
+    metric = pl.col("metric")
+    wanted = collection.scores.filter(metric.is_in([*TABLE_METRICS, ranking.metric]) | metric.str.starts_with(RETURN))
     known = wanted.select("run", *SCORE_KEYS, "value").collect()
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():

@@ -288,12 +288,19 @@ def test_a_utility_over_the_objectives_in_another_order_is_refused(cls: type[Act
         make_agent(cls, env={"objectives": ["jerk", "distance", "destination", "g_force"]}, utility=utility)
 
 
+def test_a_utility_is_given_by_name_or_as_a_function() -> None:
+    env = make_env("mo-deepdrive-one-waypoint-v0", 2)
+    assert [each.name for each in A2C(env, "one_waypoint_linear").utilities] == ["one_waypoint_linear"]
+    (utility,) = A2C(env, lambda returns: returns[..., 0]).utilities
+    assert utility(np.array([3.0, 1.0, 0.0, 0.0])) == 3.0
+
+
 @CLASSES
 @pytest.mark.parametrize("number", [1, 3])
 def test_the_wrong_number_of_utilities_is_refused(cls: type[ActorCritic], number: int) -> None:
     objectives = EnvAdapter(make_env(INTERSECTION, 1)).objectives
     utility = make_utility("intersection_linear", objectives)
-    with pytest.raises(ValueError, match=f"{number} utilities for 2 vehicles"):
+    with pytest.raises(ValueError, match=f"{number} utilities are given for 2 vehicles"):
         make_agent(cls, INTERSECTION, utility=[utility] * number)
     assert make_agent(cls, INTERSECTION, utility=utility).utilities == [utility, utility]
 

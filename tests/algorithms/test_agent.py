@@ -169,12 +169,22 @@ def test_metrics_are_logged_at_the_log_interval_and_at_the_end() -> None:
     assert all(math.isfinite(value) for value in metrics.values())
 
 
-@pytest.mark.parametrize("name", ["log_interval", "eval_interval"])
-def test_intervals_below_1_are_refused_before_any_work(name: str) -> None:
+@pytest.mark.parametrize(
+    ("options", "least"), [({"log_interval": 0}, 1), ({"eval_interval": 0}, 1), ({"total_timesteps": -1}, 0)]
+)
+def test_intervals_and_steps_that_are_too_small_are_refused(options: dict[str, int], least: int) -> None:
     agent = make_agent(MOA2C)
-    with pytest.raises(ValueError, match=f"{name} = 0 must be at least 1"):
-        agent.train(64, **{name: 0})
+    [(name, value)] = options.items()
+    with pytest.raises(ValueError, match=f"{name} = {value} must be at least {least}"):
+        agent.train(**{"total_timesteps": 64, **options})
     assert agent.step == 0
+
+
+def test_an_update_that_takes_no_steps_does_not_go_on_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_agent(MOA2C)
+    monkeypatch.setattr(agent, "update", lambda _progress: {})
+    with pytest.raises(RuntimeError, match="must add the environment steps that it takes to step"):
+        agent.train(64)
 
 
 def test_metrics_of_two_vehicles_are_logged_separately() -> None:

@@ -443,6 +443,20 @@ def test_a_given_utility_replaces_those_of_an_agent() -> None:
     assert [utility.name for utility in found.utilities] == ["one_waypoint_nonlinear"]
 
 
+@pytest.mark.parametrize(
+    ("env_id", "env_kwargs", "what"),
+    [
+        (ONE_WAYPOINT, {"objectives": ["jerk", "distance", "destination", "g_force"]}, "objectives"),
+        (ONE_WAYPOINT, {"action_type": "continuous"}, "actions"),
+        (ONE_WAYPOINT, {"cost_sign": "paper"}, "cost_sign"),
+        (STATIC_OBSTACLE, {}, "name"),
+    ],
+)
+def test_an_agent_of_another_task_is_refused(env_id: str, env_kwargs: dict[str, Any], what: str) -> None:
+    with pytest.raises(ValueError, match=f"a policy for {what} = .* cannot drive where {what} = "):
+        evaluate(make_agent(A2C), env_id, episodes=2, env_kwargs=env_kwargs)
+
+
 def test_vehicles_may_have_different_utilities() -> None:
     names = ["intersection_nonlinear", "intersection_linear"]
     found = evaluate(idle, INTERSECTION, episodes=2, env_kwargs=SHORT, utility=names)
@@ -469,7 +483,8 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
         (idle, {"utility": "one_waypoint_linaer"}, ValueError, "did you mean 'one_waypoint_linear'"),
         (idle, {"utility": [NONLINEAR] * 2}, ValueError, "2 utilities are given for 1 vehicles"),
         (idle, {"utility": lambda returns: returns}, ValueError, "utility '<lambda>' gives"),
-        (idle, {"utility": make_utility("linear", ["a"], weights=[1.0])}, ValueError, "the environment has"),
+        (idle, {"utility": make_utility("linear", ["a"], weights=[1.0])}, ValueError, "the environment emits"),
+        (idle, {"utility": make_utility("linear", OBJECTIVES[::-1], weights=[1.0] * 4)}, ValueError, "in this order"),
         (idle, {"env_kwargs": {"time_limt": 3.0}}, TypeError, "did you mean 'time_limit'"),
         ("ppo", {}, TypeError, "policy = 'ppo' must be an agent or a function"),
     ],

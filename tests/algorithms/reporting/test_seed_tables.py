@@ -14,6 +14,7 @@ from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.evaluation.episodes import Evaluation
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting.seed_tables import (
+    TABLE_METRICS,
     comparison_table,
     environment_label,
     find_runs,
@@ -53,6 +54,28 @@ def test_runs_on_another_device_or_with_more_threads_share_a_row(tmp_path: Path)
     first, second = group_runs([tmp_path], pytest.fail)
     assert (first.seeds, second.seeds) == ([0, 1, 2], [0])
     assert first.scores["greedy", "", "success"] == pytest.approx([0.0, 0.1, 0.2])  # type: ignore[index]
+
+
+def test_rows_of_one_algorithm_name_the_settings_that_differ(tmp_path: Path) -> None:
+    make_run(tmp_path / "a", 0)
+    make_run(tmp_path / "b", 1)
+    make_run(tmp_path / "c", 0, num_envs=4)
+    make_run(tmp_path / "d", 0, "ppo")
+    header, *rows = scores_table(group_runs([tmp_path], pytest.fail))
+    told = [row[header.index("settings")] for row in rows]
+    assert told == ["training.num_envs=2", "training.num_envs=4", ""]
+
+
+def test_a_file_has_the_returns_of_all_objectives_and_the_terminal_has_not(tmp_path: Path) -> None:
+    make_run(tmp_path / "run", 0)
+    values = {"success": 0.5, "return/energy": -3.0, "return/jerk": -2.0, "max_jerk": 4.0}
+    scores = {name: {"value": value, "low": None, "high": None} for name, value in values.items()}
+    (tmp_path / "run/evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
+    groups = group_runs([tmp_path], pytest.fail)
+    header, row = scores_table(groups)
+    assert header[-3:] == ["success", "return/energy", "return/jerk"]
+    assert [float(cell) for cell in row[-3:]] == [0.5, -3.0, -2.0]
+    assert scores_table(groups, TABLE_METRICS)[0][-1] == "success"
 
 
 def test_algorithms_are_in_the_order_of_figures_and_compared_with_the_ones_before(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_ends_that_occurred_have_a_row_with_the_rate_of_every_policy() -> None:
     never, always = r"0.000 \[0.000, 0.071]", r"1.000 \[0.929, 1.000]"
     assert cells["end/time_limit"] == [never, always]
     assert cells["end/harmful_jerk"][1] == never
-    assert table.caption == "Ends (end/...) that no episode had are left out."
+    assert table.caption == "success: the share of arrivals; other ends (end/...) that no episode had are left out."
     without = evaluation(ends=False)
     table = evaluation_table({"greedy": held, "stochastic": without}, "a title")
     assert list(table.columns[2].cells)[names.index("end/circling") - 1] == "", "it is not known"
