@@ -10,6 +10,7 @@ import numpy as np
 
 from algorithms.evaluation.drives import READINGS
 from algorithms.evaluation.metrics import name_and_unit
+from algorithms.evaluation.statistics import rate
 from mo_deepdrive.scenarios import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
 
@@ -87,6 +88,7 @@ class ExplorableFront:
             ],
             "returns": self.returns.tolist(),
             "success": [None if np.isnan(share) else share for share in self.success.tolist()],
+            "successRange": [self._success_range(share) for share in self.success.tolist()],
             "lengths": self.lengths.tolist(),
             "command": self.command,
             "numbers": list(self.numbers or range(len(self.success))),
@@ -102,6 +104,15 @@ class ExplorableFront:
             },
             "scenes": self._scenes_to_json(),
         }
+
+    def _success_range(self, share: float) -> list[float] | None:
+        """Wilson's interval of a share of the episodes; None where one episode says everything, or nothing."""
+        episodes = self.returns.shape[1]
+        if np.isnan(share) or episodes == 1:
+            return None
+        found = rate(np.arange(episodes) < round(share * episodes))
+        interval: list[float] = rounded(np.array([found.low, found.high], dtype=np.float64), 3)
+        return interval
 
     def _scenes_to_json(self) -> list[dict[str, Any]]:
         """The first scenario, and those after it that fit into MAX_DRIVES."""

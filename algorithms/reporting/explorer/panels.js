@@ -1,6 +1,7 @@
 // What is written beside the plots: sliders, the choice, what it would give up, and the table of all policies.
 
 const percent = (share) => `${(100 * share).toFixed(0)}%`;
+const between = (range) => (range === null ? "" : ` (95% interval ${(100 * range[0]).toFixed(0)} to ${percent(range[1])})`);
 
 /** A piece of the line of the policy at a place: its colour and its dashes. */
 function swatch(place) {
@@ -84,6 +85,13 @@ class Panels {
     }));
   }
 
+  /** Of the utility with a comfort budget, what other costs than g-force and jerk count. */
+  otherPrices() {
+    const { front } = this;
+    const name = (key) => front.objectives.find((objective) => objective.key === key).name;
+    return Object.entries(front.budget?.prices ?? {}).map(([key, price]) => `, ${name(key)} ${price}`).join("");
+  }
+
   showChoice() {
     const { front, state } = this;
     const chosen = this.explorer.chosen();
@@ -97,7 +105,7 @@ class Panels {
     byId("why").textContent = {
       weights: "It has the greatest weighted sum of mean returns. A weight counts per unit of the return.",
       budget: "It has the greatest expected utility: arriving counts 10, a metre 0.1; g-force and jerk beyond the "
-        + "budgets cost 2 and 0.05 per unit.",
+        + `budgets cost 2 and 0.05 per unit${this.otherPrices()}.`,
       picked: first === chosen ? "Chosen by hand; a slider chooses by preference again."
         : `Chosen by hand. Policy ${front.numbers[first]} is at least as good in every objective, so the command chooses it.`,
     }[state.mode];
@@ -105,7 +113,8 @@ class Panels {
     byId("values").replaceChildren(
       ...front.objectives.flatMap((objective, i) => [element("dt", {}, objective.name),
         element("dd", {}, withUnit(front.text(front.means[chosen][i], i), objective.unit))]),
-      ...(success === null ? [] : [element("dt", {}, "arrivals"), element("dd", {}, percent(success))]));
+      ...(success === null ? [] : [element("dt", {}, "arrivals"),
+        element("dd", {}, `${percent(success)}${between(front.successRange[chosen])}`)]));
     byId("command").value = this.explorer.command();
     byId("command-label").textContent = front.command.includes("{preference}") ? "Evaluate it again" : "Its actions";
     byId("copied").textContent = "";

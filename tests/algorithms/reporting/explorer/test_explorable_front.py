@@ -48,6 +48,15 @@ def decoded(stored: dict[str, Any], name: str) -> np.ndarray:
     return np.cumsum(stored[name]) * RESOLUTION[name]
 
 
+@pytest.mark.parametrize(
+    ("episodes", "share", "expected"),
+    [(20, 1.0, [0.839, 1.0]), (20, 0.5, [0.299, 0.701]), (1, 1.0, None), (9, np.nan, None)],
+)
+def test_arrivals_have_wilsons_interval(episodes: int, share: float, expected: list[float] | None) -> None:
+    front = dataclasses.replace(made_up_front(2, 3, episodes), success=np.array([share, 0.0]))
+    assert front.to_json()["successRange"][0] == expected
+
+
 def test_returns_and_scales_are_exact() -> None:
     front = made_up_front(5, 3, episodes=4)
     stored = front.to_json()
