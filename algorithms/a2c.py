@@ -184,4 +184,3 @@ class A2C(ActorCritic):
     name = "a2c"
     Config = A2CConfig
     learner = A2CLearner
-    observes_accrued_reward = False

@@ -168,6 +168,11 @@ class ActorCritic(Agent):
         ]
         self.collector = Collector(self.env, self.gamma, self.config.steps)
         self._compiled: CompiledCollection | None = None
+        if self.config.cost_growth and any(guide.driver.observes_accrued_reward for guide in self.guides):
+            raise ValueError(
+                f"cost_growth = {self.config.cost_growth} must be 0 with a guide that observes the accrued reward, in "
+                "which costs would be missing; take a guide that does not observe it, such as a rule"
+            )
         if self.config.cost_growth and not self.env.costs.any():
             raise ValueError(
                 f"cost_growth = {self.config.cost_growth} must be 0 in {self.env.name}: none of its objectives "
@@ -183,6 +188,11 @@ class ActorCritic(Agent):
         for v, partner in self.partners.items():
             discounts[v] = partner.gamma
         return discounts
+
+    @property
+    def observes_accrued_reward(self) -> bool:
+        """Whether an actor sees R_t or g^t."""
+        return any(learner.observes_accrued or learner.observes_discount for learner in self.learners)
 
     # --------------------------------------------------------------------------------------------- acting and learning
 
@@ -266,10 +276,18 @@ class ActorCritic(Agent):
         return rollout, episodes
 
     def _can_be_compiled(self) -> bool:
-        """Whether the learners alone act, as this class defines it."""
-        own = type(self).act is ActorCritic.act and all(type(each).inputs is Learner.inputs for each in self.learners)
+        """Whether the learners alone act, as this class and Learner define it."""
+        own = type(self).act is ActorCritic.act and type(self)._explore is ActorCritic._explore
         alone = not self.partners and not any(self.guides)
-        return own and alone and CompiledCollection.serves(self.collector, [each.actor for each in self.learners])
+        usual = all(map(self._sees_what_is_usual, self.learners))
+        actors = [learner.actor for learner in self.learners]
+        return own and alone and usual and CompiledCollection.serves(self.collector, actors)
+
+    def _sees_what_is_usual(self, learner: Learner) -> bool:
+        """Whether a learner's actor sees what Learner defines, in the scales that all learners share."""
+        scales = (learner.observation_scales.numpy(), self.env.observation_scales)
+        units = (learner.objective_scales.numpy(), self.learners[0].objective_scales.numpy())
+        return type(learner).inputs is Learner.inputs and np.array_equal(*scales) and np.array_equal(*units)
 
     def reward_shares(self, progress: float) -> NDArray[np.float32]:
         """By what rewards are multiplied, (V, d): 1, and less for costs while these grow."""

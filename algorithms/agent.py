@@ -120,7 +120,6 @@ class Agent(ABC):
     Attributes:
         name: of the algorithm, in checkpoints; that of the class where it is not set.
         known_utility: whether the agent learns for a known utility, or a front for every utility.
-        observes_accrued_reward: whether ``act`` depends on the accrued reward.
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
@@ -145,7 +144,6 @@ class Agent(ABC):
     name: ClassVar[str]
     Config: ClassVar[type[Settings]]
     known_utility: ClassVar[bool] = True
-    observes_accrued_reward: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
     trains_with_guides: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
@@ -180,6 +178,11 @@ class Agent(ABC):
         self.step = 0
         self.updates = 0
         self.episodes: list[Episodes] = []
+
+    @property
+    def observes_accrued_reward(self) -> bool:
+        """Whether :meth:`act` depends on the accrued reward or its discount."""
+        return True
 
     @property
     def accrued_discount(self) -> float:

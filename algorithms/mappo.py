@@ -305,7 +305,6 @@ class MAPPO(ActorCritic):
     name = "mappo"
     Config = MAPPOConfig
     learner = MAPPOLearner
-    observes_accrued_reward = False
     trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
     finite = (*ActorCritic.finite, "team.")
 

@@ -141,6 +141,10 @@ class PCN(FrontAgent):
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, **hyperparameters)
+        if HORIZON in self.env.objectives:
+            raise ValueError(
+                f"an objective is named {HORIZON!r}, as a part of the commands of {self.name!r}; rename it"
+            )
         if self.env.vehicles != 1:
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)

@@ -214,4 +214,3 @@ class PPO(ActorCritic):
     name = "ppo"
     Config = PPOConfig
     learner = PPOLearner
-    observes_accrued_reward = False

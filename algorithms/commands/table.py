@@ -61,17 +61,20 @@ def warn(message: str, program: str) -> None:
 
 
 def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
-    """The runs among and below ``paths``, with a warning instead of those whose config or final evaluation has changed.
+    """The runs among and below ``paths``; with a warning instead of those that have changed or are not finished.
 
     Raises:
         ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
     """
     from algorithms.evaluation.front import EVALUATION_FILE
+    from algorithms.experiments.run_directory import read_status
     from algorithms.reporting.seed_tables import find_runs
 
     runs = []
     for run in find_runs(paths):
         problems = changed_files(run, ["config.yaml", EVALUATION_FILE])
+        if not problems and read_status(run).get("state", "finished") != "finished":
+            problems = ["its training is not finished"]
         if problems:
             warn(f"left out: {run}: {'; '.join(problems)}")
         else:

@@ -15,7 +15,13 @@ import numpy as np
 import torch
 from numba import types
 
-from algorithms.common.actors import GaussianActor, categorical_sample, state_gaussian_sample
+from algorithms.common.actors import (
+    CategoricalActor,
+    GaussianActor,
+    StateGaussianActor,
+    categorical_sample,
+    state_gaussian_sample,
+)
 from algorithms.common.perceptron import BLOCK, Perceptron, forward_rows
 from algorithms.common.rollout import Buffers, follow_episodes
 from algorithms.common.threads import one_blas_thread, wanted_threads
@@ -42,6 +48,7 @@ if TYPE_CHECKING:
     Kernel = tuple[Any, ...]
     Loop = Callable[..., tuple[int, int]]
 
+ACTORS = (CategoricalActor, GaussianActor, StateGaussianActor)
 # Why the loop has stopped before the end of the rollout.
 DONE, NEEDS_DRAWS, NO_VALID_SCENARIO, NOT_FINITE = range(4)
 
@@ -383,8 +390,10 @@ class CompiledCollection:
 
     @staticmethod
     def serves(collector: Collector, actors: Sequence[Actor]) -> bool:
-        """Whether the collector's environments and the actors' networks are compiled."""
-        compiled = all(isinstance(actor.body, Perceptron) and actor.body.can_be_compiled for actor in actors)
+        """Whether the collector's environments are ours, and the actors and networks are those of this package."""
+        compiled = all(
+            type(actor) in ACTORS and type(actor.body) is Perceptron and actor.body.can_be_compiled for actor in actors
+        )
         return collector.env.bare is not None and compiled
 
     def collect(self, generator: torch.Generator) -> None:

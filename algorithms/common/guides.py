@@ -41,6 +41,8 @@ class Guide:
     """
 
     def __init__(self, driver: Population, settings: GuideSettings, num_envs: int):
+        if len(driver.members) > 1:
+            raise ValueError(f"a guide is one driver, not {len(driver.members)} that take turns")
         self.driver = driver
         self.settings = settings
         self.vehicle = driver.vehicle
@@ -124,9 +126,10 @@ class Guides:
         if len(self._of_vehicle) < len(guides):
             raise ValueError(f"a vehicle has several guides: they are for {sorted(guide.vehicle for guide in guides)}")
         for guide in guides:
-            if guide.driver.observes_accrued_reward and guide.driver.gamma != discount:
+            theirs = guide.driver.gamma
+            if guide.driver.observes_accrued_reward and np.float32(theirs) != np.float32(discount):
                 raise ValueError(
-                    f"a guide observes rewards accrued with the discount {guide.driver.gamma}; here it is {discount}"
+                    f"a guide observes rewards accrued with the discount {theirs:g}; here it is {discount:g}"
                 )
 
     def __iter__(self) -> Iterator[Guide]:

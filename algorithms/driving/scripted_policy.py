@@ -58,4 +58,4 @@ class ScriptedPolicy:
         actions = np.zeros((len(observations), self.env.vehicles, *continuous), np.float32 if continuous else np.int64)
         if self._vehicle is not None and self._driver is not None:
             actions[:, self._vehicle] = self._driver(observations[:, self._vehicle])
-        return self.env.policy_actions(actions)
+        return self.env.policy_actions(actions[:, 0] if self.env.vehicles == 1 else actions)

@@ -169,8 +169,10 @@ def evaluate(
         TypeError: for an unknown environment argument, or a policy that is neither an agent nor a function.
         ValueError: for invalid arguments, an agent that was trained on another task, or actions of the wrong shape.
     """
-    if not (isinstance(episodes, int) and episodes > 0):
+    if isinstance(episodes, bool) or not isinstance(episodes, (int, np.integer)) or episodes < 1:
         raise ValueError(f"episodes = {episodes!r} must be a positive integer")
+    if not 0.0 <= gamma <= 1.0:
+        raise ValueError(f"gamma = {gamma} must be between 0 and 1")
     first = first_seed(split, seed, episodes)
     if not isinstance(env, str):
         if env_kwargs is not None:
@@ -294,6 +296,7 @@ def evaluate_each(
         An evaluation per policy, without utilities.
     """
     adapter = EnvAdapter(env)
+    check_same_task(policy_of(np.zeros(1, dtype=np.intp)).env, adapter)
     policies = np.repeat(np.arange(count), episodes)
     seeds = seed + np.tile(np.arange(episodes), count)
     columns = _in_batches(lambda rows: policy_of(policies[rows]), adapter, seeds, gamma, None)

@@ -13,6 +13,7 @@ from algorithms.evaluation.metrics import (
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
     LENGTH,
+    OUR_ENDS,
     SUCCESS,
     USUAL_FAILURES,
     UTILITY_ESR,
@@ -65,12 +66,13 @@ def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
             DISCOUNTED_UTILITY_ESR: mean(np.asarray(utility(discounted))),
             DISCOUNTED_UTILITY_SER: utility_of_mean(discounted, utility),
         }
-    known = [str(end) for end in ends if end is not None]
+    known = {str(end) for end in ends if end is not None}
     if known or evaluation.succeeded[:, v].any():
         estimates[SUCCESS] = rate(evaluation.succeeded[:, v])
     if known:
-        others = sorted(set(known) - {ARRIVED, *USUAL_FAILURES})
-        estimates |= {end_by(end): rate(np.asarray(ends == end)) for end in (*USUAL_FAILURES, *others)}
+        usual = USUAL_FAILURES if known <= OUR_ENDS else ()
+        reasons = (*usual, *sorted(known - {ARRIVED, *usual}))
+        estimates |= {end_by(reason): rate(np.array([str(end) == reason for end in ends])) for reason in reasons}
     estimates[LENGTH] = mean(lengths.astype(np.float64))
     for i, objective in enumerate(evaluation.objectives):
         estimates[return_of(objective)] = mean(returns[:, i])

@@ -86,13 +86,15 @@ class Population:
             check_same_task(member.env, members[0].env)
         observed = [member for member in members if getattr(member, "observes_accrued_reward", True)]
         self.observes_accrued_reward = bool(observed)
-        gammas = sorted({_gamma_of(member, vehicle) for member in observed})
+        # As rewards are accrued, in single precision.
+        gammas = {np.float32(_gamma_of(member, vehicle)) for member in observed}
         if len(gammas) > 1:
-            raise ValueError(f"drivers of vehicle {vehicle} observe rewards accrued with different discounts: {gammas}")
+            texts = ", ".join(f"{gamma:g}" for gamma in sorted(gammas))
+            raise ValueError(f"drivers of vehicle {vehicle} observe rewards accrued with different discounts: {texts}")
         self.members = tuple(members)
         self.vehicle = vehicle
         self.digests = tuple(digests)
-        self.gamma = gammas[0] if gammas else 1.0
+        self.gamma = _gamma_of(observed[0], vehicle) if observed else 1.0
 
     def act(
         self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 RECORDED = ("config.yaml", "checkpoint.safetensors", "metrics.csv", "evaluation.json", "front.csv", "fronts.csv")
 RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
+STATUS = "status.json"
 NOT_RECORDED = "its files are not recorded: it was made by an earlier version"
 
 
@@ -38,9 +39,12 @@ def broken_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
         names: check these files alone, such as those that are about to be read; None for all that are recorded.
 
     Returns:
-        One line per file that is missing or differs in size or hash; :data:`NOT_RECORDED` if there is no record.
+        One line per file that is missing or differs in size or hash, or about a broken status.json;
+        :data:`NOT_RECORDED` if there is no record.
     """
-    status = read_json_object(run / "status.json")
+    status = read_json_object(run / STATUS)
+    if not status and (run / STATUS).exists():
+        return [f"{STATUS}: cannot be read"]
     if status.get("state") != "finished":
         return []
     recorded = status.get("files")

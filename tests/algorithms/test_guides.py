@@ -243,6 +243,30 @@ def test_a_guide_observes_rewards_that_are_accrued_as_here() -> None:
     with pytest.raises(ValueError, match=r"accrued with the discount 0.9; here it is 0.95"):
         agent_with(guide, 4, gamma=0.95)
     assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
+    with pytest.raises(ValueError, match=r"cost_growth = 0.5 must be 0 with a guide that observes the accrued reward"):
+        agent_with(guide, 4, gamma=0.9, cost_growth=0.5)
+
+
+def test_a_guide_that_was_trained_with_a_partner_observes_the_same_discount() -> None:
+    env = EnvAdapter(make_env(INTERSECTION, 4))
+    partner = Population([Constant(env)], 1)
+    observer = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, partners={1: partner})
+    guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
+    assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
+
+
+def test_the_discount_of_a_guide_that_sees_no_accrued_reward_does_not_matter() -> None:
+    unseen = {"observe_accrued": False, "observe_discount": False}
+    blind = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, **unseen)
+    guide = Guide(Population([blind], 0), GuideSettings(driver="blind"), 4)
+    assert not blind.observes_accrued_reward
+    assert list(agent_with(guide, 4, gamma=0.95, cost_growth=0.5).guides) == [guide]
+
+
+def test_a_guide_is_one_driver() -> None:
+    driver = Population([Constant(EnvAdapter(make_env(INTERSECTION, 1)))] * 2, 0)
+    with pytest.raises(ValueError, match="a guide is one driver, not 2 that take turns"):
+        Guide(driver, GuideSettings(driver="two"), 4)
 
 
 def test_a_trained_pair_may_be_the_guide() -> None:

@@ -146,6 +146,13 @@ def test_invalid_hyperparameters_are_refused_by_name(changed: dict[str, Any], me
         make_pcn(**changed)
 
 
+def test_an_objective_with_the_name_of_a_column_of_commands_is_refused() -> None:
+    env = make_env(SEA, 1)
+    env.envs[0].unwrapped.objectives = ("treasure", "horizon")  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="an objective is named 'horizon'"):
+        PCN(env)
+
+
 def test_two_vehicles_are_refused() -> None:
     with pytest.raises(ValueError, match="algorithm 'pcn' drives one vehicle; the environment has 2"):
         make_pcn(INTERSECTION)

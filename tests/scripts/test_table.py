@@ -34,6 +34,7 @@ def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> 
     run = Run.create(experiment, path)
     run.unlock()
     if utility is not None:
+        run.set_status("finished", 10)
         estimate = {"value": utility, "low": None, "high": None}
         policies = {policy: dict.fromkeys(TABLE_METRICS, estimate) for policy in ("greedy", "stochastic")}
         (path / "evaluation.json").write_text(json.dumps({"policies": policies}))
@@ -67,7 +68,9 @@ def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Pat
         for seed in (0, 1):
             config = ROOT / f"configs/paper/intersection_{algorithm}_linear.yaml"
             path = tmp_path / f"{algorithm}-{seed}"
-            Run.create(load_experiment(config, [f"--seed={seed}"]), path).unlock()
+            run = Run.create(load_experiment(config, [f"--seed={seed}"]), path)
+            run.unlock()
+            run.set_status("finished", 10)
             numbers = {"success": 0.5, "end/collision": 0.25}
             for v in (0, 1):
                 numbers[f"vehicle_{v}/utility_esr"] = utility + v
@@ -123,7 +126,9 @@ def make_front_run(folder: Path, config: str, seed: int, numbers: dict[str, floa
     """A run directory with the final evaluation of a front."""
     experiment = load_experiment(ROOT / f"configs/{config}.yaml", [f"--seed={seed}", *overrides])
     path = folder / f"{config.replace('/', '-')}-{seed}"
-    Run.create(experiment, path).unlock()
+    run = Run.create(experiment, path)
+    run.unlock()
+    run.set_status("finished", 10)
     estimates = {name: {"value": value, "low": None, "high": None} for name, value in numbers.items()}
     (path / "evaluation.json").write_text(json.dumps({"policies": {"front": estimates}}))
 
@@ -179,6 +184,20 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_table(
     where = tmp_path / "nowhere"
     message = f"error: --output '{where}/scores.csv': '{where}' is not a directory\n"
     assert capsys.readouterr() == ("", message)
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_a_run_that_is_not_finished_or_whose_status_is_broken_is_left_out(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str], *, broken: bool
+) -> None:
+    stopped, finished = (make_run(tmp_path, "a2c", seed, 1.0) for seed in range(2))
+    Run.open(stopped).set_status("interrupted", 5)
+    Run.open(finished).set_status("finished", 10)
+    if broken:
+        (stopped / "status.json").write_text("finished")
+    assert run_table(tmp_path) == 0
+    reason = "status.json: cannot be read" if broken else "its training is not finished"
+    assert capsys.readouterr().err == f"left out: {stopped}: {reason}\n"
 
 
 def test_a_run_whose_final_evaluation_has_changed_is_left_out(

@@ -11,6 +11,7 @@ from gymnasium.error import ResetNeeded
 
 from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO
 from algorithms.common import compiled_collection
+from algorithms.common.actors import CategoricalActor
 from algorithms.common.compiled_collection import CompiledCollection
 from algorithms.common.threads import set_threads
 from algorithms.mo_a2c import MOA2CLearner
@@ -185,10 +186,55 @@ class ActsOtherwise(MOA2C):
         return 0 * super().act(*arguments)
 
 
+class ExploresOtherwise(MOA2C):
+    """MO-A2C that explores in a way of its own."""
+
+    def _explore(self, *arguments: Any) -> Any:
+        return 0 * super()._explore(*arguments)
+
+
+class First(CategoricalActor):
+    """Samples the first action alone."""
+
+    def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        return 0 * super().sample(x, generator)
+
+
+class OwnActor(MOA2CLearner):
+    """Has an actor of its own."""
+
+    def __init__(self, *arguments: Any):
+        super().__init__(*arguments)
+        self.actor = First(self.actor.body)
+
+
+class SamplesOtherwise(MOA2C):
+    """MO-A2C with an actor of its own."""
+
+    learner = OwnActor
+
+
+class OwnScales(MOA2CLearner):
+    """Observes in scales of its own."""
+
+    def __init__(self, *arguments: Any):
+        super().__init__(*arguments)
+        self.observation_scales = 100.0 * self.observation_scales
+
+
+class ScalesOtherwise(MOA2C):
+    """MO-A2C with scales of its own."""
+
+    learner = OwnScales
+
+
 @pytest.mark.parametrize(
     ("cls", "env_id", "settings"),
     [
         (SeesNothing, ONE_WAYPOINT, {}),
+        (ExploresOtherwise, ONE_WAYPOINT, {}),
+        (SamplesOtherwise, ONE_WAYPOINT, {}),
+        (ScalesOtherwise, ONE_WAYPOINT, {}),
         (ActsOtherwise, ONE_WAYPOINT, {}),
         (MOA2C, ONE_WAYPOINT, {"activation": "tanh"}),
         (MOA2C, SEA, {}),
@@ -201,7 +247,7 @@ def test_what_acts_otherwise_is_not_compiled(
     agent = make_agent(cls, env_id, **settings)
     agent.begin()
     agent.update(0.0)
-    if cls is ActsOtherwise:
+    if cls in (ActsOtherwise, ExploresOtherwise, SamplesOtherwise):
         assert (agent.collector.actions == 0).all()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -375,6 +376,16 @@ def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: d
             assert rate == pytest.approx(np.mean(found.ends[:, v] == end))
 
 
+def test_ends_of_another_library_need_not_be_text() -> None:
+    ends = np.array([[2], [3], [2], [2]], dtype=object)
+    returns = np.zeros((4, 1, 1))
+    lengths, arrived = np.ones((4, 1), dtype=np.int64), np.zeros((4, 1), dtype=np.bool_)
+    found = Evaluation(("a",), (), returns, returns, lengths, arrived, ends, returns)
+    shares = {name: each.value for name, each in found.estimates().items() if name.startswith("end/")}
+    assert shares == {"end/2": 0.75, "end/3": 0.25}
+    assert {name: value for name, value in found.metrics().items() if name.startswith("end/")} == shares
+
+
 def test_every_vehicle_has_its_own_metrics_and_utility() -> None:
     env = make_env(INTERSECTION, 2, SHORT)
     objectives = EnvAdapter(env).objectives
@@ -479,6 +490,9 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
         (idle, {"split": "test", "seed": 3}, ValueError, "split = 'test' and seed = 3 are both given"),
         (idle, {"split": "test", "episodes": 2001}, ValueError, "episodes = 2001 exceeds the 2,000 scenarios"),
         (idle, {"episodes": 0}, ValueError, "episodes = 0 must be a positive integer"),
+        (idle, {"episodes": True}, ValueError, "episodes = True must be a positive integer"),
+        (idle, {"gamma": 1.5}, ValueError, "gamma = 1.5 must be between 0 and 1"),
+        (idle, {"gamma": math.nan}, ValueError, "gamma = nan must be between 0 and 1"),
         (idle, {"greedy": False}, ValueError, "greedy = False is for agents"),
         (idle, {"utility": "one_waypoint_linaer"}, ValueError, "did you mean 'one_waypoint_linear'"),
         (idle, {"utility": [NONLINEAR] * 2}, ValueError, "2 utilities are given for 1 vehicles"),
