@@ -11,6 +11,7 @@ given by its path, ``package.module:function``.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -310,9 +311,12 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
         return Utility(name, objectives, _custom(name, arguments))
     if name in STANDARD:
         try:
-            return STANDARD[name](objectives, **arguments)
+            utility = STANDARD[name](objectives, **arguments)
         except TypeError as error:
             raise ValueError(f"utility {name!r}: {error}") from None
+        if cost_sign == "maximise":
+            _warn_of_rewarded_costs(utility)
+        return utility
     if name not in LINEAR and name not in NONLINEAR:
         raise ValueError(f"utility {name!r} is unknown; {nearest(name, UTILITIES)}; or package.module:function")
     budget = _with_budgets(name, arguments) if name in COMFORT_BUDGETS else None
@@ -332,6 +336,14 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
         return formula(magnitudes)
 
     return Utility(name, objectives, function)
+
+
+def _warn_of_rewarded_costs(utility: Utility) -> None:
+    """Warn of negative weights of costs, whose returns are negative already."""
+    for objective, weight in zip(utility.objectives, utility.weights or (), strict=False):
+        if weight < 0.0 and objective in INDEX and OBJECTIVES[INDEX[objective]].sign < 0:
+            message = f"weight of {objective!r} = {weight} rewards a cost: its returns are negative already"
+            warnings.warn(message, stacklevel=3)
 
 
 def _with_budgets(name: str, budgets: Mapping[str, Any]) -> ComfortBudget:

@@ -133,10 +133,11 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
 
 
 def caption(front: Front, k: int) -> str:
-    """The returns of policy ``k`` in words: ``policy 3: distance 14.5 m, g-force -5.8 g``."""
+    """The returns of policy ``k`` in words: ``policy 3, mean of 100 episodes: distance 14.5 m, g-force -5.8 g``."""
     named = [name_and_unit(objective) for objective in front.objectives]
     parts = [f"{name} {value:.3g} {unit}".rstrip() for (name, unit), value in zip(named, front.returns[k], strict=True)]
-    return f"policy {k}: {', '.join(parts)}"
+    episodes = f", mean of {front.episodes} episodes" if front.episodes > 1 else ""
+    return f"policy {k}{episodes}: {', '.join(parts)}"
 
 
 def film_front(

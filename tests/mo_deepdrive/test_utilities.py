@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -329,6 +330,16 @@ def test_what_is_within_a_comfort_budget_has_no_price() -> None:
     returns = torch.tensor([[10.0, 1.0, -4.9, -39.0], [10.0, 1.0, -5.1, -41.0]], requires_grad=True)
     (gradient,) = torch.autograd.grad(utility(returns).sum(), returns)
     np.testing.assert_allclose(gradient.numpy(), [[0.1, 10.0, 0.0, 0.0], [0.1, 10.0, 2.0, 0.05]], rtol=1e-6)
+
+
+def test_a_weight_that_rewards_a_cost_is_warned_of() -> None:
+    weights = {"distance": -1.0, "jerk": -0.1}
+    with pytest.warns(UserWarning, match=r"weight of 'jerk' = -0.1 rewards a cost") as caught:
+        make_utility("linear", ONE_WAYPOINT, weights=weights)
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make_utility("linear", ONE_WAYPOINT, "paper", weights=weights)
 
 
 def test_linear_is_the_weighted_sum() -> None:
