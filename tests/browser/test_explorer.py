@@ -130,6 +130,11 @@ def test_the_command_of_a_policy_that_was_picked_chooses_it_or_one_that_is_as_go
         assert (found == k) == ("Chosen by hand; a slider" in page.text("#why"))
 
 
+def test_arrivals_have_an_interval_over_the_episodes(page: Page, drawn_page: Path) -> None:
+    page.open(drawn_page)
+    assert re.search(r"arrivals\n\d+% \(95% interval \d+ to \d+%\)", page.text("#values"))
+
+
 def test_reset_returns_to_the_first_choice(page: Page, zoo_page: Path) -> None:
     page.open(zoo_page)
     first, link = page.chosen(), page.link()
