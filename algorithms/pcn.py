@@ -30,6 +30,7 @@ continuous actions (eq. 2) have Gaussian exploration noise.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -145,6 +146,12 @@ class PCN(FrontAgent):
             raise ValueError(
                 f"an objective is named {HORIZON!r}, as a part of the commands of {self.name!r}; rename it"
             )
+        if self.env.repeats is False:
+            message = (
+                f"{self.env.name} draws its scenarios: PCN imitates single episodes, whose returns may be luck, so fix "
+                "them (fixed_destination, fixed_obstacle), or take conditioned_mo_ppo"
+            )
+            warnings.warn(message, stacklevel=2)
         if self.env.vehicles != 1:
             raise ValueError(f"algorithm 'pcn' drives one vehicle; the environment has {self.env.vehicles}")
         config, d = self.config, len(self.env.objectives)

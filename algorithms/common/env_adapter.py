@@ -96,6 +96,7 @@ class EnvAdapter:
         objectives: names of the d components of the reward: those of the environment's attribute ``objectives``, else
             "objective_0" and so on.
         named: whether the environment names its objectives.
+        repeats: whether every episode is the same but for what is done in it; None where that is not known.
         cost_sign: "maximise", or "paper" where our environment emits magnitudes.
         observation_scales: (o,) nominal magnitudes.
         objective_scales: (d,) nominal magnitudes of a return.
@@ -132,6 +133,9 @@ class EnvAdapter:
             self.objectives: tuple[str, ...] = inner.objectives
             self.named = True
             self.cost_sign: str = inner.config.cost_sign
+            scenario, config = inner.batch.scenario, inner.config
+            still = config.fixed_obstacle or not scenario.obstacles
+            self.repeats: bool | None = config.fixed_destination and still and not scenario.cars
             self.observation_scales = observation.scales(inner.batch.scenario).astype(np.float32)
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
             self.costs: NDArray[np.bool_] = objective_signs(self.objectives) < 0
@@ -146,6 +150,7 @@ class EnvAdapter:
             self.named = names is not None
             self.objectives = names or tuple(f"objective_{i}" for i in range(d))
             self.cost_sign = "maximise"
+            self.repeats = None
             self.observation_scales = _scales_from_bounds(env.single_observation_space)
             self.objective_scales = np.ones(d, dtype=np.float32)
             self.costs = rewards.high <= 0.0

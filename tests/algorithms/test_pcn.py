@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -151,6 +152,24 @@ def test_an_objective_with_the_name_of_a_column_of_commands_is_refused() -> None
     env.envs[0].unwrapped.objectives = ("treasure", "horizon")  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match="an objective is named 'horizon'"):
         PCN(env)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments", "warned"),
+    [
+        (ONE_WAYPOINT, {}, True),
+        (ONE_WAYPOINT, {"fixed_destination": True}, False),
+        ("mo-deepdrive-static-obstacle-v0", {"fixed_destination": True}, True),
+        ("mo-deepdrive-static-obstacle-v0", {"fixed_destination": True, "fixed_obstacle": True}, False),
+        ("mo-deepdrive-left-turn-v0", {}, True),
+        (SEA, {}, False),
+    ],
+)
+def test_scenarios_that_are_drawn_are_warned_of(env_id: str, arguments: dict[str, Any], *, warned: bool) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        PCN(make_env(env_id, 1, arguments))
+    assert any("draws its scenarios" in str(each.message) for each in caught) is warned
 
 
 def test_two_vehicles_are_refused() -> None:
