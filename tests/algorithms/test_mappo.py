@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -244,12 +243,5 @@ def test_the_worst_off_utility_is_a_metric_of_two_vehicles() -> None:
     each = np.stack([result.episode_utilities(v) for v in range(2)])
     assert result.metrics()["worst_off_utility_esr"] == pytest.approx(each.min(axis=0).mean())
     assert result.estimates()["worst_off_utility_esr"].value == pytest.approx(each.min(axis=0).mean())
-    assert "worst_off_utility_esr" not in evaluate(SimpleNamespace(**PLAIN), INTERSECTION, episodes=1).metrics()
-
-
-PLAIN: dict[str, Any] = {
-    "act": lambda observations, *_: np.zeros(observations.shape[:2], dtype=np.int64),
-    "utilities": (),
-    "gamma": 1.0,
-    "device": "cpu",
-}
+    idle = evaluate(lambda observations, *_: np.zeros(observations.shape[:2], int), INTERSECTION, episodes=1)
+    assert "worst_off_utility_esr" not in idle.metrics()
