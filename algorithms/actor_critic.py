@@ -285,9 +285,9 @@ class ActorCritic(Agent):
 
     def _sees_what_is_usual(self, learner: Learner) -> bool:
         """Whether a learner's actor sees what Learner defines, in the scales that all learners share."""
-        scales = (learner.observation_scales.numpy(), self.env.observation_scales)
-        units = (learner.objective_scales.numpy(), self.learners[0].objective_scales.numpy())
-        return type(learner).inputs is Learner.inputs and np.array_equal(*scales) and np.array_equal(*units)
+        scales = np.array_equal(learner.observation_scales.cpu().numpy(), self.env.observation_scales)
+        units = torch.equal(learner.objective_scales, self.learners[0].objective_scales)
+        return type(learner).inputs is Learner.inputs and scales and units
 
     def reward_shares(self, progress: float) -> NDArray[np.float32]:
         """By what rewards are multiplied, (V, d): 1, and less for costs while these grow."""

@@ -390,7 +390,7 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         found = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
         if found != shape[:-1]:
             raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
-        if np.isnan(np.asarray(values)).any():
+        if np.isnan(values).any() if library == "numpy" else values.isnan().any():
             raise ValueError(
                 f"utility {utility.name!r} gives {values} for {given} that are 0, as at the first decision"
             )

@@ -332,6 +332,19 @@ def test_what_is_within_a_comfort_budget_has_no_price() -> None:
     np.testing.assert_allclose(gradient.numpy(), [[0.1, 10.0, 0.0, 0.0], [0.1, 10.0, 2.0, 0.05]], rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("zeros", [np.zeros, torch.zeros])
+def test_a_utility_that_is_no_number_at_the_first_decision_is_refused(zeros: Any) -> None:
+    ratio = Utility("ratio", ("a", "b"), lambda returns: returns[..., 0] / returns[..., 1])
+    with pytest.raises(ValueError, match=r"utility 'ratio' gives .* that are 0, as at the first decision"):
+        check_utility(ratio, zeros)
+
+
+def test_a_utility_may_have_parameters() -> None:
+    weights = torch.ones(2, requires_grad=True)
+    check_utility(Utility("weighted", ("a", "b"), lambda returns: (returns * weights).sum(-1)), torch.zeros)
+
+
 def test_a_weight_that_rewards_a_cost_is_warned_of() -> None:
     weights = {"distance": -1.0, "jerk": -0.1}
     with pytest.warns(UserWarning, match=r"weight of 'jerk' = -0.1 rewards a cost") as caught:
