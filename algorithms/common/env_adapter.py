@@ -166,6 +166,7 @@ class EnvAdapter:
             self._reach = (space.high - space.low) / 2
         else:
             raise ValueError(f"action space {space} is neither Discrete nor Box")
+        self._action_shape = (self.num_envs, self.vehicles, *((self.actions,) if self.continuous else ()))
         self.observation_size = len(self.observation_scales)
         self._was_over = np.zeros((self.num_envs, 1), dtype=np.bool_)
         self.bare = env if type(env) is DrivingVectorEnv else None
@@ -200,9 +201,8 @@ class EnvAdapter:
             ValueError: for another shape.
         """
         actions = np.asarray(actions)
-        expected = (self.num_envs, self.vehicles, *((self.actions,) if self.continuous else ()))
-        if actions.shape != expected:
-            raise ValueError(f"actions of shape {actions.shape} must have shape {expected}")
+        if actions.shape != self._action_shape:
+            raise ValueError(f"actions of shape {actions.shape} must have shape {self._action_shape}")
         if self.bare is not None:
             return self._bare_step(self.bare, actions)
         actions = self.environment_actions(actions)

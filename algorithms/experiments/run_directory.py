@@ -16,7 +16,7 @@ from algorithms.common.atomic_io import atomic_write, leftovers, open_lock, read
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.registry import directory_name, find_trained_policy
-from algorithms.experiments.run_files import RESULTS, record_files
+from algorithms.experiments.run_files import RESULTS, STATUS_FILE, record_files
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -236,7 +236,7 @@ class Run:
             OSError: if it cannot be written, or a file cannot be recorded.
         """
         write_json(
-            self.path / "status.json",
+            self.path / STATUS_FILE,
             {
                 "state": state,
                 "step": step,
@@ -260,7 +260,7 @@ class Run:
         if status.get("state") == "finished" and "files" in status:
             found = record_files(self.path)
             status["files"] |= {name: found[name] for name in RESULTS if name in found}
-            write_json(self.path / "status.json", status)
+            write_json(self.path / STATUS_FILE, status)
 
     @property
     def versions(self) -> dict[str, Any]:
@@ -291,7 +291,7 @@ def read_status(path: Path) -> dict[str, Any]:
 
     Its keys are those of :data:`STATUS`; an entry of another type is left out.
     """
-    status = read_json_object(path / "status.json")
+    status = read_json_object(path / STATUS_FILE)
     return {
         key: value
         for key, value in status.items()
@@ -352,7 +352,7 @@ def _contents(path: Path) -> list[str]:
     """The names in a run's directory, without those that a process leaves if it is killed while it creates a run."""
     found = {entry.name for entry in path.iterdir()}
     if "config.yaml" not in found:
-        found -= {".lock", "versions.json", "status.json", *(leftover.name for leftover in leftovers(path))}
+        found -= {".lock", "versions.json", STATUS_FILE, *(leftover.name for leftover in leftovers(path))}
     return sorted(found)
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 RECORDED = ("config.yaml", "checkpoint.safetensors", "metrics.csv", "evaluation.json", "front.csv", "fronts.csv")
 RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
-STATUS = "status.json"
+STATUS_FILE = "status.json"
 NOT_RECORDED = "its files are not recorded: it was made by an earlier version"
 
 
@@ -42,9 +42,9 @@ def broken_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
         One line per file that is missing or differs in size or hash, or about a broken status.json;
         :data:`NOT_RECORDED` if there is no record.
     """
-    status = read_json_object(run / STATUS)
-    if not status and (run / STATUS).exists():
-        return [f"{STATUS}: cannot be read"]
+    status = read_json_object(run / STATUS_FILE)
+    if not status and (run / STATUS_FILE).exists():
+        return [f"{STATUS_FILE}: cannot be read"]
     if status.get("state") != "finished":
         return []
     recorded = status.get("files")

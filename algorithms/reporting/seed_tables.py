@@ -287,7 +287,7 @@ def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = N
     if metrics is None:
         metrics = list(dict.fromkeys([*TABLE_METRICS, *(place.metric for group in groups for place in group.scores)]))
     about = list(dict.fromkeys(name for group in groups for name in group.about))
-    places = [(g, place) for g, group in enumerate(groups) for place in group.scores]
+    places = [(g, place) for g, group in enumerate(groups) for place in group.scores if place.metric in metrics]
     estimates = means([groups[g].values(place) for g, place in places])
     widths = [float(np.mean(groups[g].widths.get(place, [0.0]))) for g, place in places]
     texts = [each.text(width) for each, width in zip(estimates, widths, strict=True)]
@@ -354,15 +354,21 @@ def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], No
     groups = group_runs(paths, warn)
     if not groups:
         raise ValueError("no run has a final evaluation")
-    compared = comparison_table(groups)
-    for task, rows in _by_task(scores_table(groups, TABLE_METRICS), groups[0].task).items():
+    scores, compared = scores_table(groups), comparison_table(groups)
+    for task, rows in _by_task(_for_the_terminal(scores), groups[0].task).items():
         print_rows(console, rows, task, rows[0].index("seeds") + 1)
     for task, rows in _by_task(compared, groups[0].task).items():
         print_rows(console, rows, f"{task}: differences of the algorithms", rows[0].index("value"))
     console.print("Means over seeds with 95% bootstrap intervals over seeds.", highlight=False)
     if any(1 < len(group.seeds) < MIN_SAMPLES for group in groups):
         console.print(f"Fewer than {MIN_SAMPLES} seeds have no interval.", highlight=False)
-    return [scores_table(groups), compared]
+    return [scores, compared]
+
+
+def _for_the_terminal(scores: Rows) -> Rows:
+    """The rows without the returns that are in files alone."""
+    kept = [i for i, name in enumerate(scores[0]) if name in TABLE_METRICS or not name.startswith(RETURN)]
+    return [[row[i] for i in kept] for row in scores]
 
 
 def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:

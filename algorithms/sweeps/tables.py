@@ -87,8 +87,8 @@ def print_sweep(
 
 def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
     """The cells of a ranking that have final evaluations, in its order."""
-    metric = pl.col("metric")
-    wanted = collection.scores.filter(metric.is_in([*TABLE_METRICS, ranking.metric]) | metric.str.starts_with(RETURN))
+    column = pl.col("metric")
+    wanted = collection.scores.filter(column.is_in([*TABLE_METRICS, ranking.metric]) | column.str.starts_with(RETURN))
     known = wanted.select("run", *SCORE_KEYS, "value").collect()
     scores: dict[str, dict[MetricName, float]] = defaultdict(dict)
     for run, policy, vehicle, metric, value in pl.concat([known, totals(known.filter(metric=ranking.metric))]).rows():
