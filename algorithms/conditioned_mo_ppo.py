@@ -128,9 +128,10 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
     Attributes:
         objective_scales: s, nominal size of each objective's return; None for the environment's own.
         switching: probability per decision that the preference changes in the middle of an episode.
-        cost_growth: fraction of the training in which the weights of costs grow from 0 to what is drawn; 0 for none.
-            Costs are the objectives of which no episode so far has returned more than 0: the destination, too, until
-            the first arrival.
+        cost_growth: fraction of the training in which the weights of costs grow linearly from 0 to what is drawn, while
+            those of gains shrink to it (:meth:`Preferences.draw`); 0 for weights as drawn from the start. Costs are the
+            objectives of which no episode so far has returned more than 0: the destination, too, until the first
+            arrival.
         max_policies: number of preferences under which the front is evaluated.
         learning_rate: Adam's step size at the start of training.
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
@@ -151,7 +152,7 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
 
     objective_scales: Scales | None = None
     switching: Fraction = 0.01
-    cost_growth: Fraction = 0.0
+    cost_growth: Fraction = 0.25
     max_policies: Annotated[int, Field(ge=1, le=100_000)] = 200
     learning_rate: LearningRate = 1e-3
     learning_rate_end: FinalLearningRate | None = None

@@ -26,6 +26,7 @@ Family = Literal["linear", "chebyshev", "comfort_budget"]
 FAMILIES: tuple[Family, ...] = ("linear", "chebyshev", "comfort_budget")
 LINEAR, CHEBYSHEV, COMFORT_BUDGET = range(3)  # indices of FAMILIES
 FURTHEST = 2.0  # how far a gap is behind the largest one, and what is left of a budget, are clipped at (eqs. 10 and 11)
+SMALLEST_WEIGHT = 1e-9  # gains that weigh nothing are alike
 
 
 class PreferenceSettings(Settings):
@@ -73,7 +74,7 @@ class Preferences:
 
     Attributes:
         names: of the m components.
-        ideal: (d,) z, by which :meth:`draw` tells costs and which Chebyshev utilities depend on.
+        ideal: (d,) z, by which :meth:`draw` tells gains and which Chebyshev utilities depend on.
         seen_any: whether an episode has ended, from which z is known.
 
     Raises:
@@ -121,9 +122,9 @@ class Preferences:
         Args:
             count: number of preferences.
             rng: draws them.
-            cost_share: by which weights of costs are multiplied before weights are divided by their sum. Costs are the
-                objectives of which no episode so far has returned more than 0; before the first gain all are, and the
-                weights are as drawn, or equal if the share is 0.
+            cost_share: c, by which costs count: the weights are (1 - c) w' + c w, where w are drawn and w' are those of
+                the gains among them, divided by their sum. Gains are the objectives of which an episode so far has
+                returned more than 0; where there is none yet the weights are w.
             emphasis: whether that of the config applies; without it all objectives are alike.
         """
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
@@ -136,9 +137,11 @@ class Preferences:
             if emphasis:
                 alpha *= self.emphasis
             weights = rng.dirichlet(alpha, int(weighted.sum()))
-            if cost_share < 1.0:
-                weights = weights * np.where(self.ideal.numpy() > 0.0, 1.0, cost_share) + 1e-9
-                weights /= weights.sum(axis=1, keepdims=True)
+            gains = self.ideal.numpy() > 0.0
+            if cost_share < 1.0 and gains.any():
+                of_gains = np.where(gains, weights + SMALLEST_WEIGHT, 0.0)
+                of_gains /= of_gains.sum(axis=1, keepdims=True)
+                weights = (1.0 - cost_share) * of_gains + cost_share * weights
             rows[weighted, self._weights] = weights
         if not weighted.all():
             highest = self.largest.numpy()

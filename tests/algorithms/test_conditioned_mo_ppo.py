@@ -289,7 +289,7 @@ def test_where_the_preference_switches_the_next_value_is_that_of_the_old_one() -
 
 
 def test_every_episode_has_one_preference_and_vehicles_have_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = make_agent(INTERSECTION, num_envs=3, switching=0.0)
+    agent = make_agent(INTERSECTION, num_envs=3, switching=0.0, cost_growth=0.0)
     seen: list[tuple[np.ndarray, np.ndarray]] = []
     act = agent.choose_actions
 
@@ -312,7 +312,7 @@ def test_every_episode_has_one_preference_and_vehicles_have_their_own(monkeypatc
 
 
 def test_preferences_switch_at_the_given_rate() -> None:
-    agent = make_agent(num_envs=16, env={"time_limit": 60}, steps=100, switching=0.1)
+    agent = make_agent(num_envs=16, env={"time_limit": 60}, steps=100, switching=0.1, cost_growth=0.0)
     agent.begin()
     changes, before = 0, agent._current.copy()
     for _ in range(3):
@@ -332,10 +332,33 @@ def test_the_weights_of_costs_grow() -> None:
     preferences = make_agent(concentration=1.0).preferences
     preferences.ideal = torch.tensor([12.0, 0.8, 0.0, -0.1])
     whole, half, none = (preferences.draw(500, np.random.default_rng(0), share) for share in (1.0, 0.5, 0.0))
-    expected = whole * [1.0, 1.0, 0.5, 0.5]
-    np.testing.assert_allclose(half, expected / expected.sum(axis=1, keepdims=True), rtol=1e-4, atol=1e-6)
-    assert none[:, 2:].max() < 1e-4
-    np.testing.assert_allclose(none.sum(axis=1), 1.0, rtol=1e-5)
+    gains = whole * [1.0, 1.0, 0.0, 0.0]
+    np.testing.assert_allclose(none, gains / gains.sum(axis=1, keepdims=True), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(half, 0.5 * whole + 0.5 * none, rtol=1e-5, atol=1e-7)
+
+
+def test_costs_grow_as_soon_as_there_is_a_gain() -> None:
+    preferences = make_agent(concentration=0.01).preferences  # nearly all the weight on one objective
+    drawn, nothing_yet = (preferences.draw(500, np.random.default_rng(0), share) for share in (1.0, 0.0))
+    np.testing.assert_array_equal(nothing_yet, drawn)
+    preferences.ideal = torch.tensor([12.0, 0.0, 0.0, -0.1])
+    np.testing.assert_allclose(preferences.draw(500, np.random.default_rng(0), 0.0), [[1.0, 0.0, 0.0, 0.0]] * 500)
+
+
+def test_costs_have_their_weights_after_the_growth(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = make_agent(cost_growth=0.5)
+    shares: list[float] = []
+    draw = agent.preferences.draw
+    monkeypatch.setattr(
+        agent.preferences, "draw", lambda count, rng, share: shares.append(share) or draw(count, rng, share)
+    )
+    agent.begin()
+    seen = []
+    for progress in (0.0, 0.25, 0.5, 0.75):
+        shares.clear()
+        agent.update(progress)
+        seen.append(set(shares))
+    assert seen == [{0.0}, {0.5}, {1.0}, {1.0}]
 
 
 def test_an_emphasis_sets_the_share_of_the_weight() -> None:
