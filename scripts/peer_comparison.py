@@ -92,9 +92,12 @@ class Task:
         )
 
 
-CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500})
+AS_DRAWN = {"cost_growth": 0.0}  # the default when the runs with discrete actions were made
+CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500} | AS_DRAWN)
 CONTINUOUS_CONDITIONED = Learner(1e-3, 160_000, 256, {"max_policies": 500})
-LINEAR_WEIGHTS = Learner(1e-3, 150_000, 256, {"max_policies": 100, "families": {"linear": 1.0}})
+LINEAR_WEIGHTS = {"max_policies": 100, "families": {"linear": 1.0}}
+DRAWN_CONDITIONED = Learner(1e-3, 150_000, 256, LINEAR_WEIGHTS | AS_DRAWN)
+DRAWN_CONTINUOUS_CONDITIONED = Learner(1e-3, 150_000, 256, LINEAR_WEIGHTS)
 OUR_PCN = Learner(1e-3, 8_000, 16, {})
 CONTINUOUS_PCN = Learner(1e-3, 36_000, 16, {})
 ENVELOPE = Learner(3e-4, 11, 1, {})
@@ -131,11 +134,11 @@ TASKS = {
             "morl_baselines.gpi_ls_continuous": GPI_LS,
         },
     ),
-    "drawn, discrete": Task({}, {"conditioned_mo_ppo": LINEAR_WEIGHTS, "morl_baselines.envelope": ENVELOPE}),
+    "drawn, discrete": Task({}, {"conditioned_mo_ppo": DRAWN_CONDITIONED, "morl_baselines.envelope": ENVELOPE}),
     "drawn, continuous": Task(
         CONTINUOUS,
         {
-            "conditioned_mo_ppo": LINEAR_WEIGHTS,
+            "conditioned_mo_ppo": DRAWN_CONTINUOUS_CONDITIONED,
             "morl_baselines.capql": CAPQL,
             "morl_baselines.gpi_ls_continuous": GPI_LS,
         },
