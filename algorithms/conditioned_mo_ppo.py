@@ -47,6 +47,13 @@ sum of eq. 8 ends with the last decision under the old one, which bootstraps wit
 that are under way by one preference then learn under another what moving on is worth; a network that stands still under
 costly preferences seldom finds out by itself (docs/results/conditioned.md has measurements).
 
+In the first part of the training, ``cost_growth`` of it, costs count for less, so that cars drive before they learn
+what that costs. With drawn weights w and those of the gains among them, divided by their sum, w', a preference has
+
+    (1 - c) w' + c w,    c from 0 to 1 as training goes on                                                          (12)
+
+where gains are the objectives of which an episode so far has returned more than 0; until there are any it has w.
+
 With continuous actions the standard deviations of pi, too, depend on S_t: what one preference has to explore, another
 pays for without gaining by it.
 
@@ -128,10 +135,8 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
     Attributes:
         objective_scales: s, nominal size of each objective's return; None for the environment's own.
         switching: probability per decision that the preference changes in the middle of an episode.
-        cost_growth: fraction of the training in which the weights of costs grow linearly from 0 to what is drawn, while
-            those of gains shrink to it (:meth:`Preferences.draw`); 0 for weights as drawn from the start. Costs are the
-            objectives of which no episode so far has returned more than 0: the destination, too, until the first
-            arrival.
+        cost_growth: fraction of the training in which c of eq. 12 grows linearly from 0 to 1; 0 for weights as drawn
+            from the start. The destination is no gain before the first arrival.
         max_policies: number of preferences under which the front is evaluated.
         learning_rate: Adam's step size at the start of training.
         learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.

@@ -122,9 +122,7 @@ class Preferences:
         Args:
             count: number of preferences.
             rng: draws them.
-            cost_share: c, by which costs count: the weights are (1 - c) w' + c w, where w are drawn and w' are those of
-                the gains among them, divided by their sum. Gains are the objectives of which an episode so far has
-                returned more than 0; where there is none yet the weights are w.
+            cost_share: c of eq. 12; by default the weights are as drawn.
             emphasis: whether that of the config applies; without it all objectives are alike.
         """
         rows = np.zeros((count, len(self.names)), dtype=np.float32)
@@ -138,7 +136,7 @@ class Preferences:
                 alpha *= self.emphasis
             weights = rng.dirichlet(alpha, int(weighted.sum()))
             gains = self.ideal.numpy() > 0.0
-            if cost_share < 1.0 and gains.any():
+            if cost_share < 1.0 and gains.any():  # eq. 12
                 of_gains = np.where(gains, weights + SMALLEST_WEIGHT, 0.0)
                 of_gains /= of_gains.sum(axis=1, keepdims=True)
                 weights = (1.0 - cost_share) * of_gains + cost_share * weights
