@@ -157,7 +157,7 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
 
     objective_scales: Scales | None = None
     switching: Fraction = 0.01
-    cost_growth: Fraction = 0.25
+    cost_growth: Fraction = 0.15
     max_policies: Annotated[int, Field(ge=1, le=100_000)] = 200
     learning_rate: LearningRate = 1e-3
     learning_rate_end: FinalLearningRate | None = None
