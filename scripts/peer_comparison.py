@@ -2,10 +2,10 @@
 
     python scripts/peer_comparison.py --minutes 10 --output peer_comparison.csv
 
-A learner has its library's defaults but for the learning rate, which is tuned (scripts/tuned_comparison.py). The number
-of environment steps is what takes the CPU time on the machine of docs/peers.md, which explains the table. The learners
-of this package are also trained for the fewer steps that the others make in that time. The extra ``[peers]`` brings the
-other libraries.
+A learner has its library's defaults but for the learning rate, which is tuned (scripts/tuned_comparison.py), and for the
+settings of TASKS, which docs/peers.md explains, as the table. The number of environment steps is what takes the CPU time
+on its machine. The learners of this package are also trained for the fewer steps that the others make in that time. The
+extra ``[peers]`` brings the other libraries.
 """
 
 from __future__ import annotations
@@ -92,12 +92,12 @@ class Task:
         )
 
 
-AS_DRAWN = {"cost_growth": 0.0}  # the default when the runs with discrete actions were made
-CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500} | AS_DRAWN)
-CONTINUOUS_CONDITIONED = Learner(1e-3, 160_000, 256, {"max_policies": 500})
-LINEAR_WEIGHTS = {"max_policies": 100, "families": {"linear": 1.0}}
-DRAWN_CONDITIONED = Learner(1e-3, 150_000, 256, LINEAR_WEIGHTS | AS_DRAWN)
-DRAWN_CONTINUOUS_CONDITIONED = Learner(1e-3, 150_000, 256, LINEAR_WEIGHTS)
+# The defaults when the runs with discrete and with continuous actions were made.
+NO_GROWTH, GROWTH = {"cost_growth": 0.0}, {"cost_growth": 0.15}
+CONDITIONED = Learner(1e-3, 100_000, 256, {"max_policies": 500, **NO_GROWTH})
+CONTINUOUS_CONDITIONED = Learner(1e-3, 160_000, 256, {"max_policies": 500, **GROWTH})
+DRAWN_CONDITIONED = Learner(1e-3, 150_000, 256, {"max_policies": 100, **NO_GROWTH})
+DRAWN_CONTINUOUS_CONDITIONED = Learner(1e-3, 150_000, 256, {"max_policies": 100, **GROWTH})
 OUR_PCN = Learner(1e-3, 8_000, 16, {})
 CONTINUOUS_PCN = Learner(1e-3, 36_000, 16, {})
 ENVELOPE = Learner(3e-4, 11, 1, {})

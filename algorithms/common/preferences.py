@@ -26,7 +26,7 @@ Family = Literal["linear", "chebyshev", "comfort_budget"]
 FAMILIES: tuple[Family, ...] = ("linear", "chebyshev", "comfort_budget")
 LINEAR, CHEBYSHEV, COMFORT_BUDGET = range(3)  # indices of FAMILIES
 FURTHEST = 2.0  # how far a gap is behind the largest one, and what is left of a budget, are clipped at (eqs. 10 and 11)
-SMALLEST_WEIGHT = 1e-9  # gains that weigh nothing are alike
+TINY = 1e-9  # added to the weights of gains, so that they are equal where all are 0
 
 
 class PreferenceSettings(Settings):
@@ -74,7 +74,7 @@ class Preferences:
 
     Attributes:
         names: of the m components.
-        ideal: (d,) z, by which :meth:`draw` tells gains and which Chebyshev utilities depend on.
+        ideal: (d,) z, from which :meth:`draw` knows the gains, and on which Chebyshev utilities depend.
         seen_any: whether an episode has ended, from which z is known.
 
     Raises:
@@ -137,7 +137,7 @@ class Preferences:
             weights = rng.dirichlet(alpha, int(weighted.sum()))
             gains = self.ideal.numpy() > 0.0
             if cost_share < 1.0 and gains.any():  # eq. 12
-                of_gains = np.where(gains, weights + SMALLEST_WEIGHT, 0.0)
+                of_gains = np.where(gains, weights + TINY, 0.0)
                 of_gains /= of_gains.sum(axis=1, keepdims=True)
                 weights = (1.0 - cost_share) * of_gains + cost_share * weights
             rows[weighted, self._weights] = weights

@@ -337,12 +337,46 @@ def test_the_weights_of_costs_grow() -> None:
     np.testing.assert_allclose(half, 0.5 * whole + 0.5 * none, rtol=1e-5, atol=1e-7)
 
 
-def test_costs_grow_as_soon_as_there_is_a_gain() -> None:
+def test_until_there_is_a_gain_weights_are_as_drawn() -> None:
+    preferences = make_agent().preferences
+    drawn, growing = (preferences.draw(500, np.random.default_rng(0), share) for share in (1.0, 0.0))
+    np.testing.assert_array_equal(growing, drawn)
+
+
+def test_gains_that_weigh_nothing_are_alike() -> None:
     preferences = make_agent(concentration=0.01).preferences  # nearly all the weight on one objective
-    drawn, nothing_yet = (preferences.draw(500, np.random.default_rng(0), share) for share in (1.0, 0.0))
-    np.testing.assert_array_equal(nothing_yet, drawn)
-    preferences.ideal = torch.tensor([12.0, 0.0, 0.0, -0.1])
-    np.testing.assert_allclose(preferences.draw(500, np.random.default_rng(0), 0.0), [[1.0, 0.0, 0.0, 0.0]] * 500)
+    drawn = preferences.draw(500, np.random.default_rng(0))
+    nothing = (drawn[:, 2:] == 0.0).all(axis=1)
+    preferences.ideal = torch.tensor([0.0, -0.1, 12.0, 0.8])
+    rows = preferences.draw(500, np.random.default_rng(0), 0.0)
+    assert nothing.sum() > 100
+    np.testing.assert_allclose(rows[nothing], [[0.0, 0.0, 0.5, 0.5]] * int(nothing.sum()), atol=1e-6)
+    np.testing.assert_allclose(rows.sum(axis=1), 1.0, rtol=1e-6)
+
+
+def test_in_a_mixture_weights_grow_and_budgets_are_as_drawn() -> None:
+    preferences = make_agent(**MIXTURE).preferences
+    preferences.ideal = torch.tensor([12.0, 0.8, 0.0, -0.1])
+    drawn, growing = (preferences.draw(400, np.random.default_rng(0), share) for share in (1.0, 0.0))
+    preferences.check(growing)
+    budgeted = drawn[:, 2] == 1.0
+    assert 0 < budgeted.sum() < 400
+    np.testing.assert_array_equal(growing[budgeted], drawn[budgeted])
+    np.testing.assert_array_equal(growing[~budgeted, 5:7], 0.0)  # of costs, after three families and two gains
+    assert (drawn[~budgeted, 5:7] > 0.0).any()
+
+
+def test_what_an_episode_returns_tells_gains() -> None:
+    agent = make_agent(num_envs=16, env={"time_limit": 60}, steps=100, switching=1.0)
+    agent.begin()
+    agent.update(0.0)
+    assert agent._current[..., 1:].any()  # no episode had ended when the rollout began
+    agent.update(0.0)
+    gained = agent.preferences.ideal.numpy() > 0.0
+    assert gained.any()
+    assert not gained.all()
+    agent.update(0.0)
+    assert not agent._current[..., ~gained].any()
 
 
 def test_costs_have_their_weights_after_the_growth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -436,6 +470,7 @@ PLACES: dict[str, dict[str, Any]] = {
     "chebyshev": {"families": {"chebyshev": 1.0}},
     "linear and chebyshev": {"families": {"linear": 0.5, "chebyshev": 0.5}},
     "left turn": {"env_id": LEFT_TURN},
+    "growing costs": {"cost_growth": 1.0, "env": {"time_limit": 0.5}},
     "two vehicles": {"env_id": INTERSECTION},
 }
 

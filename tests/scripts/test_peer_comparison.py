@@ -40,6 +40,15 @@ def test_runs_have_the_same_time_and_differ_in_the_learning_rate_alone(script: M
             assert first["training"]["total_timesteps"] == steps
 
 
+@pytest.mark.parametrize(
+    ("task", "growth"),
+    [("fixed, discrete", 0.0), ("drawn, discrete", 0.0), ("fixed, continuous", 0.15), ("drawn, continuous", 0.15)],
+)
+def test_costs_grow_as_in_the_runs_of_the_file(script: ModuleType, task: str, growth: float) -> None:
+    run = script.Run(task, "conditioned_mo_ppo", 1.0, 0, 10_000)
+    assert script.make_run_experiment(run).hyperparameters["cost_growth"] == growth
+
+
 def test_this_packages_learners_are_also_trained_for_the_others_steps(script: ModuleType) -> None:
     rows = script.all_learners(["fixed, continuous", "drawn, discrete"], 1.0)
     assert rows[:6] == [
