@@ -47,14 +47,14 @@ sum of eq. 8 ends with the last decision under the old one, which bootstraps wit
 that are under way by one preference then learn under another what moving on is worth; a network that stands still under
 costly preferences seldom finds out by itself (docs/results/conditioned.md has measurements).
 
-In the first part of the training, ``cost_growth`` of it, the weights of costs grow, so that cars drive before they learn
-what that costs. Let w be the weights that are drawn, and w' those of the gains among them, divided by their sum. A linear
-or Chebyshev preference that is drawn in this part has the weights
+In the first part of the training, ``cost_growth`` of it, the weights of costs grow, so that cars drive before they
+learn what that costs. Let w be the weights that are drawn, and w' those of the gains among them, divided by their sum.
+A linear or Chebyshev preference that is drawn in this part has the weights
 
     (1 - c) w' + c w,    c from 0 to 1 as training goes on                                                          (12)
 
-where gains are the objectives of which an episode so far has returned more than 0; until there are any it has w. Budgets
-are as drawn.
+where gains are the objectives of which an episode so far has returned more than 0; until there are any it has w.
+Budgets are as drawn.
 
 With continuous actions the standard deviations of pi, too, depend on S_t: what one preference has to explore, another
 pays for without gaining by it.

@@ -2,8 +2,8 @@
 
     python scripts/peer_comparison.py --minutes 10 --output peer_comparison.csv
 
-A learner has its library's defaults but for the learning rate, which is tuned (scripts/tuned_comparison.py), and for the
-settings of TASKS, which docs/peers.md explains, as the table. The number of environment steps is what takes the CPU time
+A learner has its library's defaults but for the learning rate, which is tuned (scripts/tuned_comparison.py), and the
+settings of TASKS; docs/peers.md explains them and the table. The number of environment steps is what takes the CPU time
 on its machine. The learners of this package are also trained for the fewer steps that the others make in that time. The
 extra ``[peers]`` brings the other libraries.
 """
