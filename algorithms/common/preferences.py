@@ -135,8 +135,7 @@ class Preferences:
             if emphasis:
                 alpha *= self.emphasis
             weights = rng.dirichlet(alpha, int(weighted.sum()))
-            gains = self.ideal.numpy() > 0.0
-            if cost_share < 1.0 and gains.any():  # eq. 12
+            if cost_share < 1.0 and (gains := self.ideal.numpy() > 0.0).any():  # eq. 12
                 of_gains = np.where(gains, weights + TINY, 0.0)
                 of_gains /= of_gains.sum(axis=1, keepdims=True)
                 weights = (1.0 - cost_share) * of_gains + cost_share * weights
