@@ -68,6 +68,8 @@ PROBLEMS = {
     "fruit-tree-v0": Problem(20_000, (0.0,) * 6, 64),
     "four-room-v0": Problem(60_000, (0.0,) * 3),
     "deep-sea-treasure-v0": Problem(10_000, (0.0, -25.0), 10),
+    "deep-sea-treasure-concave-v0": Problem(10_000, (0.0, -25.0), 10),
+    "deep-sea-treasure-mirrored-v0": Problem(10_000, (0.0, -25.0), 10),
     "resource-gathering-v0": Problem(10_000, (-1.0,) * 3),
     "minecart-deterministic-v0": Problem(30_000, (-1.0, -1.0, -200.0)),
 }
@@ -159,10 +161,10 @@ def learn_in_new_process(arguments: tuple[str, str, int, int]) -> Result:
 
 
 def rows(results: Sequence[Result]) -> list[list[str]]:
-    """The table: means over the seeds with 95% intervals, one row per environment and learner."""
+    """The table: means over the seeds with 95% intervals, one row per environment, number of steps and learner."""
     table = []
-    for env_id, learner in product(PROBLEMS, LEARNERS):
-        mine = [each for each in results if (each.environment, each.learner) == (env_id, learner)]
+    for env_id, steps, learner in product(PROBLEMS, sorted({each.steps for each in results}), LEARNERS):
+        mine = [each for each in results if (each.environment, each.steps, each.learner) == (env_id, steps, learner)]
         if not mine:
             continue
         volumes, policies, seconds = (
@@ -171,7 +173,8 @@ def rows(results: Sequence[Result]) -> list[list[str]]:
         )
         optimum = PROBLEMS[env_id].optimum
         known = "" if optimum is None else f" of {optimum}"
-        table.append([env_id, learner, str(len(mine)), volumes.text(), policies.text() + known, f"{seconds.value:.0f}"])
+        found = [volumes.text(), policies.text() + known, f"{seconds.value:.0f}"]
+        table.append([env_id, f"{steps:,}", learner, str(len(mine)), *found])
     return table
 
 
@@ -208,7 +211,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             results.append(learn_in_new_process(run))
             write_results(arguments.output, results)
     caption = f"{arguments.seeds} seeds: mean [95% interval]; {paired_benchmark.machine()}, one thread"
-    table = Table("environment", "learner", "seeds", "hypervolume", "policies", "CPU seconds", caption=caption)
+    table = Table("environment", "steps", "learner", "seeds", "hypervolume", "policies", "CPU seconds", caption=caption)
     for row in rows(results):
         table.add_row(*row)
     Console().print(table)

@@ -379,7 +379,8 @@ def comfort(row: Row) -> dict[str, list[float]]:
 
 def pcn_elsewhere(row: Row) -> dict[str, list[float]]:
     learner = "pcn" if row["PCN"] == "this package" else "morl_baselines.pcn"
-    runs = matching("pcn_comparison.csv", environment=row["environment"], learner=learner)
+    steps = row["steps"].replace(",", "")
+    runs = matching("pcn_comparison.csv", environment=row["environment"], learner=learner, steps=steps)
     return {
         "seeds": [float(len(runs))],
         "hypervolume": mean_of(runs, "hypervolume"),

@@ -60,14 +60,14 @@ def test_the_table_has_means_over_the_seeds(comparison: ModuleType) -> None:
         comparison.Result(env_id, name, seed, 20_000, 20_064, hv, k, 1.26, "abc") for env_id, name, seed, hv, k in runs
     ]
     results.append(comparison.Result("four-room-v0", "morl_baselines.pcn", 10, 60_000, 60_000, 0.0, 1, 20.0, "abe"))
-    assert [row[:3] for row in comparison.rows(results)] == [
-        ["fruit-tree-v0", "pcn", "2"],
-        ["four-room-v0", "morl_baselines.pcn", "1"],
-    ]
-    first = comparison.rows(results)[0]
-    assert first[3].startswith("10")
-    assert first[4].startswith("62")
-    assert first[4].endswith(" of 64")
+    results.append(comparison.Result("fruit-tree-v0", "pcn", 10, 500, 512, 3.0, 1, 0.5, "abc"))
+    short, first, other = comparison.rows(results)
+    assert short[:4] == ["fruit-tree-v0", "500", "pcn", "1"]
+    assert first[:4] == ["fruit-tree-v0", "20,000", "pcn", "2"]
+    assert other[:4] == ["four-room-v0", "60,000", "morl_baselines.pcn", "1"]
+    assert first[4].startswith("10")
+    assert first[5].startswith("62")
+    assert first[5].endswith(" of 64")
 
 
 def test_a_comparison_is_continued(
