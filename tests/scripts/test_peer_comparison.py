@@ -53,7 +53,7 @@ def test_this_packages_learners_are_also_trained_for_the_others_steps(script: Mo
     rows = script.all_learners(["fixed, continuous", "drawn, discrete"], 1.0)
     assert rows[:6] == [
         ("fixed, continuous", "conditioned_mo_ppo", 9_600_000),
-        ("fixed, continuous", "pcn", 2_160_000),
+        ("fixed, continuous", "pcn", 960_000),
         ("fixed, continuous", "morl_baselines.capql", 4_920),
         ("fixed, continuous", "morl_baselines.gpi_ls_continuous", 2_520),
         ("drawn, discrete", "conditioned_mo_ppo", 9_000_000),
