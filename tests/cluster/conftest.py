@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.sweep_files import LONG, Reference, run_sweep, write_sweep
+from tests.helpers.sweep_files import Reference, long_runs, run_sweep, write_sweep
 
 HERE = Path(__file__).parent
 
@@ -31,8 +31,8 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Reference:
 
 @pytest.fixture(scope="session")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """A sweep of two runs of ten seconds each, to be interrupted."""
+    """A sweep of two runs of some ten seconds each, to be interrupted."""
     folder = tmp_path_factory.mktemp("long")
-    reference = Reference(write_sweep(folder, overrides=LONG, seeds=1), folder / "here")
+    reference = Reference(write_sweep(folder, overrides=long_runs(folder), seeds=1), folder / "here")
     assert run_sweep(reference.file, "--output", reference.directory).returncode == 0
     return reference

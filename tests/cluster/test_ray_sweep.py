@@ -152,7 +152,12 @@ class Head:
     """A Ray cluster of one node, which ``--address auto`` finds with the head's environment."""
 
     def __init__(self, folder: Path):
-        self.environment = {**os.environ, "RAY_TMPDIR": str(folder)}
+        # Ray's processes give up a head that does not answer after 60 seconds by default.
+        self.environment = {
+            **os.environ,
+            "RAY_TMPDIR": str(folder),
+            "RAY_gcs_rpc_server_reconnect_timeout_s": "5",
+        }
 
     def start(self) -> None:
         ray = Path(sys.executable).with_name("ray")

@@ -14,12 +14,12 @@ import pytest
 
 from tests.helpers.slurm import SlurmCluster, slurm_cluster, unavailable
 from tests.helpers.sweep_files import (
-    LONG,
     Reference,
     assert_same_sweep,
     broken_utility,
     eventually,
     interrupt,
+    long_runs,
     own_algorithm,
     run_sweep,
     runs,
@@ -159,7 +159,7 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
 def test_a_task_that_is_cancelled_before_it_starts_is_not_submitted_again(
     cluster: SlurmCluster, long: Reference, tmp_path: Path
 ) -> None:
-    file = write_sweep(tmp_path, overrides=LONG, seeds=1, slurm={"array_parallelism": 1})
+    file = write_sweep(tmp_path, overrides=long_runs(tmp_path), seeds=1, slurm={"array_parallelism": 1})
     sweep = tmp_path / "slurm"
     with start_sweep(file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
         eventually(lambda: runs_in_progress(sweep))

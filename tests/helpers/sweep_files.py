@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROOT = REPOSITORY
-LONG = {"training.total_timesteps": 1_500_000, "training.num_envs": 64}  # ten seconds
 
 
 @dataclass(frozen=True)
@@ -124,6 +123,17 @@ def broken_utility(folder: Path, where: str) -> str:
         "    return returns[..., 0]\n"
     )
     return "broken:utility"
+
+
+def long_runs(folder: Path) -> dict[str, Any]:
+    """Write a utility that waits, for some ten seconds per run, most of them idle; returns overrides that use it."""
+    (folder / "waiting.py").write_text(
+        "import time\n"
+        "def utility(returns):\n"
+        "    time.sleep(0.04)\n"
+        "    return returns[..., 0]\n"
+    )  # fmt: skip
+    return {"training.total_timesteps": 40_000, "training.num_envs": 64, "utility.name": "waiting:utility"}
 
 
 def own_algorithm(folder: Path) -> str:
