@@ -152,12 +152,9 @@ class Head:
     """A Ray cluster of one node, which ``--address auto`` finds with the head's environment."""
 
     def __init__(self, folder: Path):
-        # Ray's processes give up a head that does not answer after 60 seconds by default.
-        self.environment = {
-            **os.environ,
-            "RAY_TMPDIR": str(folder),
-            "RAY_gcs_rpc_server_reconnect_timeout_s": "5",
-        }
+        # By default Ray's processes wait 60 seconds for a head that does not answer.
+        patience = {"RAY_gcs_rpc_server_reconnect_timeout_s": "5"}
+        self.environment = {**os.environ, "RAY_TMPDIR": str(folder), **patience}
 
     def start(self) -> None:
         ray = Path(sys.executable).with_name("ray")

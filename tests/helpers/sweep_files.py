@@ -128,11 +128,8 @@ def broken_utility(folder: Path, where: str) -> str:
 def long_runs(folder: Path) -> dict[str, Any]:
     """Write a utility that waits, for some ten seconds per run, most of them idle; returns overrides that use it."""
     (folder / "waiting.py").write_text(
-        "import time\n"
-        "def utility(returns):\n"
-        "    time.sleep(0.04)\n"
-        "    return returns[..., 0]\n"
-    )  # fmt: skip
+        "import time\ndef utility(returns):\n    time.sleep(0.04)\n    return returns[..., 0]\n"
+    )
     return {"training.total_timesteps": 40_000, "training.num_envs": 64, "utility.name": "waiting:utility"}
 
 
