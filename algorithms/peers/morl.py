@@ -8,6 +8,7 @@ Weights & Biases; the recorder logs the training instead.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import gymnasium
 import numpy as np
@@ -202,6 +203,8 @@ def gpi_ls_continuous(task: PeerTask) -> PeerPolicies:
 
 def _gpi(task: PeerTask, algorithm: Any) -> PeerPolicies:
     """Train GPI-LS, for discrete or continuous actions."""
+    from morl_baselines.multi_policy.linear_support import linear_support
+
     options = task.arguments(
         gamma=task.config.gamma, seed=task.seed, device=task.device, log=False, buffer_size=task.steps
     )
@@ -210,13 +213,29 @@ def _gpi(task: PeerTask, algorithm: Any) -> PeerPolicies:
         ref_point=_reference(task),
         # It trains in whole iterations, and not at all if one is longer than the training.
         timesteps_per_iter=max(1, min(10_000, task.steps // 5)),
-        # To choose a weight, it evaluates all corner weights once per corner weight.
         num_eval_episodes_for_front=EVALUATION_EPISODES,
         num_eval_weights_for_front=LOGGED_WEIGHTS,
         checkpoints=False,
     )
-    agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
+    with patch.object(linear_support, "policy_evaluation_mo", _evaluated_once(linear_support.policy_evaluation_mo)):
+        agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
     return _weighted(task, _single_actions(agent))
+
+
+def _evaluated_once(evaluate: Callable[..., Any]) -> Callable[..., Any]:
+    """``evaluate(agent, env, weight, rep)``, once per weight and number of steps that the agent has made.
+
+    To choose a weight, GPI-LS evaluates all corner weights anew for each corner weight, of which there may be hundreds.
+    """
+    results: dict[tuple[int, bytes], Any] = {}
+
+    def evaluate_once(agent: Any, env: Any, weight: NDArray[Any], rep: int) -> Any:
+        key = agent.global_step, weight.tobytes()
+        if key not in results:
+            results[key] = evaluate(agent, env, weight, rep=rep)
+        return results[key]
+
+    return evaluate_once
 
 
 def capql(task: PeerTask) -> PeerPolicies:

@@ -215,3 +215,20 @@ def test_the_same_seeds_give_the_same_policies() -> None:
         policy = train(name, task).at(np.zeros(1, dtype=np.intp))
         returns.append(evaluate(policy, evaluation_env(task, 2), episodes=2).returns)
     np.testing.assert_array_equal(*returns)
+
+
+def test_gpi_ls_evaluates_corner_weights_once_per_choice(monkeypatch: pytest.MonkeyPatch) -> None:
+    require("morl_baselines.gpi_ls")
+    from morl_baselines.multi_policy.linear_support import linear_support
+
+    evaluated, evaluate_policy = [], linear_support.policy_evaluation_mo
+
+    def counted(agent: Any, env: Any, weight: Any, rep: int) -> Any:
+        evaluated.append((agent.global_step, *weight))
+        return evaluate_policy(agent, env, weight, rep=rep)
+
+    monkeypatch.setattr(linear_support, "policy_evaluation_mo", counted)
+    train("morl_baselines.gpi_ls", make_task("morl_baselines.gpi_ls"))
+    assert len(evaluated) > 1
+    assert len(set(evaluated)) == len(evaluated)
+    assert linear_support.policy_evaluation_mo is counted
