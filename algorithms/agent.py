@@ -38,6 +38,7 @@ from algorithms.evaluation.metrics import (
     STOCHASTIC,
     TRAIN,
     evaluation_prefix,
+    joint_objectives,
     return_of,
     summarise,
     vehicle_prefix,
@@ -433,6 +434,8 @@ class FrontAgent(Agent):
 
     Attributes:
         scales: (d,) nominal size of each objective's return, by which distances between returns are measured.
+
+    With V vehicles a policy drives all of them, and its front has their V d objectives.
     """
 
     known_utility = False
@@ -440,6 +443,16 @@ class FrontAgent(Agent):
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, **hyperparameters)
         self.scales = self.env.objective_scales
+
+    @property
+    def front_objectives(self) -> tuple[str, ...]:
+        """Names of the V d objectives of a front: those of each vehicle in turn."""
+        return joint_objectives(self.env.objectives, self.env.vehicles)
+
+    @property
+    def front_scales(self) -> NDArray[np.float64]:
+        """(V d,) :attr:`scales` of each vehicle in turn."""
+        return np.tile(np.asarray(self.scales, dtype=np.float64), self.env.vehicles)
 
     @property
     @abstractmethod
@@ -504,11 +517,12 @@ class FrontAgent(Agent):
             front,
             reference_point=plan.reference_point,
             reference_front=plan.reference_front,
-            scales=self.env.objective_scales,
+            scales=np.tile(self.env.objective_scales, self.env.vehicles),
         )
-        found |= {
-            return_of(name): float(best) for name, best in zip(front.objectives, front.returns.max(axis=0), strict=True)
-        }
+        vehicles = self.env.vehicles
+        for v, best in enumerate(front.returns.max(axis=0).reshape(vehicles, -1)):
+            names = (vehicle_prefix(v, vehicles) + return_of(name) for name in self.env.objectives)
+            found |= dict(zip(names, best.tolist(), strict=True))
         return {evaluation_prefix(FRONT) + name: value for name, value in found.items()}, front
 
 

@@ -128,7 +128,6 @@ if TYPE_CHECKING:
     from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.guides import Guide
     from algorithms.common.rollout import VehicleRollout
-    from algorithms.evaluation.front import Front
 
 
 class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
@@ -494,19 +493,6 @@ class ConditionedMOPPO(FrontAgent):
         count, vehicles = self.config.max_policies, self.env.vehicles
         rows = self.preferences.draw(count * vehicles, np.random.default_rng(0))
         return rows.reshape(count, -1)
-
-    def front(self, env: VectorEnv, *, episodes: int, seed: int, gamma: float) -> Front:
-        """The front of one vehicle, as :meth:`FrontAgent.front`.
-
-        Raises:
-            ValueError: if there are several vehicles, each of which has returns of its own.
-        """
-        if self.env.vehicles > 1:
-            raise ValueError(
-                f"algorithm {self.name!r} has no front of {self.env.vehicles} vehicles; "
-                "evaluate_policies(conditions, ...) gives the returns of each"
-            )
-        return super().front(env, episodes=episodes, seed=seed, gamma=gamma)
 
     def policies(self, conditions: NDArray[np.float32]) -> PreferencePolicy:
         """What acts under preferences (N, V m), one per environment, or under one (1, V m) in all.

@@ -22,7 +22,11 @@ to come, ``utility_scale`` takes the place of the scales in eq. 7, and eqs. 2 to
     A_t     = U_t + c lambda A_{t+1},    y_t = A_t + v(S_t)    targets of the critic                   (9)
 
 The means are over the samples in which the vehicle acted. :mod:`algorithms.mo_a2c` explains ``accrued_gamma`` (g), the
-forms of ``advantage``, and which objective (ESR or SER) each of them follows.
+forms of ``advantage``.
+
+Objective, as there: ``utility_difference``, the default, follows the expected utility of the return (ESR) within the
+rollout, and the utility of the expected return (SER) for what lies beyond it or beyond 1 / (1 - lambda) decisions;
+``utility_gradient`` follows SER; ``expected_utility`` ESR, with gamma < g that of episodes which are cut short.
 """
 
 from __future__ import annotations

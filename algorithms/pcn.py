@@ -19,7 +19,9 @@ becomes
 
 and the network sees R clipped to the range of the returns-to-go in the buffer, extended by the command itself.
 
-Assumes that the environment is deterministic. Differences from the paper: N commands are followed in parallel, one per
+Objective: none under a utility. A front is learnt by imitation of non-dominated episodes, and assumes that the
+environment is deterministic, in which the expected utility of the return (ESR) of a greedy policy is the utility of the
+expected return (SER). Differences from the paper: N commands are followed in parallel, one per
 environment; eq. 4 divides by gamma, without which commands are inconsistent under a discount, and clips; inputs of the
 network are divided by nominal scales or, in other libraries' environments, which have none, standardised by their means
 and standard deviations in the warm-up; a buffer that is full of non-dominated episodes keeps a subset that covers them;

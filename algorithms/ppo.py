@@ -12,6 +12,9 @@ pi_old that collected it:
     rho_t = pi(a_t | s_t) / pi_old(a_t | s_t)                                               (3)
     L     = -E[min(rho_t A_t, clip(rho_t, 1 - epsilon, 1 + epsilon) A_t)]
             + c_v E[(y_t - v(s_t))^2] - c_e E[H(pi)]                                        (4)
+
+Objective: the expected discounted sum of u(r_t), as A2C's. For a non-linear u that is neither the expected utility of
+the return (ESR) nor the utility of the expected return (SER; Hayes et al. 2022).
 """
 
 from __future__ import annotations

@@ -143,15 +143,15 @@ def choice_table(
     worth = (
         [Estimate(float(values[k])) for k in (chosen, *others)]
         if was_chosen
-        else [criterion.estimate(shown[0].returns[:, 0])]
+        else [criterion.estimate(shown[0].joint_returns)]
     )
     rows = [(criterion.name, worth)]
     for i, objective in enumerate(front.objectives):
-        rows.append((objective, [mean(each.returns[:, 0, i]) for each in shown]))
+        rows.append((objective, [mean(each.joint_returns[:, i]) for each in shown]))
     if np.isfinite(front.success).all():
-        arrivals = [rate(each.succeeded[:, 0]) for each in shown]
+        arrivals = [rate(each.joint_succeeded) for each in shown]
         rows.append(("arrivals", arrivals if intervals else [Estimate(each.value) for each in arrivals]))
-    rows.append(("decisions", [mean(each.lengths[:, 0].astype(np.float64)) for each in shown]))
+    rows.append(("decisions", [mean(each.joint_lengths.astype(np.float64)) for each in shown]))
     for name, (first, *rest) in rows:
         table.add_row(name, first.text().replace("[", r"\["), *(f"{each.value:.4g}" for each in rest))
     return table
@@ -183,13 +183,12 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             numbers = [options.policy]
             front = front.take(numbers)
         agent = load_policy(run)
-        scales = np.asarray(agent.scales, dtype=np.float64)
-        criterion = parse_criterion(options, front.objectives, scales)
+        criterion = parse_criterion(options, front.objectives, agent.front_scales)
         evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
-        returns = np.stack([each.returns[:, 0] for each in evaluations])
+        returns = np.stack([each.joint_returns for each in evaluations])
         with np.errstate(all="ignore"):  # what is not finite is refused below
             values = criterion.values(returns)
-        order = rank_policies(values, returns.mean(axis=1), scales).tolist()
+        order = rank_policies(values, returns.mean(axis=1), agent.front_scales).tolist()
         console.print(
             choice_table(front, evaluations, criterion, values, order, numbers, was_chosen=options.policy is None)
         )

@@ -14,7 +14,14 @@ import numpy as np
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
 from algorithms.evaluation.function_policy import FunctionPolicy
-from algorithms.evaluation.metrics import SUCCESS, WORST_OFF_UTILITY_ESR, end_rates, summarise, vehicle_prefix
+from algorithms.evaluation.metrics import (
+    SUCCESS,
+    WORST_OFF_UTILITY_ESR,
+    end_rates,
+    joint_objectives,
+    summarise,
+    vehicle_prefix,
+)
 from algorithms.evaluation.splits import first_seed
 from algorithms.evaluation.team import check_same_task
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
@@ -93,6 +100,31 @@ class Evaluation:
         """(E,) the least utility of an undiscounted return among the vehicles, in every episode."""
         return np.asarray(np.min([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0))
 
+    @property
+    def joint_objectives(self) -> tuple[str, ...]:
+        """Names of the V d components of joint returns: those of the first vehicle, of the second one, and so on."""
+        return joint_objectives(self.objectives, self.returns.shape[1])
+
+    @property
+    def joint_returns(self) -> NDArray[np.float64]:
+        """(E, V d) undiscounted returns of all vehicles."""
+        return self.returns.reshape(len(self.returns), -1)
+
+    @property
+    def joint_discounted(self) -> NDArray[np.float64]:
+        """(E, V d) discounted returns of all vehicles."""
+        return self.discounted.reshape(len(self.discounted), -1)
+
+    @property
+    def joint_lengths(self) -> NDArray[np.int64]:
+        """(E,) decisions until the last vehicle was through."""
+        return np.asarray(self.lengths.max(axis=1))
+
+    @property
+    def joint_succeeded(self) -> NDArray[np.bool_]:
+        """(E,) whether all vehicles reached their goals."""
+        return np.asarray(self.succeeded.all(axis=1))
+
     def end_rates(self, v: int = 0) -> dict[str, float]:
         """Share of the episodes of vehicle ``v`` per reason of their end."""
         return end_rates(self.ends[:, v])
@@ -112,7 +144,7 @@ class Evaluation:
         metrics: dict[str, float] = {}
         vehicles = self.returns.shape[1]
         if vehicles > 1:
-            metrics[SUCCESS] = float(self.succeeded.all(axis=1).mean())
+            metrics[SUCCESS] = float(self.joint_succeeded.mean())
             if self.utilities:
                 metrics[WORST_OFF_UTILITY_ESR] = float(self.worst_off_utilities().mean())
         for v in range(vehicles):

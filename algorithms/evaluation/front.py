@@ -53,13 +53,14 @@ class Front:
     """K re-evaluated policies, all objectives maximised.
 
     Attributes:
-        objectives: names of the d components.
+        objectives: names of the d components; with several vehicles those of each in turn, such as ``vehicle_1/jerk``.
         returns: (K, d) mean undiscounted return of each policy.
         low, high: (K, d) ends of the 95% bootstrap intervals of ``returns``; equal to ``returns`` where all episodes
             are the same, and with fewer than three episodes, too few for an interval.
         discounted: (K, d) mean return discounted with ``gamma``, by which dominance and indicators are determined.
-        success: (K,) share of the episodes that reached the goal; NaN where the environment does not say.
-        length: (K,) mean number of decisions.
+        success: (K,) share of the episodes in which every vehicle reached its goal; NaN where the environment does
+            not say.
+        length: (K,) mean number of decisions, of the vehicle that takes longest.
         conditions: (K, m) what the algorithm's network is conditioned on to give each policy: PCN's command, another
             algorithm's weights; m may be 0.
         condition_names: names of the m columns.
@@ -157,14 +158,17 @@ class Front:
         gamma: float,
         seed: int,
     ) -> Front:
-        """The front of K policies of one vehicle, evaluated on the same seeds; arguments as of :meth:`of_episodes`."""
-        returns, discounted, lengths, succeeded, ends = (
-            np.stack([getattr(each, name)[:, 0] for each in evaluations])
-            for name in ("returns", "discounted", "lengths", "succeeded", "ends")
+        """The front of K policies evaluated on the same seeds; arguments as of :meth:`of_episodes`.
+
+        With V vehicles it has the V d objectives of all of them, and an episode succeeds if all arrive.
+        """
+        returns, discounted, lengths, succeeded = (
+            np.stack([getattr(each, f"joint_{name}") for each in evaluations])
+            for name in ("returns", "discounted", "lengths", "succeeded")
         )
-        success_known = any(end is not None for end in ends.flat) or bool(succeeded.any())
+        success_known = bool(succeeded.any()) or any(end is not None for each in evaluations for end in each.ends.flat)
         return cls.of_episodes(
-            evaluations[0].objectives,
+            evaluations[0].joint_objectives,
             returns,
             discounted,
             lengths,

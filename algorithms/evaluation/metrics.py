@@ -15,6 +15,7 @@ Final evaluations are named in the same way without ``eval/``. ``VEHICLE/`` is t
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -87,6 +88,17 @@ def vehicle_name(v: int) -> str:
 def vehicle_prefix(v: int, vehicles: int) -> str:
     """``vehicle_0/`` where there are several ``vehicles``; nothing for the only one."""
     return f"{vehicle_name(v)}/" if vehicles > 1 else ""
+
+
+def joint_objectives(objectives: Sequence[str], vehicles: int) -> tuple[str, ...]:
+    """The objectives of each of several vehicles in turn, such as ``vehicle_1/jerk``; unchanged for a single one."""
+    return tuple(vehicle_prefix(v, vehicles) + name for v in range(vehicles) for name in objectives)
+
+
+def without_vehicle(objective: str) -> str:
+    """The objective of which a joint one is that of a vehicle: ``jerk`` for ``vehicle_1/jerk``."""
+    vehicle, _, name = objective.rpartition("/")
+    return name if re.fullmatch(r"vehicle_\d+", vehicle) else objective
 
 
 def return_of(objective: str) -> str:
@@ -190,10 +202,12 @@ def title_of(name: str) -> str:
 
 def name_and_unit(objective: str) -> tuple[str, str]:
     """The plain name of an objective and the unit of its return; an unknown objective has no unit ("")."""
-    if objective not in INDEX:
+    name = without_vehicle(objective)
+    if name not in INDEX:
         return objective, ""
-    unit = OBJECTIVES[INDEX[objective]].unit
-    return objective.replace("_", " ").replace("g force", "g-force"), "" if unit == "1" else unit.replace("^3", "³")
+    unit = OBJECTIVES[INDEX[name]].unit
+    plain = objective.replace("/", ": ").replace("_", " ").replace("g force", "g-force")
+    return plain, "" if unit == "1" else unit.replace("^3", "³")
 
 
 def label(objective: str, how: str = "sum") -> str:

@@ -15,7 +15,7 @@ from algorithms.common.threads import set_threads
 from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
 from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.evaluation.front import check_reference_point
-from algorithms.evaluation.metrics import vehicle_name
+from algorithms.evaluation.metrics import joint_objectives, vehicle_name
 from algorithms.evaluation.team import Population, check_same_task
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
@@ -55,12 +55,9 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}
     if experiment.utility is None:
-        if adapter.vehicles > 1:
-            raise ValueError(
-                f"algorithm {experiment.algorithm['name']!r} learns a front, and a front has the returns of one "
-                f"vehicle; {adapter.name} has {adapter.vehicles}"
-            )
-        check_reference_point(experiment.evaluation.reference_point, adapter.objectives)
+        check_reference_point(
+            experiment.evaluation.reference_point, joint_objectives(adapter.objectives, adapter.vehicles)
+        )
     else:
         options["utility"] = _make_utilities(experiment.utility, adapter)
     if experiment.training.partners:

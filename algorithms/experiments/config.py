@@ -18,6 +18,7 @@ from algorithms.experiments.shipped import find_config
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, parse
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.names import nearest
+from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -391,7 +392,7 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
     config = parse(EnvConfig, {**spec.kwargs, **arguments}, "environment arguments")
     if config.cost_sign != "maximise":
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
-    if given is not None:
+    if given is not None or SCENARIOS[config.scenario].vehicles > 1:
         return {"reference_point": given}
     try:
         point = mo_deepdrive.reference_point(

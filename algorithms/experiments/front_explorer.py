@@ -11,6 +11,7 @@ import numpy as np
 from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.evaluation.drives import PlanDriver, PoliciesDriver, is_drivable, record_scenes
 from algorithms.evaluation.front import Front, best_known_front
+from algorithms.evaluation.metrics import without_vehicle
 from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.cli import CHOICE_EPISODES, CHOICE_SPLIT
 from algorithms.experiments.config import find_environment
@@ -87,7 +88,7 @@ def explorable(
     if not len(front):
         raise ValueError(f"the front of {title!r} has no policy")
     evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
-    returns = np.stack([each.returns[:, 0] for each in evaluations])
+    returns = np.stack([each.joint_returns for each in evaluations])
     env_id, arguments = experiment.environment.id, experiment.environment.arguments
     env = make_env(env_id, 1, arguments)
     try:
@@ -96,17 +97,17 @@ def explorable(
     finally:
         env.close()
     name, budget = _budget(find_environment(env_id).kwargs.get("scenario"), front.objectives)
-    arrived = np.array([each.succeeded[:, 0].mean() for each in evaluations])
+    arrived = np.array([each.joint_succeeded.mean() for each in evaluations])
     driven = returns.shape[1]
     how = f"{driven} episodes of each policy" if driven > 1 else "every episode is the same, so one is driven"
     return ExplorableFront(
         title=title,
         objectives=front.objectives,
         returns=returns,
-        scales=np.asarray(agent.scales, dtype=np.float64),
+        scales=agent.front_scales,
         signs=cost_signs,
         success=np.where(np.isfinite(front.success), arrived, np.nan),
-        lengths=np.array([each.lengths[:, 0].mean() for each in evaluations]),
+        lengths=np.array([each.joint_lengths.mean() for each in evaluations]),
         command=command,
         note=f"Undiscounted returns, {how}, from seed {seed} on.",
         best_known=best_known,
@@ -203,7 +204,9 @@ def explorable_best_known(name: str) -> ExplorableFront:
 def _signs(env: Any, objectives: tuple[str, ...]) -> Any:
     """The signs of the returns, for environments of this package; ones for others."""
     adapter = EnvAdapter(env)
-    return signs(objectives) if adapter.native and adapter.cost_sign == "maximise" else np.ones(len(objectives))
+    if not adapter.native or adapter.cost_sign != "maximise":
+        return np.ones(len(objectives))
+    return signs(tuple(map(without_vehicle, objectives)))
 
 
 def _budget(scenario: str | None, objectives: tuple[str, ...]) -> tuple[str, ComfortBudget | None]:

@@ -117,7 +117,7 @@ def evaluate_front_policies(
         ValueError: if the front is not one of this agent.
     """
     for what, found, own in (
-        ("objectives", front.objectives, agent.env.objectives),
+        ("objectives", front.objectives, agent.front_objectives),
         ("conditions", front.condition_names, tuple(agent.condition_names)),
     ):
         if found != own:

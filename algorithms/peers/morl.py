@@ -191,18 +191,25 @@ def gpi_ls(task: PeerTask) -> PeerPolicies:
     """Generalised policy improvement with linear support, discrete actions (Alegre et al. 2023)."""
     from morl_baselines.multi_policy.gpi_pd.gpi_pd import GPILS
 
-    return _gpi(task, GPILS)
+    return _weighted(task, _single_actions(_train_gpi(task, GPILS)))
 
 
 def gpi_ls_continuous(task: PeerTask) -> PeerPolicies:
     """Generalised policy improvement with linear support, continuous actions (Alegre et al. 2023)."""
     from morl_baselines.multi_policy.gpi_pd.gpi_pd_continuous_action import GPILSContinuousAction
 
-    return _gpi(task, GPILSContinuousAction)
+    agent = _train_gpi(task, GPILSContinuousAction)
+    if agent.use_gpi:
+        return _weighted(task, _single_actions(agent))
+
+    def act(observations: torch.Tensor, weights: torch.Tensor) -> NDArray[Any]:
+        return np.asarray(agent.policy(observations, weights).cpu().numpy())
+
+    return _weighted(task, act)
 
 
-def _gpi(task: PeerTask, algorithm: Any) -> PeerPolicies:
-    """Train GPI-LS, for discrete or continuous actions."""
+def _train_gpi(task: PeerTask, algorithm: Any) -> Any:
+    """The trained agent of GPI-LS, for discrete or continuous actions."""
     from morl_baselines.multi_policy.linear_support import linear_support
 
     options = task.arguments(
@@ -219,7 +226,7 @@ def _gpi(task: PeerTask, algorithm: Any) -> PeerPolicies:
     )
     with patch.object(linear_support, "policy_evaluation_mo", _evaluated_once(linear_support.policy_evaluation_mo)):
         agent.train(task.steps, eval_env=task.make(recorded=False), **_with_arrays(trained))
-    return _weighted(task, _single_actions(agent))
+    return agent
 
 
 def _evaluated_once(evaluate: Callable[..., Any]) -> Callable[..., Any]:

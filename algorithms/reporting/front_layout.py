@@ -12,7 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from algorithms.evaluation.metrics import label
+from algorithms.evaluation.metrics import label, without_vehicle
 from algorithms.reporting.front_view import FrontView, place_labels
 from algorithms.reporting.style import DIM, INK, NOTE_SIZE, TITLE_SIZE
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
@@ -59,7 +59,7 @@ def make_figure(
 
 def returns_note(view: FrontView, *, discounted: bool = False) -> str:
     """A note that says what the numbers are."""
-    known = [OBJECTIVES[INDEX[name]].sign for name in view.front.objectives if name in INDEX]
+    known = [OBJECTIVES[INDEX[name]].sign for name in map(without_vehicle, view.front.objectives) if name in INDEX]
     episodes = view.front.episodes
     kind = f"discounted (gamma {view.front.gamma:g})" if discounted else "undiscounted"
     mean = f"mean {kind} returns of {episodes} episode{'' if episodes == 1 else 's'} per policy"

@@ -622,7 +622,7 @@ def test_invalid_preferences_are_refused(family: str, numbers: dict[str, Any], m
         make_agent(**MIXTURE).preferences.condition(family, **numbers)
 
 
-def test_several_vehicles_are_evaluated_under_preferences_of_their_own_but_have_no_front() -> None:
+def test_several_vehicles_have_preferences_of_their_own_and_a_front_of_all_their_objectives() -> None:
     agent = make_agent(INTERSECTION)
     env = make_env(INTERSECTION, 4, SHORT)
     conditions = agent.conditions()
@@ -630,8 +630,13 @@ def test_several_vehicles_are_evaluated_under_preferences_of_their_own_but_have_
     assert agent.condition_names[6] == "vehicle_1/weight/distance"
     found = agent.evaluate_policies(conditions, env, episodes=2, seed=0, gamma=0.99)
     assert [each.returns.shape for each in found] == [(2, 2, 6)] * 6
-    with pytest.raises(ValueError, match="has no front of 2 vehicles"):
-        agent.front(env, episodes=1, seed=0, gamma=0.99)
+    front = agent.front(env, episodes=2, seed=0, gamma=0.99)
+    assert front.objectives == agent.front_objectives
+    assert front.objectives[7] == "vehicle_1/destination"
+    for k, condition in enumerate(front.conditions):
+        of_row = int(np.flatnonzero((conditions == condition.astype(np.float32)).all(axis=1))[0])
+        np.testing.assert_allclose(front.returns[k], found[of_row].returns.mean(axis=0).ravel())
+    np.testing.assert_array_equal(agent.front_scales.reshape(2, 6), [agent.scales] * 2)
 
 
 def test_conditions_of_the_wrong_shape_or_that_are_no_preference_are_refused() -> None:

@@ -36,7 +36,15 @@ def test_utility_differences_learn_the_optimum_of_esr_with_whole_episodes_and_la
 
 
 @SEEDS
-@pytest.mark.parametrize(("delay", "total"), [(40, 400_000)])
+@pytest.mark.parametrize(("delay", "total"), [(20, 400_000), (40, 400_000), (80, 800_000)])
 def test_utility_differences_learn_the_optimum_of_ser_in_short_rollouts(delay: int, total: int, seed: int) -> None:
-    settings: dict[str, Any] = {"gae_lambda": 0.95, "steps": 8, "num_envs": 256}
-    assert probability_of_risky(MOA2C, delay, seed, total, **settings) > 0.8
+    settings: dict[str, Any] = {"gae_lambda": 0.95, "steps": 8}
+    assert probability_of_risky(MOA2C, delay, seed, total, num_envs=256, **settings) > 0.8
+    assert probability_of_risky(MOPPO, delay, seed, total // 4, **CHEAP_PPO, **settings) > 0.8
+
+
+@SEEDS
+@pytest.mark.parametrize(("delay", "total"), [(0, 20_000), (20, 50_000), (80, 100_000)])
+def test_the_utility_gradient_learns_the_optimum_of_ser(delay: int, total: int, seed: int) -> None:
+    settings: dict[str, Any] = {"advantage": "utility_gradient", "gae_lambda": 0.95}
+    assert probability_of_risky(MOPPO, delay, seed, total, **CHEAP_PPO, **settings) > 0.9

@@ -14,7 +14,7 @@ from rich.console import Console
 from algorithms.common.env_adapter import make_env
 from algorithms.evaluation.episodes import evaluate
 from algorithms.evaluation.front import Front
-from algorithms.experiments.build import build
+from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.experiments.run_directory import Run
@@ -123,6 +123,34 @@ def test_weights_choose_the_greatest_weighted_sum(
     assert numbers_of(done[1], "weighted sum")[0] == pytest.approx(max(worth), rel=1e-3)
     for i, name in enumerate(NAMES):
         assert numbers_of(done[1], name)[0] == pytest.approx(returns[k, :, i].mean(), rel=0.02, abs=1e-3)
+
+
+def test_a_preference_for_two_vehicles_names_the_objectives_of_each(tmp_path: Path, call: Call, choose: Choose) -> None:
+    settings = [
+        "--environment.arguments={time_limit: 3}",
+        "--algorithm={name: conditioned_mo_ppo, hidden: [8], max_policies: 4}",
+        "--training={total_timesteps: 512, num_envs: 8}",
+        "--evaluation={episodes: 1, final_episodes: 2}",
+        "--logging.save_figures=false",
+    ]
+    run = tmp_path / "run"
+    code, out, error = call("train", "--config", "intersection/conditioned", *settings, "--output", run)
+    assert code == 0, out + error
+    assert "hypervolume" not in out
+    front = Front.read(run)
+    assert front.objectives[:1] + front.objectives[6:7] == ("vehicle_0/distance", "vehicle_1/distance")
+    done = choose(run, *SETTINGS, "--weights", "vehicle_1/distance=1", "vehicle_0/jerk=0.001")
+    k = chosen(done, run)
+    agent = load_policy(Run.open(run))
+    env = make_env("mo-deepdrive-intersection-v0", 1, ARGUMENTS)
+    found = [
+        evaluate(agent.policy(condition), env, episodes=EPISODES, seed=SEED, gamma=0.99).returns
+        for condition in front.conditions
+    ]
+    worth = [(each[:, 1, 0] + 0.001 * each[:, 0, 4]).mean() for each in found]
+    assert worth[k] == pytest.approx(max(worth))
+    assert numbers_of(done[1], "vehicle_1/distance")[0] == pytest.approx(found[k][:, 1, 0].mean(), rel=0.02, abs=1e-3)
+    refused(choose(run, "--weights", "jerk=1"), "unknown objective 'jerk'", "vehicle_0/jerk")
 
 
 def test_the_chosen_policy_is_shown_next_to_the_next_best(folder: Path, returns: np.ndarray, choose: Choose) -> None:

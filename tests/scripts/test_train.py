@@ -342,9 +342,7 @@ def test_fronts_that_cannot_be_learnt_are_refused_before_anything_starts(tmp_pat
     config = ["--config", "front.yaml"]
     refused(call("train", *config, "--utility.name=one_waypoint_linear"), "learns a front for every utility")
     crossing = "--environment={id: mo-deepdrive-intersection-v0, arguments: {fixed_destination: false}}"
-    refused(
-        call("train", *config, crossing), "algorithm 'pcn' learns a front, and a front has the returns of one vehicle"
-    )
+    refused(call("train", *config, crossing), "algorithm 'pcn' drives one vehicle; the environment has 2")
     refused(call("train", *config, "--evaluation.reference_point=[1.0]"), "needs 4 numbers")
     refused(call("train", *config, "--evaluation.gamma=0.9"), "evaluation.reference_point must be given")
     refused(call("train", *config, "--environment.arguments.cost_sign=paper"), "a front needs 'maximise'")

@@ -145,6 +145,30 @@ def test_evaluations_become_the_front_of_their_episodes() -> None:
     np.testing.assert_allclose(front.success, [0.0, 1 / 3, 0.0, 0.0])
 
 
+def test_the_front_of_two_vehicles_has_the_objectives_of_both() -> None:
+    rng = np.random.default_rng(0)
+    returns = rng.normal(size=(2, 3, 2, 2))
+    evaluations = [
+        Evaluation(
+            objectives=NAMES,
+            utilities=(),
+            returns=each,
+            discounted=0.5 * each,
+            lengths=np.array([[5, 7], [4, 1], [2, 2]]),
+            succeeded=np.array([[True, False], [True, True], [False, False]]),
+            ends=np.full((3, 2), "off_lane", dtype=object),
+            largest=np.abs(each),
+        )
+        for each in returns
+    ]
+    front = Front.of_evaluations(evaluations, gamma=0.9, seed=3)
+    assert front.objectives == ("vehicle_0/speed", "vehicle_0/comfort", "vehicle_1/speed", "vehicle_1/comfort")
+    np.testing.assert_allclose(front.returns[1], [*returns[1, :, 0].mean(axis=0), *returns[1, :, 1].mean(axis=0)])
+    np.testing.assert_allclose(front.discounted, 0.5 * front.returns)
+    np.testing.assert_allclose(front.success, 1 / 3)
+    np.testing.assert_allclose(front.length, (7 + 4 + 2) / 3)
+
+
 def test_arrivals_are_unknown_where_the_environment_says_nothing() -> None:
     silent = [make_evaluation(k, arrives=False, says=False) for k in range(2)]
     assert np.isnan(Front.of_evaluations(silent, gamma=0.9, seed=0).success).all()

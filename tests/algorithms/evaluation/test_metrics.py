@@ -94,6 +94,9 @@ def test_titles_are_plain_words_with_units() -> None:
 
 
 def test_labels_say_what_is_summed() -> None:
+    assert metrics.label("vehicle_1/g_force") == "vehicle 1: g-force (sum, g)"
+    assert metrics.label("vehicle_1/of_another_library") == "vehicle_1/of_another_library"
+    assert metrics.label("other/jerk") == "other/jerk"
     assert label("jerk") == "jerk (sum, m/s³)"
     assert label("g_force", "discounted") == "g-force (discounted, g)"
     assert label("destination") == "destination"
