@@ -1,4 +1,4 @@
-"""How well one network serves preferences that are drawn anew: runs of conditioned MO-PPO for linear utilities.
+"""How well one network serves preferences that are drawn anew: runs of conditioned MO-PPO for one family of utilities.
 
     python scripts/conditioned_preferences.py one_waypoint_drawn_front-conditioned_mo_ppo --episodes 100
 
@@ -6,8 +6,8 @@ Every preference has a greedy policy, and all drive the same episodes. *Own* is 
 the discounted return in scales, under its own policy; *best* is that under the best of all these policies for it. Being
 the best of many estimates, it is above *own* by their noise even where every preference has been learnt. Then arrivals,
 and the shares of the policies that arrive in 95% or more and in less than 5% of their episodes. The second table has
-means over the thirds of the preferences with the lowest and with the highest weight on an objective: its return, and
-arrivals.
+means over the thirds of the preferences with the lowest and with the highest weight on an objective, or budget for it:
+its return, its discounted return, and arrivals. With two vehicles each has tables of its own.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
-from algorithms.common.preferences import LINEAR
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
+from algorithms.evaluation.metrics import vehicle_name
 from algorithms.evaluation.splits import SPLITS, check_episodes
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import add_trust_argument, exit_on_error, make_parser
@@ -38,60 +39,76 @@ PREFERENCES_SEED = 1  # of the preferences; those of the front have another
 
 @dataclass(frozen=True)
 class Served:
-    """K preferences and what their policies do.
+    """K preferences of a vehicle and what their policies do.
 
     Attributes:
+        components: names of the m components of a preference, such as ``weight/jerk`` or ``budget/jerk``.
+        preferences: (K, m).
+        utilities: (K, K) expected utility of each preference (row) under the policy of each (column).
         objectives: names of the d objectives.
-        weights: (K, d) preferences.
-        scaled: (K, d) mean discounted returns, in scales.
         returns: (K, d) mean undiscounted returns.
+        discounted: (K, d) mean discounted returns.
         success: (K,) share of the episodes that arrived.
     """
 
+    components: tuple[str, ...]
+    preferences: NDArray[np.float64]
+    utilities: NDArray[np.float64]
     objectives: tuple[str, ...]
-    weights: NDArray[np.float64]
-    scaled: NDArray[np.float64]
     returns: NDArray[np.float64]
+    discounted: NDArray[np.float64]
     success: NDArray[np.float64]
 
     @property
     def own(self) -> float:
         """Mean over preferences of the expected utility under the own policy."""
-        return float((self.weights * self.scaled).sum(axis=1).mean())
+        return float(self.utilities.diagonal().mean())
 
     @property
     def best(self) -> float:
         """Mean over preferences of the expected utility under the best policy for each."""
-        return float((self.weights @ self.scaled.T).max(axis=1).mean())
+        return float(self.utilities.max(axis=1).mean())
 
-    def thirds(self, objective: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Masks (K,) of the thirds with the lowest and with the highest weight on an objective."""
-        low, high = np.quantile(self.weights[:, objective], (1 / 3, 2 / 3))
-        return self.weights[:, objective] <= low, self.weights[:, objective] >= high
+    def thirds(self, component: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Masks (K,) of the thirds with the lowest and with the highest number at a component."""
+        low, high = np.quantile(self.preferences[:, component], (1 / 3, 2 / 3))
+        return self.preferences[:, component] <= low, self.preferences[:, component] >= high
 
 
-def serve(run: Run, preferences: int, episodes: int, seed: int) -> Served:
-    """Drive ``episodes`` episodes from ``seed`` on under each of ``preferences`` preferences.
+def serve(run: Run, preferences: int, episodes: int, seed: int) -> list[Served]:
+    """Drive ``episodes`` episodes from ``seed`` on under each of ``preferences`` preferences; one result per vehicle.
 
     Raises:
-        ValueError: for a run of another algorithm, of several vehicles, or of other families of utilities.
+        ValueError: for a run of another algorithm, or of several families of utilities.
     """
     agent: Any = load_policy(run)
-    if not isinstance(agent, ConditionedMOPPO) or agent.env.vehicles > 1 or agent.preferences.used != [LINEAR]:
-        raise ValueError(f"{str(run.path)!r} must be a run of conditioned_mo_ppo, of one vehicle and linear utilities")
-    conditions = agent.preferences.draw(preferences, np.random.default_rng(PREFERENCES_SEED), emphasis=False)
+    if not isinstance(agent, ConditionedMOPPO) or len(agent.preferences.used) > 1:
+        raise ValueError(f"{str(run.path)!r} must be a run of conditioned_mo_ppo for one family of utilities")
+    vehicles, rng = agent.env.vehicles, np.random.default_rng(PREFERENCES_SEED)
+    rows = agent.preferences.draw(preferences * vehicles, rng, emphasis=False).reshape(preferences, vehicles, -1)
     env = evaluation_env(run.experiment, episodes)
     try:
-        found = agent.evaluate_policies(conditions, env, episodes=episodes, seed=seed, gamma=agent.accrued_discount)
+        found = agent.evaluate_policies(
+            rows.reshape(preferences, -1), env, episodes=episodes, seed=seed, gamma=agent.accrued_discount
+        )
     finally:
         env.close()
-    return Served(
-        objectives=agent.env.objectives,
-        weights=conditions.astype(np.float64),
-        scaled=np.stack([each.discounted[:, 0].mean(axis=0) for each in found]) / agent.scales,
-        returns=np.stack([each.returns[:, 0].mean(axis=0) for each in found]),
-        success=np.array([each.succeeded[:, 0].mean() for each in found]),
-    )
+    served = []
+    for v in range(vehicles):
+        discounted = torch.from_numpy(np.stack([each.discounted[:, v] for each in found]))  # (K, E, d)
+        utilities = [agent.preferences.utility(discounted, torch.from_numpy(row)).mean(dim=1) for row in rows[:, v]]
+        served.append(
+            Served(
+                components=agent.preferences.names,
+                preferences=rows[:, v].astype(np.float64),
+                utilities=torch.stack(utilities).numpy(),
+                objectives=agent.env.objectives,
+                returns=np.stack([each.returns[:, v].mean(axis=0) for each in found]),
+                discounted=discounted.mean(dim=1).numpy(),
+                success=np.array([each.succeeded[:, v].mean() for each in found]),
+            )
+        )
+    return served
 
 
 def tables(served: Served, title: str) -> tuple[Table, Table]:
@@ -100,12 +117,14 @@ def tables(served: Served, title: str) -> tuple[Table, Table]:
     success = served.success
     shares = (success.mean(), (success >= 0.95).mean(), (success < 0.05).mean())
     whole.add_row(f"{served.own:.3f}", f"{served.best:.3f}", *(f"{share:.1%}" for share in shares))
-    by_weight = Table("weight on", "low: return", "high: return", "low: arrivals", "high: arrivals")
-    for i, name in enumerate(served.objectives):
-        parts = served.thirds(i)
-        cells = [f"{served.returns[part, i].mean():.4g}" for part in parts]
-        by_weight.add_row(name, *cells, *(f"{success[part].mean():.1%}" for part in parts))
-    return whole, by_weight
+    columns = [f"{third}: {what}" for what in ("return", "discounted", "arrivals") for third in ("low", "high")]
+    by_third = Table(Column("preference", no_wrap=True), *columns)
+    for component, name in enumerate(served.components):
+        parts = served.thirds(component)
+        i = served.objectives.index(name.partition("/")[2])
+        means = [f"{array[part, i].mean():.4g}" for array in (served.returns, served.discounted) for part in parts]
+        by_third.add_row(name, *means, *(f"{success[part].mean():.1%}" for part in parts))
+    return whole, by_third
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -126,8 +145,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         for name in arguments.runs:
             run = Run.open(name, device="cpu", trust=arguments.trust)
             found = serve(run, arguments.preferences, arguments.episodes, SPLITS[arguments.split].start)
-            for table in tables(found, name):
-                Console().print(table)
+            for v, served in enumerate(found):
+                for table in tables(served, f"{name}, {vehicle_name(v)}" if len(found) > 1 else name):
+                    Console().print(table)
 
 
 if __name__ == "__main__":

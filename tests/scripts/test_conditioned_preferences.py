@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import torch
 
 from algorithms import zoo
-from algorithms.common.yaml_io import dump, read_mapping
+from algorithms.common.env_adapter import make_env
+from algorithms.common.yaml_io import dump, read_mapping, read_value
 from algorithms.evaluation.splits import SPLITS
+from algorithms.experiments.build import build, load_policy
+from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 
 if TYPE_CHECKING:
@@ -29,10 +33,12 @@ def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
 
 def test_own_and_best_are_the_expected_utilities(script: ModuleType) -> None:
     served = script.Served(
+        components=("weight/a", "weight/b"),
+        preferences=np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]]),
+        utilities=np.array([[2.0, 4.0, 0.0], [0.0, 1.0, 3.0], [1.0, 2.5, 1.5]]),
         objectives=("a", "b"),
-        weights=np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]]),
-        scaled=np.array([[2.0, 0.0], [4.0, 1.0], [0.0, 3.0]]),
         returns=np.zeros((3, 2)),
+        discounted=np.zeros((3, 2)),
         success=np.array([1.0, 0.5, 0.0]),
     )
     assert served.own == pytest.approx((2.0 + 1.0 + 1.5) / 3)
@@ -44,8 +50,11 @@ def test_own_and_best_are_the_expected_utilities(script: ModuleType) -> None:
 def test_a_network_of_the_zoo_serves_preferences_that_it_is_given(
     script: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    served = script.serve(Run.open(NAME), 12, 4, SPLITS["validation"].start)
-    np.testing.assert_allclose(served.weights.sum(axis=1), 1.0, rtol=1e-6)
+    run = Run.open(NAME)
+    (served,) = script.serve(run, 12, 4, SPLITS["validation"].start)
+    np.testing.assert_allclose(served.preferences.sum(axis=1), 1.0, rtol=1e-6)
+    scaled = served.discounted / load_policy(run).scales
+    np.testing.assert_allclose(served.utilities, served.preferences @ scaled.T, atol=1e-6)
     assert 0.0 < served.own <= served.best
     assert served.success.max() == 1.0
     low, high = served.thirds(0)  # the distance
@@ -55,9 +64,50 @@ def test_a_network_of_the_zoo_serves_preferences_that_it_is_given(
 
 
 @pytest.mark.parametrize(
+    ("env_id", "family", "vehicles"),
+    [
+        ("mo-deepdrive-one-waypoint-v0", "{families: {comfort_budget: 1.0}, budgets: {jerk: 100.0}}", 1),
+        ("mo-deepdrive-intersection-v0", "{families: {linear: 1.0}}", 2),
+    ],
+)
+def test_budgets_and_two_vehicles_are_served_too(
+    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], env_id: str, family: str, vehicles: int
+) -> None:
+    experiment = make_experiment(
+        {
+            "environment": {"id": env_id, "arguments": {"time_limit": 2}},
+            "algorithm": {"name": "conditioned_mo_ppo", "hidden": [8], **read_value(family)},
+            "training": {"total_timesteps": 256, "num_envs": 8},
+        }
+    )
+    run = Run.create(experiment, tmp_path / "run")
+    run.unlock()
+    agent = build(experiment)
+    agent.train(256)
+    agent.save(run.checkpoint)
+    found = script.serve(run, 6, 3, SPLITS["validation"].start)
+    assert len(found) == vehicles
+    for v, served in enumerate(found):
+        k = int(served.utilities[2].argmax())
+        drives = agent.evaluate_policies(
+            np.concatenate([each.preferences for each in found], axis=1)[[k]],
+            make_env(env_id, 3, {"time_limit": 2}),
+            episodes=3,
+            seed=SPLITS["validation"].start,
+            gamma=0.99,
+        )
+        returns = torch.from_numpy(drives[0].discounted[:, v])
+        expected = agent.preferences.utility(returns, torch.from_numpy(served.preferences[2]).float()).mean()
+        assert served.utilities[2, k] == pytest.approx(float(expected))
+    script.main([str(run.path), "--preferences", "6", "--episodes", "3"])
+    out = capsys.readouterr().out
+    assert ("budget/jerk" in out, "vehicle_1" in out) == (vehicles == 1, vehicles == 2)
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["one_waypoint_front-pcn"], "must be a run of conditioned_mo_ppo, of one vehicle and linear utilities"),
+        (["one_waypoint_front-pcn"], "must be a run of conditioned_mo_ppo for one family of utilities"),
         ([NAME, "--episodes", "0"], "--episodes 0 must be at least 1"),
         ([NAME, "--episodes", "1000000000"], "--episodes = 1000000000 exceeds the "),
         ([NAME, "--preferences", "0"], "--preferences 0 must be between 1 and 10000"),
