@@ -333,6 +333,22 @@ def conditioned(row: Row) -> dict[str, list[float]]:
     return values | {"CPU seconds": [column(runs, "seconds").mean()]}
 
 
+def conditioned_targets(row: Row) -> dict[str, list[float]]:
+    if row["what"] == "utility of the specialists":
+        runs = partial(matching, "conditioned_specialists.csv", config=row["config"], changed="")
+        specialist = column(runs(learner="specialist"), "utility").sum()
+        networks = runs(learner="network")
+        seeds = sorted({each["seed"] for each in networks})
+        shares = np.array(
+            [column([run for run in networks if run["seed"] == seed], "utility").sum() / specialist for seed in seeds]
+        )
+    else:
+        shares = column(matching("conditioned.csv", config=row["config"], changed=""), row["what"].replace(" ", "_"))
+    assert len(shares) == 10
+    reached = float((100 * shares >= numbers(row["target"])[0]).sum())
+    return {"mean": [100 * shares.mean()], "runs that reach it": [reached]}
+
+
 def specialists(config: str, row: Row) -> dict[str, list[float]]:
     weights = next(iter(row.values())).replace(",", "")
     runs = partial(matching, "conditioned_specialists.csv", config=config, changed="", weights=weights)
@@ -540,6 +556,7 @@ TABLES = [
     Table("docs/left_turn.md", "gap (s) | arrivals", rules),
     Table("docs/left_turn.md", "driver | arrivals", left_turners),
     Table("docs/left_turn.md", "source | policies | non-dominated", left_turn_front),
+    Table("docs/results/conditioned.md", "config | what | target", conditioned_targets),
     Table("docs/results/conditioned.md", "config | seeds | steps | hypervolume", conditioned),
     Table("docs/results/conditioned.md", "config | changed | seeds", conditioned),
     *(
