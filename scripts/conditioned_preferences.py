@@ -7,7 +7,7 @@ the discounted return in scales, under its own policy; *best* is that under the 
 the best of many estimates, it is above *own* by their noise even where every preference has been learnt. Then arrivals,
 and the shares of the policies that arrive in 95% or more and in less than 5% of their episodes. The second table has
 means over the thirds of the preferences with the lowest and with the highest weight on an objective, or budget for it:
-its return, its discounted return, and arrivals. With two vehicles each has tables of its own.
+its return, its discounted return, arrivals and the number of decisions. With two vehicles each has tables of its own.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Table
 
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.evaluation.metrics import vehicle_name
@@ -49,6 +49,7 @@ class Served:
         returns: (K, d) mean undiscounted returns.
         discounted: (K, d) mean discounted returns.
         success: (K,) share of the episodes that arrived.
+        lengths: (K,) mean number of decisions.
     """
 
     components: tuple[str, ...]
@@ -58,6 +59,7 @@ class Served:
     returns: NDArray[np.float64]
     discounted: NDArray[np.float64]
     success: NDArray[np.float64]
+    lengths: NDArray[np.float64]
 
     @property
     def own(self) -> float:
@@ -106,6 +108,7 @@ def serve(run: Run, preferences: int, episodes: int, seed: int) -> list[Served]:
                 returns=np.stack([each.returns[:, v].mean(axis=0) for each in found]),
                 discounted=discounted.mean(dim=1).numpy(),
                 success=np.array([each.succeeded[:, v].mean() for each in found]),
+                lengths=np.array([each.lengths[:, v].mean() for each in found]),
             )
         )
     return served
@@ -117,13 +120,12 @@ def tables(served: Served, title: str) -> tuple[Table, Table]:
     success = served.success
     shares = (success.mean(), (success >= 0.95).mean(), (success < 0.05).mean())
     whole.add_row(f"{served.own:.3f}", f"{served.best:.3f}", *(f"{share:.1%}" for share in shares))
-    columns = [f"{third}: {what}" for what in ("return", "discounted", "arrivals") for third in ("low", "high")]
-    by_third = Table(Column("preference", no_wrap=True), *columns)
+    by_third = Table("preference", "third", "return", "discounted", "arrivals", "decisions")
     for component, name in enumerate(served.components):
-        parts = served.thirds(component)
         i = served.objectives.index(name.partition("/")[2])
-        means = [f"{array[part, i].mean():.4g}" for array in (served.returns, served.discounted) for part in parts]
-        by_third.add_row(name, *means, *(f"{success[part].mean():.1%}" for part in parts))
+        for third, part in zip(("lowest", "highest"), served.thirds(component), strict=True):
+            means = [f"{array[part, i].mean():.4g}" for array in (served.returns, served.discounted)]
+            by_third.add_row(name, third, *means, f"{success[part].mean():.1%}", f"{served.lengths[part].mean():.0f}")
     return whole, by_third
 
 

@@ -40,6 +40,7 @@ def test_own_and_best_are_the_expected_utilities(script: ModuleType) -> None:
         returns=np.zeros((3, 2)),
         discounted=np.zeros((3, 2)),
         success=np.array([1.0, 0.5, 0.0]),
+        lengths=np.ones(3),
     )
     assert served.own == pytest.approx((2.0 + 1.0 + 1.5) / 3)
     assert served.best == pytest.approx((4.0 + 3.0 + 2.5) / 3)
