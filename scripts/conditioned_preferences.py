@@ -1,6 +1,7 @@
 """How well one network serves preferences that are drawn anew: runs of conditioned MO-PPO for one family of utilities.
 
     python scripts/conditioned_preferences.py one_waypoint_drawn_front-conditioned_mo_ppo --episodes 100
+    python scripts/conditioned_preferences.py RUN RUN --split test --output preferences.csv
 
 Every preference has a greedy policy, and all drive the same episodes. *Own* is the expected utility of a preference, of
 the discounted return in scales, under its own policy; *best* is that under the best of all these policies for it. Being
@@ -12,11 +13,14 @@ its return, its discounted return, arrivals and the number of decisions. With tw
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
+from result_file import check_folder, write_results
 from rich.console import Console
 from rich.table import Table
 
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_PREFERENCES = 10_000
+ALL, THIRDS = "all", ("lowest", "highest")
 PREFERENCES_SEED = 1  # of the preferences; those of the front have another
 
 
@@ -62,19 +67,52 @@ class Served:
     lengths: NDArray[np.float64]
 
     @property
-    def own(self) -> float:
-        """Mean over preferences of the expected utility under the own policy."""
-        return float(self.utilities.diagonal().mean())
+    def own(self) -> NDArray[np.float64]:
+        """(K,) expected utility of each preference under its own policy."""
+        return self.utilities.diagonal()
 
     @property
-    def best(self) -> float:
-        """Mean over preferences of the expected utility under the best policy for each."""
-        return float(self.utilities.max(axis=1).mean())
+    def best(self) -> NDArray[np.float64]:
+        """(K,) expected utility of each preference under the best policy for it."""
+        return np.asarray(self.utilities.max(axis=1))
 
     def thirds(self, component: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Masks (K,) of the thirds with the lowest and with the highest number at a component."""
         low, high = np.quantile(self.preferences[:, component], (1 / 3, 2 / 3))
         return self.preferences[:, component] <= low, self.preferences[:, component] >= high
+
+
+@dataclass(frozen=True)
+class Part:
+    """Means over some of the preferences of a vehicle, a row of the file.
+
+    Attributes:
+        environment: id.
+        family: of utilities.
+        seed: of the run.
+        vehicle: its index.
+        component: by which the preferences were chosen; "all" for all of them.
+        third: "lowest" or "highest"; "all" for all of them.
+        own: expected utility under the own policies.
+        best: expected utility under the best policy for each preference.
+        undiscounted: return of the objective of the component; NaN for all.
+        discounted: its discounted return.
+        arrivals: share of the episodes.
+        decisions: per episode.
+    """
+
+    environment: str
+    family: str
+    seed: int
+    vehicle: int
+    component: str
+    third: str
+    own: Annotated[float, ".4f"]
+    best: Annotated[float, ".4f"]
+    undiscounted: Annotated[float, ".4g"]
+    discounted: Annotated[float, ".4g"]
+    arrivals: Annotated[float, ".4f"]
+    decisions: Annotated[float, ".1f"]
 
 
 def serve(run: Run, preferences: int, episodes: int, seed: int) -> list[Served]:
@@ -114,18 +152,35 @@ def serve(run: Run, preferences: int, episodes: int, seed: int) -> list[Served]:
     return served
 
 
-def tables(served: Served, title: str) -> tuple[Table, Table]:
+def parts(served: Served, run: Run, vehicle: int) -> list[Part]:
+    """All preferences, then the thirds by each component."""
+    experiment, everything = run.experiment, np.ones(len(served.success), dtype=np.bool_)
+    chosen: list[tuple[str, str, NDArray[np.bool_]]] = [(ALL, ALL, everything)]
+    for component, name in enumerate(served.components):
+        chosen += [(name, third, mask) for third, mask in zip(THIRDS, served.thirds(component), strict=True)]
+    family = next(name for name, share in experiment.hyperparameters["families"].items() if share)
+    found = []
+    for name, third, mask in chosen:
+        i = None if name == ALL else served.objectives.index(name.partition("/")[2])
+        returns = [math.nan if i is None else array[mask, i].mean() for array in (served.returns, served.discounted)]
+        means = (array[mask].mean() for array in (served.success, served.lengths))
+        utilities = (array[mask].mean() for array in (served.own, served.best))
+        seed = experiment.training.seed
+        found.append(Part(experiment.environment.id, family, seed, vehicle, name, third, *utilities, *returns, *means))
+    return found
+
+
+def tables(served: Served, found: Sequence[Part], title: str) -> tuple[Table, Table]:
     """The whole, and by thirds."""
+    everything, *by_component = found
     whole = Table("own", "best", "arrivals", "in 95% or more", "in less than 5%", title=title)
     success = served.success
-    shares = (success.mean(), (success >= 0.95).mean(), (success < 0.05).mean())
-    whole.add_row(f"{served.own:.3f}", f"{served.best:.3f}", *(f"{share:.1%}" for share in shares))
+    shares = (everything.arrivals, (success >= 0.95).mean(), (success < 0.05).mean())
+    whole.add_row(f"{everything.own:.3f}", f"{everything.best:.3f}", *(f"{share:.1%}" for share in shares))
     by_third = Table("preference", "third", "return", "discounted", "arrivals", "decisions")
-    for component, name in enumerate(served.components):
-        i = served.objectives.index(name.partition("/")[2])
-        for third, part in zip(("lowest", "highest"), served.thirds(component), strict=True):
-            means = [f"{array[part, i].mean():.4g}" for array in (served.returns, served.discounted)]
-            by_third.add_row(name, third, *means, f"{success[part].mean():.1%}", f"{served.lengths[part].mean():.0f}")
+    for part in by_component:
+        returns = [f"{value:.4g}" for value in (part.undiscounted, part.discounted)]
+        by_third.add_row(part.component, part.third, *returns, f"{part.arrivals:.1%}", f"{part.decisions:.0f}")
     return whole, by_third
 
 
@@ -136,8 +191,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--preferences", type=int, default=200, help="number of preferences (default: 200)")
     parser.add_argument("--episodes", type=int, default=50, help="of every policy (default: 50)")
     parser.add_argument("--split", choices=list(SPLITS), default="validation", help="of the scenarios")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="also write the numbers of all runs to a CSV file")
     add_trust_argument(parser)
     arguments = parser.parse_args(argv)
+    check_folder(parser, arguments.output)
+    written: list[Part] = []
     with exit_on_error(ValueError, OSError):
         if not 1 <= arguments.preferences <= MOST_PREFERENCES:
             raise ValueError(f"--preferences {arguments.preferences} must be between 1 and {MOST_PREFERENCES}")
@@ -148,8 +206,11 @@ def main(argv: Sequence[str] | None = None) -> None:
             run = Run.open(name, device="cpu", trust=arguments.trust)
             found = serve(run, arguments.preferences, arguments.episodes, SPLITS[arguments.split].start)
             for v, served in enumerate(found):
-                for table in tables(served, f"{name}, {vehicle_name(v)}" if len(found) > 1 else name):
+                rows = parts(served, run, v)
+                for table in tables(served, rows, f"{name}, {vehicle_name(v)}" if len(found) > 1 else name):
                     Console().print(table)
+                written += rows
+        write_results(arguments.output, written)
 
 
 if __name__ == "__main__":
