@@ -362,6 +362,25 @@ def specialists(config: str, row: Row) -> dict[str, list[float]]:
     }
 
 
+def representations(row: Row) -> dict[str, list[float]]:
+    names = {
+        "8 atoms, default bounds": "grid of 8 atoms",
+        "8 atoms over all returns": "grid of 8 atoms over the returns",
+        "32 particles": "32 particles",
+    }
+    fits = {
+        shown: one(
+            "return_representations.csv",
+            policy=row["returns of"].strip("`"),
+            utility=row["utility"].strip("`"),
+            critic=critic,
+        )
+        for shown, critic in names.items()
+    }
+    (truth,) = {float(fit["of_returns"]) for fit in fits.values()}
+    return {"of the returns": [truth]} | {shown: [float(fit["of_critic"])] for shown, fit in fits.items()}
+
+
 def esr(row: Row) -> dict[str, list[float]]:
     methods = ("utility_difference", "expected_utility, gamma 1", "expected_utility", "mocac", "ppo")
     learner = next(method for method in methods if method in row["method"].lower().replace("`", ""))
@@ -573,6 +592,7 @@ TABLES = [
     ),
     Table("docs/results/nonlinear_utilities.md", "config | objective | started by", comfort),
     Table("docs/results/nonlinear_utilities.md", "utility | method | tuning", esr),
+    Table("docs/learning.md", "returns of | utility", representations),
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table(
         "docs/peers.md",
