@@ -596,17 +596,17 @@ TABLES = [
     Table("docs/peers.md", "environment | steps | reference point | PCN", pcn_elsewhere),
     Table(
         "docs/peers.md",
-        "learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | utility",
+        "learner | budget | steps | CPU seconds | tuning: rates 1, 3, 1/3 | utility",
         partial(peers_compared, "known utility", ("utility (ESR)", "arrivals (%)"), 100.0),
     ),
     Table(
         "docs/peers.md",
-        "actions | learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | hypervolume",
+        "actions | learner | budget | steps | CPU seconds | tuning: rates 1, 3, 1/3 | hypervolume",
         peers_fronts,
     ),
     Table(
         "docs/peers.md",
-        "actions | learner | steps | CPU seconds | tuning: rates 1, 3, 1/3 | expected utility",
+        "actions | learner | budget | steps | CPU seconds | tuning: rates 1, 3, 1/3 | expected utility",
         peers_drawn,
     ),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
