@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from algorithms.evaluation.front import Front
 
 BARS = 8  # policies in bars.png
+MOST_PAIRED = 8  # objectives of which scatter.png shows all pairs
 # The paper's names for low values of these costs (its figure 7).
 PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 
@@ -42,7 +43,7 @@ PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 def draw_front(
     front: Front, directory: str | Path, *, reference_front: NDArray[np.float64] | None = None, title: str = ""
 ) -> list[Path]:
-    """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
+    """Draw a front into ``directory``: importance, reduction, parallel, bars and, of few objectives, scatter (``.png``).
 
     In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are discounted,
     as they determine dominance, except in bars.png.
@@ -73,7 +74,7 @@ def draw_front(
             "importance": _importance(view),
             "reduction": _reduction(view),
             "parallel": _parallel(view),
-            "scatter": _scatter(view, reference_front),
+            **({"scatter": _scatter(view, reference_front)} if d <= MOST_PAIRED else {}),
             "bars": _bars(view),
         }
         for name, figure in figures.items():

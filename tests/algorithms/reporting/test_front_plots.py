@@ -13,6 +13,7 @@ import matplotlib
 import numpy as np
 import pytest
 
+from algorithms.evaluation.metrics import joint_objectives
 from algorithms.reporting import front_plots
 from algorithms.reporting.front_plots import BARS, draw_front
 from algorithms.reporting.front_view import FrontView
@@ -76,6 +77,14 @@ def test_figures_are_reproducible(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     for first, second in zip(*(draw_front(driving(20, 2), tmp_path / name) for name in "ab"), strict=True):
         assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.slow
+def test_pairs_of_many_objectives_are_not_drawn(tmp_path: Path) -> None:
+    names = joint_objectives(("distance", "g_force", "jerk", "collision", "lane_violation"), 2)
+    front = front_of(np.random.default_rng(0).normal(size=(3, 10)), names)
+    assert [path.stem for path in draw_front(front, tmp_path)] == [name for name in FIGURES if name != "scatter"]
+    assert "vehicle 1: g-force (discounted, g)" in texts(front_plots._importance(FrontView(front)))
 
 
 def test_a_reference_front_of_another_shape_is_refused(tmp_path: Path) -> None:
