@@ -43,7 +43,9 @@ PAPER_NAMES = {"g_force": "comfort", "jerk": "smoothness"}
 def draw_front(
     front: Front, directory: str | Path, *, reference_front: NDArray[np.float64] | None = None, title: str = ""
 ) -> list[Path]:
-    """Draw a front into ``directory``, all ``.png``: importance, reduction, parallel, bars and, of few objectives, scatter.
+    """Draw a front into ``directory``: importance, reduction, parallel, scatter and bars, all ``.png``.
+
+    Of more than eight objectives there is no scatter, which has a panel for each pair.
 
     In all figures a policy has the same colour and the same number, its row in ``front.csv``. Returns are discounted,
     as they determine dominance, except in bars.png.
