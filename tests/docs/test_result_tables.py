@@ -349,6 +349,32 @@ def conditioned_targets(row: Row) -> dict[str, list[float]]:
     return {"mean": [100 * shares.mean()], "runs that reach it": [reached]}
 
 
+def comfort_budgets(row: Row) -> dict[str, list[float]]:
+    component = f"budget/{row['budget'].replace('-', '_')}"
+    runs = matching("conditioned_preferences.csv", component=component, third=row["third of the budgets"])
+    return {
+        "spent (discounted)": [-column(runs, "discounted").mean()],
+        "arrivals (%)": [100 * column(runs, "arrivals").mean()],
+        "decisions": [column(runs, "decisions").mean()],
+    }
+
+
+def pairs_with_preferences(row: Row) -> dict[str, list[float]]:
+    run = one(
+        "conditioned_preferences.csv",
+        environment="mo-deepdrive-intersection-v0",
+        component="all",
+        seed=row["seed"],
+        vehicle=row["vehicle"][0],
+    )
+    return {
+        "own": [float(run["own"])],
+        "best": [float(run["best"])],
+        "arrivals (%)": [100 * float(run["arrivals"])],
+        "decisions": [float(run["decisions"])],
+    }
+
+
 def specialists(config: str, row: Row) -> dict[str, list[float]]:
     weights = next(iter(row.values())).replace(",", "")
     runs = partial(matching, "conditioned_specialists.csv", config=config, changed="", weights=weights)
@@ -590,6 +616,8 @@ TABLES = [
             ("g-force, collision, jerk, lane violation, time", "left_turn/conditioned"),
         )
     ),
+    Table("docs/results/conditioned.md", "budget | third of the budgets", comfort_budgets),
+    Table("docs/results/conditioned.md", "seed | vehicle | own", pairs_with_preferences),
     Table("docs/results/nonlinear_utilities.md", "config | objective | started by", comfort),
     Table("docs/results/nonlinear_utilities.md", "utility | method | tuning", esr),
     Table("docs/learning.md", "returns of | utility", representations),
