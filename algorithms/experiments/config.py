@@ -384,7 +384,10 @@ def _check_utility(experiment: Experiment) -> dict[str, Any]:
 
 
 def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The reference point of a front's hypervolume: the given one, or the default of this package's environments."""
+    """The reference point of a front's hypervolume: the given one, or the default of this package's environments.
+
+    The front of two vehicles has none by default: the hypervolume of 64 of its policies would take hours.
+    """
     spec = find_environment(experiment.environment.id)
     given = experiment.evaluation.reference_point
     if not is_ours(spec):

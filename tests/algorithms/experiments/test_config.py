@@ -246,7 +246,7 @@ def test_a_utility_is_required_or_refused_depending_on_the_algorithm(write: Writ
 
 @pytest.mark.parametrize("gamma", [0.99, 1.0])
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
-@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "intersection"])
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 def test_our_environments_have_a_default_reference_point(
     write: Write, scenario: str, action_type: str, gamma: float
 ) -> None:
@@ -259,6 +259,13 @@ def test_our_environments_have_a_default_reference_point(
     agreed = mo_deepdrive.reference_point(scenario, action_type, gamma)
     assert found == agreed.values.tolist()
     assert len(agreed.objectives) == len(found)
+
+
+def test_the_front_of_two_vehicles_has_a_reference_point_only_if_it_is_given(write: Write) -> None:
+    environment = "--environment.id=mo-deepdrive-intersection-v0"
+    assert load_experiment(write(FRONT), [environment]).evaluation.reference_point is None
+    given = [environment, "--evaluation.reference_point=[-1, -1, -1, -1, -1, -1, -2, -2, -2, -2, -2, -2]"]
+    assert load_experiment(write(FRONT), given).evaluation.reference_point == [-1.0] * 6 + [-2.0] * 6
 
 
 def test_the_reference_point_has_the_chosen_objectives_in_their_order(write: Write) -> None:
