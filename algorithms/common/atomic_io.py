@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+TEMPORARY = ".*.tmp"
 DEEPEST = 50  # objects and lists in each other, in a file
 
 if TYPE_CHECKING:
@@ -41,9 +42,14 @@ def atomic_write(path: str | Path, data: bytes | Iterable[bytes]) -> None:
         raise
 
 
+def is_temporary(path: Path) -> bool:
+    """Whether a file has the name of a temporary file of :func:`atomic_write`."""
+    return path.match(TEMPORARY)
+
+
 def leftovers(folder: Path) -> Iterator[Path]:
     """Temporary files in a folder, left by processes that were killed in :func:`atomic_write`."""
-    return folder.glob(".*.tmp")
+    return folder.glob(TEMPORARY)
 
 
 def open_lock(path: str | Path) -> IO[bytes]:

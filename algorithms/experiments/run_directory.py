@@ -12,7 +12,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.common.atomic_io import atomic_write, leftovers, open_lock, read_json_object, write_json
+from algorithms.common.atomic_io import atomic_write, is_temporary, leftovers, open_lock, read_json_object, write_json
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.registry import directory_name, find_trained_policy
@@ -350,9 +350,10 @@ def _section(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 def _contents(path: Path) -> list[str]:
     """The names in a run's directory, without those that a process leaves if it is killed while it creates a run."""
-    found = {entry.name for entry in path.iterdir()}
+    entries = list(path.iterdir())  # once: another process may be renaming its files
+    found = {entry.name for entry in entries}
     if "config.yaml" not in found:
-        found -= {".lock", "versions.json", STATUS_FILE, *(leftover.name for leftover in leftovers(path))}
+        found -= {".lock", "versions.json", STATUS_FILE, *(entry.name for entry in entries if is_temporary(entry))}
     return sorted(found)
 
 

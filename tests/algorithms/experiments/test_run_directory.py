@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -16,7 +17,7 @@ from algorithms.experiments.run_directory import Run, default_directory, importe
 from algorithms.experiments.run_files import broken_files
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterator
 
 VALUES: dict[str, Any] = {
     "environment": {"id": "mo-deepdrive-one-waypoint-v0"},
@@ -89,6 +90,24 @@ def test_a_read_only_directory_is_refused(tmp_path: Path, experiment: Experiment
     tmp_path.chmod(0o500)
     with pytest.raises(ValueError, match="cannot be written"):
         Run.create(experiment, tmp_path / "run")
+
+
+def test_a_file_that_another_process_renames_during_the_check_is_not_refused(
+    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / ".versions.json.abc.tmp"
+    temporary.write_text("{}")
+    listed = Path.iterdir
+
+    def list_and_rename(folder: Path) -> Iterator[Path]:
+        entries = list(listed(folder))
+        if temporary.exists():
+            temporary.replace(folder / "versions.json")
+        return iter(entries)
+
+    monkeypatch.setattr(Path, "iterdir", list_and_rename)
+    Run.create(experiment, tmp_path).unlock()
+    assert not temporary.exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
