@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import torch
 from rich.console import Console
 
 from algorithms.common.atomic_io import atomic_write
@@ -17,7 +16,11 @@ from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Stopped, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
-from algorithms.experiments.training import Watch, resume, train_and_finish
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from algorithms.experiments.training import Watch
 
 JobOutcome = Literal["trained", "already there", "stopped"]
 
@@ -134,6 +137,9 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     """
     if job.done:
         return "already there"
+    # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
+    from algorithms.experiments.training import resume, train_and_finish
+
     try:
         run, resumed = _lock(job)
     except OSError as error:
@@ -185,6 +191,8 @@ def _take_over_settings(run: Run, job: Job) -> None:
     Raises:
         ValueError: if this machine does not have the device.
     """
+    import torch  # as late as this, for the same reason
+
     config = run.path / "config.yaml"
     before = make_experiment(read_mapping(config), here=False)
     devices = [torch.device(each.training.device) for each in (before, job.experiment)]

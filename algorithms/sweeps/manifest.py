@@ -16,12 +16,12 @@ from algorithms.common.atomic_io import atomic_write, check_depth
 from algorithms.common.yaml_io import read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment, override
+from algorithms.experiments.jobs import Job
 from algorithms.experiments.registry import directory_name
 from algorithms.experiments.shipped import find_config
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 
 if TYPE_CHECKING:
-    from algorithms.experiments.jobs import Job
     from algorithms.sweeps.sweep_settings import SweepSettings
 
 FILE = "manifest.jsonl"
@@ -65,8 +65,6 @@ class ManifestRow:
 
     def job(self, sweep: Path) -> Job:
         """The job that trains this run of the sweep in the directory ``sweep``."""
-        from algorithms.experiments.jobs import Job  # with everything that trains; listing runs does not need it
-
         return Job(self.name, make_experiment(self.config, here=False), sweep / self.directory, self.id)
 
 

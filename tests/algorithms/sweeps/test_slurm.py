@@ -157,6 +157,19 @@ def test_a_queued_task_trains_its_runs_after_the_manifest_has_changed(
     assert {row.seed for row in read_manifest(tmp_path)} == {7}
 
 
+def test_the_process_of_a_task_needs_no_torch_which_its_workers_import(
+    tmp_path: Path, run_python: Callable[[str], str]
+) -> None:
+    settings = load_sweep(write_sweep(tmp_path))
+    (tmp_path / "task").write_bytes(pickle.dumps(slurm.array_tasks(jobs_of(settings, tmp_path), settings)[0]))
+    loaded = run_python(
+        "import pathlib, pickle, sys\n"
+        f"task = pickle.loads(pathlib.Path({str(tmp_path / 'task')!r}).read_bytes())\n"
+        "print([job.done for job in task.jobs], [name for name in ('torch', 'numba', 'scipy') if name in sys.modules])"
+    )
+    assert loaded == "[False] []\n"
+
+
 # ------------------------------------------------------------------------------------------------------ cancelled, lost
 
 
