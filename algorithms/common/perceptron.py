@@ -96,7 +96,8 @@ def _backward_block(
                 kept = np.float32(0.0) if layer[i, j] <= 0.0 else gradient[i, j]
                 gradient[i, j] = kept
                 total[j] += kept
-        by_biases[k][part] += total
+        for j in range(width):  # an assignment takes much longer to compile
+            by_biases[k][part, j] += total[j]
         below = rows[first:last] if k == 0 else hidden[k - 1][first:last]
         add_product(gradient.T, below, by_weights[k][part])
         above = gradient

@@ -232,12 +232,16 @@ def _energy_score(
     for m in range(rows):
         if weights[m] == 0.0:
             continue
-        x[:], by_x[:] = particles[m].T, 0.0
+        for i in range(number):  # assignments of arrays take much longer to compile
+            for k in range(d):
+                x[k, i], by_x[k, i] = particles[m, i, k], 0.0
         to_targets = 2.0 * weights[m] / (number * targets.shape[1])
         to_each_other = 2.0 * weights[m] / number**2
         total += to_targets * _add_distances(x, targets[m], to_targets, by_x, spare)
         total -= 0.5 * to_each_other * _add_distances(x, particles[m], -to_each_other, by_x, spare)
-        gradient[m] = by_x.T
+        for i in range(number):
+            for k in range(d):
+                gradient[m, i, k] = by_x[k, i]
     return total
 
 
