@@ -89,7 +89,10 @@ def test_tuning_is_scored_on_the_validation_split_and_the_rest_on_the_test_split
     ("task", "learner"),
     [("known utility", "ppo"), ("fixed, continuous", "conditioned_mo_ppo"), ("drawn, discrete", "conditioned_mo_ppo")],
 )
-def test_a_run_is_trained_and_scored(script: ModuleType, task: str, learner: str) -> None:
+def test_a_run_is_trained_and_scored(
+    script: ModuleType, monkeypatch: pytest.MonkeyPatch, task: str, learner: str
+) -> None:
+    monkeypatch.setattr(script, "DRAWN_EPISODES", 5)
     found = script.learn(script.Run(task, learner, 3.0, 0, 8192))
     assert (found.task, found.learner, found.rate, found.steps) == (task, learner, "3", 8192)
     assert found.taken >= 8192

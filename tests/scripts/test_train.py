@@ -19,6 +19,7 @@ from algorithms.common.metrics_file import read_metrics
 from algorithms.common.pareto import hypervolume, non_dominated
 from algorithms.evaluation.front import Front
 from algorithms.evaluation.fronts_file import FrontsFile
+from algorithms.reporting import videos
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import (
     FRONT,
@@ -186,8 +187,9 @@ def test_bad_input_is_refused_before_anything_starts(driving: Path, call: Call) 
 @pytest.mark.parametrize("algorithm", ["a2c", "mo_a2c"])
 @pytest.mark.parametrize(("name", "weights"), [("deep-sea-treasure-v0", "[1, 0.1]"), ("minecart-v0", "[1, 1, 1]")])
 def test_other_environments_can_be_trained_on(
-    tmp_path: Path, call: Call, algorithm: str, name: str, weights: str
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch, algorithm: str, name: str, weights: str
 ) -> None:
+    monkeypatch.setattr(videos, "MAX_FRAMES", 100)  # an untrained policy drives the minecart for 1,000
     (tmp_path / "other.yaml").write_text(TREASURE)
     overrides = [f"--environment.id={name}", f"--utility.arguments.weights={weights}", f"--algorithm.name={algorithm}"]
     code, out, error = call("train", "--config", "other.yaml", "--seed", 2, *overrides)
