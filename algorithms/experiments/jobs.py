@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rich.console import Console
-
 from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.evaluation.seed_groups import INCIDENTAL
@@ -138,6 +136,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
+    from rich.console import Console
+
     from algorithms.experiments.training import resume, train_and_finish
 
     try:
