@@ -4,6 +4,7 @@
     python scripts/benchmark.py --sweep
     python scripts/benchmark.py --against main --output pairs.csv
     python scripts/benchmark.py --threads 2 --output threads.csv
+    python scripts/benchmark.py --device cuda --output gpu.csv
 
 Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
 machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
@@ -13,8 +14,9 @@ mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
 show their status, and that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000 runs (with --quick
 100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary directory.
 
---against compares the working tree with a commit, in pairs of measurements of CPU time, and --threads training on
-several threads with training on one, in pairs of measurements of time on the clock: docs/benchmark.md.
+--against compares the working tree with a commit, in pairs of measurements of CPU time. --threads and --device compare
+training on several threads, or with the networks on a GPU, with training on one thread of the CPU, in pairs of
+measurements of time on the clock: docs/benchmark.md.
 """
 
 from __future__ import annotations
@@ -95,6 +97,7 @@ LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_li
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
 PAIRS = 10
+COMPARISONS = "--against COMMIT, --threads COUNT and --device D"
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 DEEP_SEA = CONFIGS / "deep_sea_treasure"
 DEEP_SEA_POINT = (0.0, -25.0)  # the reference point of morl-baselines
@@ -458,13 +461,13 @@ def compare_trees(commit: str, names: Sequence[str], pairs: int, output: Path | 
     print_comparison(rows, ("old", "new"), caption, about | {"threads": paired_benchmark.THREADS}, output)
 
 
-def compare_threads(threads: int, names: Sequence[str], pairs: int, output: Path | None) -> None:
-    """Compare training on so many threads with training on one; print the table and write it to ``output``."""
-    measure = paired_benchmark.measure_with_threads
-    rows = paired_benchmark.compare(paired_benchmark.THREADS, threads, names, pairs, measure, progress=track)
-    about = {"commit": paired_benchmark.working_tree()}
-    caption = f"{about['commit']:.12}; time on the clock"
-    print_comparison(rows, ("1 thread", f"{threads} threads"), caption, about | {"threads": threads}, output)
+def compare_places(place: paired_benchmark.Place, names: Sequence[str], pairs: int, output: Path | None) -> None:
+    """Compare training in ``place`` with training on one thread; print the table and write it to ``output``."""
+    one, measure = paired_benchmark.ONE_CORE, paired_benchmark.measure_in
+    rows = paired_benchmark.compare(one, place, names, pairs, measure, progress=track)
+    commit = paired_benchmark.working_tree()
+    about = {"commit": commit, "threads": place.threads, "device": paired_benchmark.device_name(place.device)}
+    print_comparison(rows, (str(one), str(place)), f"{commit:.12}; time on the clock", about, output)
 
 
 def print_comparison(
@@ -488,22 +491,28 @@ def print_comparison(
 def compare(parser: ArgumentParser, arguments: Namespace) -> None:
     """Make the comparison that the arguments ask for."""
     pairs = PAIRS if arguments.pairs is None else arguments.pairs
-    if arguments.against is not None and arguments.threads is not None:
-        parser.error("--against COMMIT and --threads COUNT are two comparisons; make one at a time")
+    if sum(each is not None for each in (arguments.against, arguments.threads, arguments.device)) > 1:
+        parser.error(f"{COMPARISONS} are comparisons of their own; make one at a time")
     if pairs < 1:
         parser.error(f"--pairs {pairs} must be at least 1")
     try:
-        if arguments.threads is None:
+        if arguments.against is not None:
             names = paired_benchmark.select(arguments.only)
             compare_trees(paired_benchmark.revision(arguments.against), names, pairs, arguments.output)
             return
         names = paired_benchmark.select(arguments.only, paired_benchmark.TRAINING)
+        if arguments.device is not None:
+            load_experiment(CONFIGS / "one_waypoint" / "quickstart.yaml", [f"--training.device={arguments.device}"])
     except ValueError as error:
         parser.error(str(error))
-    cores = available_cores()
-    if not 2 <= arguments.threads <= cores:
-        parser.error(f"--threads {arguments.threads} must be from 2 to {cores}, the number of cores")
-    compare_threads(arguments.threads, names, pairs, arguments.output)
+    if arguments.device is not None:
+        place = paired_benchmark.Place(device=arguments.device)
+    else:
+        cores = available_cores()
+        if not 2 <= arguments.threads <= cores:
+            parser.error(f"--threads {arguments.threads} must be from 2 to {cores}, the number of cores")
+        place = paired_benchmark.Place(threads=arguments.threads)
+    compare_places(place, names, pairs, arguments.output)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -514,6 +523,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
     parser.add_argument("--threads", type=int, help="compare training on so many threads with training on one")
+    parser.add_argument(
+        "--device", metavar="D", help="compare training with the networks there, such as cuda, with a CPU"
+    )
     parser.add_argument("--pairs", type=int, help=f"of each measurement that is compared (default: {PAIRS})")
     parser.add_argument(
         "--only",
@@ -524,11 +536,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     arguments = parser.parse_args(argv)
     check_folder(parser, arguments.output)
-    if arguments.against is not None or arguments.threads is not None:
+    if any(each is not None for each in (arguments.against, arguments.threads, arguments.device)):
         compare(parser, arguments)
         return
     if arguments.only or arguments.pairs is not None:
-        parser.error("--only and --pairs are for --against COMMIT and --threads COUNT")
+        parser.error(f"--only and --pairs are for {COMPARISONS}")
     set_threads(1)
     repetitions = 3 if arguments.quick else 15
     training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)

@@ -1,11 +1,11 @@
-"""The paired measurements of ``scripts/benchmark.py --against COMMIT`` and ``--threads COUNT``.
+"""The paired measurements of ``scripts/benchmark.py --against COMMIT``, ``--threads COUNT`` and ``--device DEVICE``.
 
 The script measures two trees with the same code, this file, which uses only interfaces that both have. Run as a
 program, it measures one tree: ``PYTHONPATH=TREE python scripts/paired_benchmark.py NAME`` prints the result.
 
 What is measured is the CPU time of the process, summed over its threads, because other programs on the machine change
-it much less than the time on the clock. What more threads gain is measured on the clock: ``NAME THREADS`` trains with
-so many. Compilation and the first updates are excluded.
+it much less than the time on the clock. What more threads or a GPU gain is measured on the clock, by ``NAME THREADS
+DEVICE``. Compilation and the first updates are excluded.
 """
 
 from __future__ import annotations
@@ -71,6 +71,27 @@ THREADS = 1
 SPINNING = {"GOMP_SPINCOUNT": "6000"}  # of idle threads, as commands set it
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where a training runs whose time on the clock is measured.
+
+    Attributes:
+        threads: of the CPU.
+        device: of the networks.
+    """
+
+    threads: int = THREADS
+    device: str = "cpu"
+
+    def __str__(self) -> str:
+        if self.device != "cpu":
+            return self.device
+        return "1 thread" if self.threads == 1 else f"{self.threads} threads"
+
+
+ONE_CORE = Place()
+
+
 @contextmanager
 def one_thread_each() -> Iterator[None]:
     """Let processes that are started within a ``with`` statement use one thread each."""
@@ -90,31 +111,34 @@ def one_thread_each() -> Iterator[None]:
 
 
 def training(
-    algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any], threads: int | None = None
+    algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any], place: Place | None = None
 ) -> float:
-    """Environment steps per CPU second of an actor-critic with the default settings, or on the clock with threads."""
+    """Environment steps per CPU second of an actor-critic with the default settings; on the clock in a place."""
     import algorithms
     from algorithms.common.env_adapter import make_env
     from mo_deepdrive.utilities import make_utility
 
-    if threads is not None:
+    if place is not None:
         from algorithms.common.threads import set_threads
 
-        set_threads(threads)
+        set_threads(place.threads)
     env: Any = make_env(env_id, ENVS, arguments)
     utility = make_utility(UTILITIES[env_id], env.unwrapped.objectives)
-    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
-    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, threads)
+    settings = {"steps": STEPS, "hidden": hidden, "device": (place or ONE_CORE).device}
+    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, **settings)
+    return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, place)
 
 
-def shipped(config: str, updates: int, threads: int | None = None) -> float:
+def shipped(config: str, updates: int, place: Place | None = None) -> float:
     """As :func:`training`, of a shipped experiment."""
     from algorithms.experiments.build import build
     from algorithms.experiments.config import load_experiment
 
-    agent: Any = build(load_experiment(config, [f"--training.threads={threads or THREADS}"]))
+    where = place or ONE_CORE
+    overrides = [f"--training.threads={where.threads}", f"--training.device={where.device}"]
+    agent: Any = build(load_experiment(config, overrides))
     steps = agent.env.num_envs * agent.config.steps
-    return training_rate(agent, WARM_UP * steps, updates * steps, threads)
+    return training_rate(agent, WARM_UP * steps, updates * steps, place)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:
@@ -130,9 +154,9 @@ def pcn(gradient_steps: int, batch_size: int) -> float:
     return training_rate(agent, 1, PCN_STEPS)
 
 
-def training_rate(agent: Any, warm_up: int, steps: int, threads: int | None = None) -> float:
-    """Environment steps per CPU second of ``steps`` after the first ``warm_up``, or on the clock with threads."""
-    clock = process_time if threads is None else perf_counter
+def training_rate(agent: Any, warm_up: int, steps: int, place: Place | None = None) -> float:
+    """Environment steps per CPU second of ``steps`` after the first ``warm_up``; on the clock in a place."""
+    clock = process_time if place is None else perf_counter
     agent.train(warm_up)
     first, started = agent.step, clock()
     agent.train(first + steps)
@@ -214,6 +238,9 @@ def _training_cases() -> Iterator[tuple[str, Case]]:
         name = "-".join([algorithm, *map(str, hidden), action_type])
         arguments = {"action_type": action_type}
         yield name, Case(partial(training, algorithm, ONE_WAYPOINT, hidden, updates[algorithm], arguments))
+    for algorithm, width, count in (("a2c", 512, 20), ("mo_ppo", 256, 15), ("mo_ppo", 512, 8)):
+        name = f"{algorithm}-{width}-{width}-discrete"
+        yield name, Case(partial(training, algorithm, ONE_WAYPOINT, [width, width], count, {}))
     yield "mocac-128-64-discrete", Case(partial(training, "mocac", ONE_WAYPOINT, [128, 64], 30, {}))
     for algorithm, count in (("a2c", 60), ("mo_ppo", 12)):
         yield f"two-{algorithm}-128-64", Case(partial(training, algorithm, INTERSECTION, [128, 64], count, {}))
@@ -297,6 +324,13 @@ def machine() -> str:
     return f"{models[0] if models else platform.processor() or platform.machine()}, {os.cpu_count()} CPUs"
 
 
+def device_name(device: str) -> str:
+    """The model of a GPU, or ``cpu``."""
+    import torch
+
+    return torch.cuda.get_device_name(device) if device.startswith("cuda") else device
+
+
 def last_line(text: str) -> str:
     """The last line of an error message."""
     return (text.strip().splitlines() or ["no message"])[-1]
@@ -311,11 +345,14 @@ def measure(tree: Path, name: str) -> float:
     return _measured(ONE_THREAD | {"PYTHONPATH": str(tree)}, name)
 
 
-def measure_with_threads(threads: int, name: str) -> float:
-    """As :func:`measure`, of a training in the working tree with so many threads, in time on the clock."""
-    return _measured(
-        dict.fromkeys(ONE_THREAD, str(threads)) | SPINNING | {"PYTHONPATH": str(REPOSITORY)}, name, str(threads)
-    )
+def measure_in(place: Place, name: str) -> float:
+    """As :func:`measure`, of a training of the working tree in ``place``, in time on the clock.
+
+    Raises:
+        CannotMeasureError: if it fails.
+    """
+    threads = dict.fromkeys(ONE_THREAD, str(place.threads))
+    return _measured(threads | SPINNING | {"PYTHONPATH": str(REPOSITORY)}, name, str(place.threads), place.device)
 
 
 def _measured(environment: Mapping[str, str], *arguments: str) -> float:
@@ -333,7 +370,7 @@ def _measured(environment: Mapping[str, str], *arguments: str) -> float:
 
 @dataclass
 class Pairs:
-    """A measurement of both sides, two trees or two numbers of threads, in pairs.
+    """A measurement of both sides, two trees or two places, in pairs.
 
     Attributes:
         name: of the measurement.
@@ -405,7 +442,7 @@ def compare(
     *,
     progress: Callable[[Sequence[Any]], Any] = iter,
 ) -> list[Row]:
-    """Measure two trees, or two numbers of threads, in alternation.
+    """Measure two trees, or training in two places, in alternation.
 
     Every measurement runs once on each side first, which fills the caches of the compiler and is not counted. Then each
     pair measures one side and the other right after it; which one is first changes from pair to pair.
@@ -445,14 +482,14 @@ def write_rows(path: Path, rows: Sequence[Row], about: Mapping[str, Any]) -> Non
             writer.writerow([*cells, *about.values()])
 
 
-def main(name: str, tree: Path, threads: int | None = None) -> None:
-    """Print the result of one measurement of the packages in ``tree``, of a training with ``threads`` on the clock.
+def main(name: str, tree: Path, place: Place | None = None) -> None:
+    """Print the result of one measurement of the packages in ``tree``; of a training in a place on the clock.
 
     Raises:
         ImportError: if a module of another installation was measured.
     """
     run = CASES[name].run
-    result = run() if threads is None else run(threads=threads)
+    result = run() if place is None else run(place=place)
     for module_name, module in [*sys.modules.items()]:
         file = getattr(module, "__file__", None)
         ours = module_name.partition(".")[0] in ("mo_deepdrive", "algorithms")
@@ -463,7 +500,8 @@ def main(name: str, tree: Path, threads: int | None = None) -> None:
 
 
 if __name__ == "__main__":
-    measured, *count = sys.argv[1:] or [""]
-    if measured not in (TRAINING if count else CASES) or len(count) > 1 or not os.environ.get("PYTHONPATH"):
+    measured, *where = sys.argv[1:] or [""]
+    if measured not in (TRAINING if where else CASES) or len(where) not in (0, 2) or not os.environ.get("PYTHONPATH"):
         sys.exit(f"{__doc__}\nNAME is one of: {', '.join(CASES)}.")
-    main(measured, Path(os.environ["PYTHONPATH"]), *map(int, count))
+    chosen = Place(int(where[0]), where[1]) if where else None
+    main(measured, Path(os.environ["PYTHONPATH"]), chosen)

@@ -144,8 +144,12 @@ def test_every_algorithm_is_measured(paired: ModuleType) -> None:
         (["--against", "HEAD:README.md"], "'HEAD:README.md' is not a commit of"),
         (["--against", "HEAD", "--only", "mak"], "'mak' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--pairs", "0"], "--pairs 0 must be at least 1"),
-        (["--only", "make"], "--only and --pairs are for --against COMMIT and --threads COUNT"),
+        (["--only", "make"], "--only and --pairs are for --against COMMIT, --threads COUNT and --device D"),
         (["--against", "HEAD", "--threads", "2"], "make one at a time"),
+        (["--device", "cuda", "--threads", "2"], "make one at a time"),
+        (["--device", "abacus"], "'abacus' is not a valid device"),
+        (["--device", "cuda:99"], "'cuda:99' does not exist"),
+        (["--device", "cuda:99", "--only", "make"], "'make' matches no measurement; known: a2c-64-32-discrete"),
         (["--threads", "1"], "--threads 1 must be from 2 to "),
         (["--threads", "2", "--only", "make"], "'make' matches no measurement; known: a2c-64-32-discrete"),
         (["--against", "HEAD", "--output", "no/pairs.csv"], "there is no folder no"),
@@ -184,12 +188,8 @@ def test_training_on_two_threads_is_compared_with_one(paired: ModuleType, call: 
     assert "2 threads" in out
     with (tmp_path / "threads.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
-    assert (row["measurement"], row["unit"], row["pairs"], row["threads"]) == (
-        "a2c-64-32-discrete",
-        "steps/s",
-        "1",
-        "2",
-    )
+    found = [row[name] for name in ("measurement", "unit", "pairs", "threads", "device")]
+    assert found == ["a2c-64-32-discrete", "steps/s", "1", "2", "cpu"]
     assert float(row["speedup"]) == pytest.approx(float(row["new"]) / float(row["old"]), rel=1e-4)
     assert row["commit"] == paired.working_tree()
 
