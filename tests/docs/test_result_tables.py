@@ -541,6 +541,17 @@ def thread_speeds(row: Row) -> dict[str, list[float]]:
     }
 
 
+def gpu_speeds(row: Row) -> dict[str, list[float]]:
+    """Of the layers, which are numbers, too, none is a result."""
+    title, layers = row["training"].split(", ")
+    found = one("benchmark_gpu.csv", measurement=f"{algorithm(title)}-{layers}-discrete")
+    return {
+        "one thread, steps/s": [float(found["old"])],
+        "GPU, steps/s": [float(found["new"])],
+        "speed-up": [float(found[name]) for name in ("speedup", "low", "high")],
+    }
+
+
 def speeds(row: Row) -> dict[str, list[float]]:
     """Of millions of steps to the tenth, otherwise to the nearest thousand; the layers are numbers, too."""
 
@@ -639,7 +650,8 @@ TABLES = [
     ),
     Table("docs/benchmark.md", "learner | CPU seconds", wall_clock),
     Table("docs/benchmark.md", "measurement | speed-up", training_speeds),
-    Table("docs/benchmark.md", "training | one thread", thread_speeds),
+    Table("docs/benchmark.md", "training | one thread, steps/s | two", thread_speeds),
+    Table("docs/benchmark.md", "training | one thread, steps/s | GPU", gpu_speeds),
     Table("docs/results/parity.md", "config | vehicle | before", parity),
     Table("docs/results/parity.md", "config | vehicle | that commit", parity_of_the_commit),
     Table("README.md", "what | measured", speeds),
