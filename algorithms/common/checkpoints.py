@@ -26,6 +26,8 @@ OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries
 ADDED = {"activation": "relu", "state_dependent_std": False, UPDATES: 0}  # entries that files of earlier versions lack
 RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
 UNKNOWN = (OBJECTIVE_SCALES, ACCRUED_GAMMA, RHO, PRICE)  # entries that they lack, and whose value is not known
+GENERATOR = "generator"  # tensor of an agent's generator, which has another size on a GPU
+STAYS = "training continues on the kind of device, CPU or GPU, on which it began"
 MOST_STEPS = 2**63 - 1
 WORDS = 624  # of the state of a Mersenne Twister
 # The tensor that torch.Generator.get_state gives for the CPU.
@@ -138,8 +140,9 @@ def check_tensors(
             continue
         stored = tuple(tensors[name].shape) if name in tensors else None
         if stored != tuple(tensor.shape):
+            elsewhere = f": {STAYS}" if name == GENERATOR and stored is not None else ""
             raise ValueError(
-                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}"
+                f"checkpoint {path} has {name!r} of shape {stored}; this agent needs {tuple(tensor.shape)}{elsewhere}"
             )
         if tensors[name].dtype != tensor.dtype:
             raise ValueError(

@@ -115,5 +115,5 @@ def test_training_cannot_be_resumed_on_another_kind_of_device(
     name: str, begun: str, resumed: str, tmp_path: Path
 ) -> None:
     build(experiment(name, begun)).save(tmp_path / "checkpoint.safetensors")
-    with pytest.raises(ValueError, match="generator"):
+    with pytest.raises(ValueError, match=r"generator.* training continues on the kind of device"):
         build(experiment(name, resumed)).load(tmp_path / "checkpoint.safetensors")

@@ -208,6 +208,16 @@ def test_an_unknown_tensor_is_refused_by_name(saved: tuple[str, Path], tmp_path:
         KINDS[kind]().load(changed, policy_only=True)
 
 
+def test_a_run_of_a_gpu_is_not_continued_on_the_cpu(saved: tuple[str, Path], tmp_path: Path) -> None:
+    kind, path = saved
+    tensors, identity = contents(path)
+    of_a_gpu = {"generator": torch.zeros(16, dtype=torch.uint8)}  # seed and offset
+    changed = write(tmp_path / "changed", {**tensors, **of_a_gpu}, identity)
+    with pytest.raises(ValueError, match=r"'generator' .* continues on the kind of device, CPU or GPU"):
+        KINDS[kind]().load(changed)
+    KINDS[kind]().load(changed, policy_only=True)
+
+
 @pytest.fixture(scope="module")
 def ppo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A checkpoint of PPO after a few updates."""
