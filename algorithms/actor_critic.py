@@ -18,6 +18,7 @@ from algorithms.agent import Agent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import (
     ACCRUED_GAMMA,
+    GENERATOR,
     GUIDES,
     OBJECTIVE_SCALES,
     PARTNERS,
@@ -336,7 +337,7 @@ class ActorCritic(Agent):
 
     def get_state(self) -> dict[str, torch.Tensor]:
         """Learners, generator, guides, environments and running episodes."""
-        state = {"generator": self.generator.get_state()}
+        state = {GENERATOR: self.generator.get_state()}
         for learner in self.learners:
             state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
         state |= self.guides.get_state()
@@ -352,7 +353,7 @@ class ActorCritic(Agent):
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         self.guides.set_state(state)
-        restore_generator(self.generator, "generator", state["generator"])
+        restore_generator(self.generator, GENERATOR, state[GENERATOR])
         # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 

@@ -86,7 +86,7 @@ from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import GUIDES, PRICE, RHO, restore_generator, strip_prefix
+from algorithms.common.checkpoints import GENERATOR, GUIDES, PRICE, RHO, restore_generator, strip_prefix
 from algorithms.common.guides import Guides
 from algorithms.common.hyperparameters import (
     Count,
@@ -531,7 +531,7 @@ class ConditionedMOPPO(FrontAgent):
     def get_state(self) -> dict[str, torch.Tensor]:
         """Learners, generators, the preferences of running episodes, environments and the ideal point."""
         state = {
-            "generator": self.generator.get_state(),
+            GENERATOR: self.generator.get_state(),
             "draws": self.draws.get_state(),
             "preferences": torch.from_numpy(self._current.copy()),
             "seen_any": torch.tensor(self.preferences.seen_any),
@@ -557,7 +557,7 @@ class ConditionedMOPPO(FrontAgent):
         self._current[...] = state["preferences"].numpy()
         self.preferences.seen_any = bool(state["seen_any"])
         self.guides.set_state(state)
-        restore_generator(self.generator, "generator", state["generator"])
+        restore_generator(self.generator, GENERATOR, state[GENERATOR])
         restore_generator(self.draws, "draws", state["draws"])
         # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)

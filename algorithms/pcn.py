@@ -43,7 +43,7 @@ from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
 from algorithms.common.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
-from algorithms.common.checkpoints import all_finite, restore_generator, strip_prefix
+from algorithms.common.checkpoints import GENERATOR, all_finite, restore_generator, strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
     FinalLearningRate,
@@ -442,7 +442,7 @@ class PCN(FrontAgent):
     def get_state(self) -> dict[str, torch.Tensor]:
         """Network, optimiser, buffer, generators and counts."""
         return {
-            "generator": self.generator.get_state(),
+            GENERATOR: self.generator.get_state(),
             "draws": self.draws.get_state(),
             "counts": torch.tensor([self.updates, self._collected, self.env_seed]),
             **self._policy_tensors(),
@@ -464,7 +464,7 @@ class PCN(FrontAgent):
         if not len(self.buffer) and (self.step or self._collected):
             raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        restore_generator(self.generator, "generator", state["generator"])
+        restore_generator(self.generator, GENERATOR, state[GENERATOR])
         restore_generator(self.draws, "draws", state["draws"])
 
     def _policy_tensors(self) -> dict[str, torch.Tensor]:

@@ -488,6 +488,21 @@ def print_comparison(
         paired_benchmark.write_rows(output, rows, {**about, "machine": machine})
 
 
+def chosen_place(threads: int | None, device: str | None) -> paired_benchmark.Place:
+    """Where to train: on ``threads`` of the CPU, or with the networks on ``device``.
+
+    Raises:
+        ValueError: if this machine does not have them.
+    """
+    if threads is None:
+        experiment = load_experiment(CONFIGS / "one_waypoint" / "quickstart.yaml", [f"--training.device={device}"])
+        return paired_benchmark.Place(device=experiment.training.device)
+    cores = available_cores()
+    if not 2 <= threads <= cores:
+        raise ValueError(f"--threads {threads} must be from 2 to {cores}, the number of cores")
+    return paired_benchmark.Place(threads=threads)
+
+
 def compare(parser: ArgumentParser, arguments: Namespace) -> None:
     """Make the comparison that the arguments ask for."""
     pairs = PAIRS if arguments.pairs is None else arguments.pairs
@@ -501,17 +516,9 @@ def compare(parser: ArgumentParser, arguments: Namespace) -> None:
             compare_trees(paired_benchmark.revision(arguments.against), names, pairs, arguments.output)
             return
         names = paired_benchmark.select(arguments.only, paired_benchmark.TRAINING)
-        if arguments.device is not None:
-            load_experiment(CONFIGS / "one_waypoint" / "quickstart.yaml", [f"--training.device={arguments.device}"])
+        place = chosen_place(arguments.threads, arguments.device)
     except ValueError as error:
         parser.error(str(error))
-    if arguments.device is not None:
-        place = paired_benchmark.Place(device=arguments.device)
-    else:
-        cores = available_cores()
-        if not 2 <= arguments.threads <= cores:
-            parser.error(f"--threads {arguments.threads} must be from 2 to {cores}, the number of cores")
-        place = paired_benchmark.Place(threads=arguments.threads)
     compare_places(place, names, pairs, arguments.output)
 
 
@@ -524,7 +531,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
     parser.add_argument("--threads", type=int, help="compare training on so many threads with training on one")
     parser.add_argument(
-        "--device", metavar="D", help="compare training with the networks there, such as cuda, with a CPU"
+        "--device", metavar="D", help="compare training with the networks there, such as cuda, with one thread"
     )
     parser.add_argument("--pairs", type=int, help=f"of each measurement that is compared (default: {PAIRS})")
     parser.add_argument(

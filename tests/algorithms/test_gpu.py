@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import FrontAgent
+from algorithms import ALGORITHMS, FrontAgent
 from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
-from tests.helpers.agents import INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA
 from tests.helpers.short_agents import STEPS, check_resumed, trained
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch finds no CUDA device"),
 ]
-CONTINUOUS = {"action_type": "continuous"}
 # Algorithm, environment, its arguments, and what differs from the defaults.
 LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     "a2c": ("a2c", ONE_WAYPOINT, {}, {}),
@@ -46,7 +45,6 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     "pcn": ("pcn", ONE_WAYPOINT, {}, {}),
     "pcn, continuous": ("pcn", ONE_WAYPOINT, CONTINUOUS, {}),
 }
-FRONTS = ("conditioned_mo_ppo", "pcn")
 EVERY = pytest.mark.parametrize("name", LEARNERS)
 UTILITIES: dict[str, dict[str, Any]] = {
     ONE_WAYPOINT: {"name": "one_waypoint_linear"},
@@ -67,7 +65,7 @@ def experiment(name: str, device: str = "cuda", num_envs: int = 8) -> Any:
     }
     if algorithm != "pcn":
         values["algorithm"]["steps"] = 8
-    if algorithm not in FRONTS:
+    if ALGORITHMS[algorithm].known_utility:
         values["utility"] = UTILITIES[env_id]
     return make_experiment(values)
 
