@@ -17,6 +17,7 @@ import pytest
 from tests.helpers.short_runs import assert_whole
 from tests.helpers.slurm import free_ports
 from tests.helpers.sweep_files import (
+    PATIENCE,
     Reference,
     assert_same_sweep,
     broken_utility,
@@ -90,7 +91,7 @@ def test_killed_actors_resume_from_their_checkpoints(long: Reference, tmp_path: 
     with start_sweep(long.file, "--on", "ray", "--output", tmp_path / "ray") as process:
         eventually(lambda: runs_in_progress(tmp_path / "ray"))
         assert kill("ray::ResourceTrainable") >= 1
-        out, _ = process.communicate(timeout=300)
+        out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, out
     assert_same_sweep(tmp_path / "ray", long.directory)
 
@@ -161,7 +162,12 @@ class Head:
         (port,) = free_ports(1)
         options = ["--head", f"--port={port}", "--num-cpus=2", "--disable-usage-stats", "--include-dashboard=false"]
         done = subprocess.run(
-            [ray, "start", *options], env=self.environment, capture_output=True, text=True, check=False, timeout=120
+            [ray, "start", *options],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
         )
         assert done.returncode == 0, done.stdout + done.stderr
 
@@ -190,7 +196,7 @@ def test_a_sweep_on_a_running_cluster_survives_the_restart_of_its_head(
         eventually(lambda: runs_in_progress(sweep))
         head.kill()
         os.killpg(process.pid, signal.SIGKILL)  # it would only notice after a minute
-        process.communicate(timeout=60)
+        process.communicate(timeout=PATIENCE)
     assert not all(status(run).get("state") == "finished" for run in runs(sweep))
     head.start()
     assert run_sweep(long.file, *options, environment=head.environment).returncode == 0
@@ -207,7 +213,7 @@ def test_a_head_that_is_killed_ends_the_command_with_one_line(
     with start_sweep(write_sweep(tmp_path, overrides=endless), *options, environment=head.environment) as process:
         eventually(lambda: runs_in_progress(sweep))
         head.kill(*names)
-        out, _ = process.communicate(timeout=240)
+        out, _ = process.communicate(timeout=PATIENCE)
     print(out)
     assert process.returncode == 1
     assert "Traceback" not in out

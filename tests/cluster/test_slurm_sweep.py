@@ -14,6 +14,7 @@ import pytest
 
 from tests.helpers.slurm import SlurmCluster, slurm_cluster, unavailable
 from tests.helpers.sweep_files import (
+    PATIENCE,
     Reference,
     assert_same_sweep,
     broken_utility,
@@ -115,8 +116,8 @@ def test_a_job_near_its_time_limit_saves_requeues_itself_and_resumes(
         submitted = jobs(sweep)
         for job in submitted:
             cluster.run("scancel", "--signal=USR2", job)
-        eventually(lambda: interrupted(sweep), 60)
-        out, _ = process.communicate(timeout=300)
+        eventually(lambda: interrupted(sweep))
+        out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, out + log(sweep)
     assert jobs(sweep) == submitted  # requeued by themselves, not submitted again
     assert "Requeued job" in log(sweep)
@@ -129,8 +130,8 @@ def test_pre_empted_jobs_are_saved_and_resume(cluster: SlurmCluster, long: Refer
         eventually(lambda: len(runs_in_progress(sweep)) == 2)
         submitted = jobs(sweep)
         cluster.run("sbatch", "--partition=urgent", "--cpus-per-task=2", "--output=/dev/null", "--wrap=sleep 1")
-        eventually(lambda: interrupted(sweep), 60)
-        out, _ = process.communicate(timeout=300)
+        eventually(lambda: interrupted(sweep))
+        out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, out + log(sweep)
     assert jobs(sweep) == submitted
     assert_same_sweep(sweep, long.directory)
@@ -145,7 +146,7 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
         first, second = jobs(sweep)
         kill_job(cluster, first)
         cluster.run("scancel", second)
-        out, _ = process.communicate(timeout=300)
+        out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1, log(sweep)
     assert len(jobs(sweep)) == 3
     assert f"Slurm job {second} ended (CANCELLED)" in out
@@ -166,7 +167,7 @@ def test_a_task_that_is_cancelled_before_it_starts_is_not_submitted_again(
         _, pending = submitted = jobs(sweep)
         assert cluster.states(pending) == {pending: "PENDING"}
         cluster.run("scancel", pending)
-        out, _ = process.communicate(timeout=300)
+        out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1, out + log(sweep)
     assert jobs(sweep) == submitted
     assert f"Slurm job {pending} ended (CANCELLED) before the run did\n" in out

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROOT = REPOSITORY
+PATIENCE = 600.0  # s: ends what hangs, and never what is slow because other tests use all cores
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def sweep_command(file: Path, *options: str | Path) -> list[str]:
 
 
 def run_sweep(
-    file: Path, *options: str | Path, environment: Mapping[str, str] | None = None, timeout: float = 300.0
+    file: Path, *options: str | Path, environment: Mapping[str, str] | None = None, timeout: float = PATIENCE
 ) -> subprocess.CompletedProcess[str]:
     """Run the script; its output is printed, so that pytest shows it if the test fails."""
     done = subprocess.run(
@@ -139,7 +140,7 @@ def own_algorithm(folder: Path) -> str:
     return "reinforce:REINFORCE"
 
 
-def eventually(condition: Callable[[], Any], seconds: float = 120.0) -> None:
+def eventually(condition: Callable[[], Any], seconds: float = PATIENCE) -> None:
     """Wait until the condition holds; fails after ``seconds``."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -150,7 +151,7 @@ def eventually(condition: Callable[[], Any], seconds: float = 120.0) -> None:
 def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tuple[int, str]:
     """Send a signal; returns the exit code and the output."""
     process.send_signal(number)
-    out, _ = process.communicate(timeout=120)
+    out, _ = process.communicate(timeout=PATIENCE)
     print(out)
     return process.returncode, out
 

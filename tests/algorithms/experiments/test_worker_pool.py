@@ -7,7 +7,6 @@ import os
 import random
 import signal
 import threading
-import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,9 +18,9 @@ from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.worker_pool import DIED, perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
+from tests.helpers.sweep_files import eventually
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 LONG = {"total_timesteps": 60_000, "num_envs": 32}  # some seconds
@@ -31,13 +30,6 @@ pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.skipif(os.nam
 
 def make(jobs: list[Job], workers: int = 1, **options: object) -> dict[Job, str]:
     return perform_all(jobs, workers, Dashboard(jobs, quiet()), **options)
-
-
-def eventually(condition: Callable[[], bool], seconds: float = 120.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "the condition was never met"
-        time.sleep(0.02)
 
 
 def saved(wanted: Job) -> bool:
