@@ -6,6 +6,7 @@
     mo-deepdrive sweep --config FILE --on slurm --dry-run               # print the Slurm batch script
     mo-deepdrive sweep --config FILE --on manifest                      # only write the list of runs
     mo-deepdrive sweep --config FILE --verify                           # make again what is broken
+    mo-deepdrive sweep --output DIR --status                            # show the progress
 
 Run the same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints. The
 sweep's directory has manifest.jsonl, with one line per run, and the run directories; mo-deepdrive table and
@@ -47,9 +48,7 @@ BACKENDS_OF_OPTIONS = {
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "sweep")
-    parser.add_argument(
-        "--config", required=True, metavar="FILE", help="YAML file of the sweep, or the name of a shipped one"
-    )
+    parser.add_argument("--config", metavar="FILE", help="YAML file of the sweep, or the name of a shipped one")
     parser.add_argument("--on", choices=BACKENDS, default="local", help="where to train the runs (default: local)")
     parser.add_argument("--output", type=Path, metavar="DIR", help="the sweep's directory (default: runs/sweeps/NAME)")
     parser.add_argument(
@@ -67,7 +66,10 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
         action="store_true",
         help="check the files of finished runs against their sizes and hashes, and make again what is broken",
     )
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.config is None and not (options.status and options.output):
+        parser.error("--config is required, except for --status with --output")
+    return options
 
 
 def check_options(options: Namespace) -> None:
@@ -92,15 +94,16 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
 
     from algorithms.experiments.progress_bar import make_console
-    from algorithms.sweeps.runner import Backend, SweepRunner
+    from algorithms.sweeps.runner import Backend, SweepRunner, show_status
 
     directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
     try:
         check_options(options)
+        if options.status:
+            show_status(directory, make_console())
+            return 0
         backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
         runner = SweepRunner(load_sweep(options.config), directory, backend, make_console())
-        if options.status:
-            return runner.show_status()
         if options.verify:
             return runner.verify()
         return runner.print_batch_script() if options.dry_run else runner.run()

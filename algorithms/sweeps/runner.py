@@ -84,16 +84,6 @@ class SweepRunner:
             return 128 + interrupts.received
         return 1 if self._failed else 0
 
-    def show_status(self) -> int:
-        """Print how many runs are done, running, failed and waiting; returns the exit code 0.
-
-        Raises:
-            ValueError: if the directory has no manifest.
-        """
-        directories = (self._directory / row.directory for row in iterate_manifest(self._directory))
-        self._say(summary_of(count_states(read_status(directory).get("state") for directory in directories)))
-        return 0
-
     def verify(self) -> int:
         """Check the files of finished runs, then :meth:`run`, which makes again what is broken; returns its exit code.
 
@@ -251,8 +241,22 @@ class SweepRunner:
         return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
 
     def _say(self, text: str) -> None:
-        """Print a line without interpreting markup."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        _say(self._console, text)
+
+
+def show_status(directory: Path, console: Console) -> None:
+    """Print how many runs of the sweep in ``directory`` are done, running, failed and waiting.
+
+    Raises:
+        ValueError: if the directory has no manifest, or a broken one.
+    """
+    states = (read_status(directory / row.directory).get("state") for row in iterate_manifest(directory))
+    _say(console, summary_of(count_states(states)))
+
+
+def _say(console: Console, text: str) -> None:
+    """Print a line without interpreting markup."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def available_cores() -> int:

@@ -102,8 +102,8 @@ def test_a_finished_sweep_is_left_alone_and_new_runs_are_added(call: Call, tmp_p
     code, out, _ = call(file, "--on", "manifest", "--output", sweep)
     assert (code, out) == (0, f"{sweep / 'manifest.jsonl'}: 4 runs\n")
     assert [path.name for path in sweep.iterdir()] == ["manifest.jsonl"]
-    code, out, _ = call(file, "--status", "--output", sweep)
-    assert (code, out) == (0, "0 done, 0 running, 0 failed, 4 waiting of 4\n")
+    progress = call(file, "--status", "--output", sweep)
+    assert progress == (0, "0 done, 0 running, 0 failed, 4 waiting of 4\n", "")
 
     code, out, error = call(file, "--output", sweep, "--workers", "2")
     assert (code, error) == (0, "")
@@ -185,6 +185,23 @@ def test_an_option_of_another_backend_is_refused(call: Call, tmp_path: Path, opt
     assert error.startswith("error: ")
     assert message in error
     assert not (tmp_path / "runs").exists()
+
+
+def test_the_directory_is_enough_to_show_the_progress(
+    script: ModuleType, whole: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert script.main(["--output", str(whole), "--status"]) == 0
+    assert capfd.readouterr() == ("4 done, 0 running, 0 failed, 0 waiting of 4\n", "")
+
+
+@pytest.mark.parametrize("options", [[], ["--status"], ["--output", "sweep"], ["--output", "sweep", "--verify"]])
+def test_a_sweep_needs_its_file_for_all_else(
+    script: ModuleType, capfd: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        script.main(options)
+    assert ended.value.code == 2
+    assert "--config is required, except for --status with --output" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(("backend", "module"), [("ray", "ray"), ("slurm", "submitit")])
