@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from filelock import FileLock
 
 from tests.helpers.sweep_files import Reference, long_runs, run_sweep, write_sweep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 HERE = Path(__file__).parent
 
@@ -31,20 +32,31 @@ def ray_at_normal_priority() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """A sweep of six runs of one second each."""
-    folder = tmp_path_factory.mktemp("short")
-    reference = Reference(
-        write_sweep(folder, seeds=3, resources={"cpus": 0.5}, slurm={"runs_per_job": 2}), folder / "here"
-    )
-    assert run_sweep(reference.file, "--output", reference.directory).returncode == 0
-    return reference
+def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """A temporary folder that is the same in all of pytest's workers."""
+    folder = tmp_path_factory.getbasetemp()
+    return folder if worker_id == "master" else folder.parent
 
 
 @pytest.fixture(scope="session")
-def long(tmp_path_factory: pytest.TempPathFactory) -> Reference:
+def short(shared_folder: Path) -> Reference:
+    """A sweep of six runs of one second each."""
+    settings = {"seeds": 3, "resources": {"cpus": 0.5}, "slurm": {"runs_per_job": 2}}
+    return reference(shared_folder / "short", lambda folder: write_sweep(folder, **settings))
+
+
+@pytest.fixture(scope="session")
+def long(shared_folder: Path) -> Reference:
     """A sweep of two runs of some ten seconds each, to be interrupted."""
-    folder = tmp_path_factory.mktemp("long")
-    reference = Reference(write_sweep(folder, overrides=long_runs(folder), seeds=1), folder / "here")
-    assert run_sweep(reference.file, "--output", reference.directory).returncode == 0
-    return reference
+    return reference(shared_folder / "long", lambda folder: write_sweep(folder, overrides=long_runs(folder), seeds=1))
+
+
+def reference(folder: Path, write: Callable[[Path], Path]) -> Reference:
+    """The sweep that ``write`` describes in ``folder``; whoever comes first trains it, the others wait."""
+    found = Reference(folder / "short.yaml", folder / "here")
+    with FileLock(folder.with_suffix(".lock")):
+        if not folder.exists():
+            folder.mkdir()
+            assert write(folder) == found.file
+            assert run_sweep(found.file, "--output", found.directory).returncode == 0
+    return found
