@@ -116,7 +116,7 @@ def test_a_job_near_its_time_limit_saves_requeues_itself_and_resumes(
         submitted = jobs(sweep)
         for job in submitted:
             cluster.run("scancel", "--signal=USR2", job)
-        eventually(lambda: interrupted(sweep))
+        eventually(lambda: interrupted(sweep), 60)
         out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, out + log(sweep)
     assert jobs(sweep) == submitted  # requeued by themselves, not submitted again
@@ -130,7 +130,7 @@ def test_pre_empted_jobs_are_saved_and_resume(cluster: SlurmCluster, long: Refer
         eventually(lambda: len(runs_in_progress(sweep)) == 2)
         submitted = jobs(sweep)
         cluster.run("sbatch", "--partition=urgent", "--cpus-per-task=2", "--output=/dev/null", "--wrap=sleep 1")
-        eventually(lambda: interrupted(sweep))
+        eventually(lambda: interrupted(sweep), 60)
         out, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, out + log(sweep)
     assert jobs(sweep) == submitted

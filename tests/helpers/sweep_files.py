@@ -54,7 +54,7 @@ def sweep_command(file: Path, *options: str | Path) -> list[str]:
 
 
 def run_sweep(
-    file: Path, *options: str | Path, environment: Mapping[str, str] | None = None, timeout: float = PATIENCE
+    file: Path, *options: str | Path, environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run the script; its output is printed, so that pytest shows it if the test fails."""
     done = subprocess.run(
@@ -63,7 +63,7 @@ def run_sweep(
         cwd=file.parent,
         capture_output=True,
         text=True,
-        timeout=timeout,
+        timeout=PATIENCE,
         check=False,
     )
     print(done.stdout, done.stderr)
@@ -151,7 +151,7 @@ def eventually(condition: Callable[[], Any], seconds: float = PATIENCE) -> None:
 def interrupt(process: subprocess.Popen[str], number: int = signal.SIGINT) -> tuple[int, str]:
     """Send a signal; returns the exit code and the output."""
     process.send_signal(number)
-    out, _ = process.communicate(timeout=PATIENCE)
+    out, _ = process.communicate(timeout=120)
     print(out)
     return process.returncode, out
 
