@@ -73,7 +73,7 @@ from algorithms.evaluation.metrics import (
 )
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
-from algorithms.experiments.config import load_experiment
+from algorithms.experiments.config import check_device, load_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
@@ -489,16 +489,16 @@ def print_comparison(
 
 
 def chosen_place(threads: int | None, device: str | None) -> paired_benchmark.Place:
-    """Where to train: on ``threads`` of the CPU, or with the networks on ``device``.
+    """Where to train: with the networks on ``device``, or on ``threads`` of the CPU.
 
     Raises:
         ValueError: if this machine does not have them.
     """
-    if threads is None:
-        experiment = load_experiment(CONFIGS / "one_waypoint" / "quickstart.yaml", [f"--training.device={device}"])
-        return paired_benchmark.Place(device=experiment.training.device)
+    if device is not None:
+        check_device("--device", device)
+        return paired_benchmark.Place(device=device)
     cores = available_cores()
-    if not 2 <= threads <= cores:
+    if threads is None or not 2 <= threads <= cores:
         raise ValueError(f"--threads {threads} must be from 2 to {cores}, the number of cores")
     return paired_benchmark.Place(threads=threads)
 

@@ -24,7 +24,7 @@ from algorithms.evaluation.metrics import vehicle_name
 from algorithms.evaluation.splits import SPLITS, describe_episodes
 from algorithms.experiments.build import open_driver
 from algorithms.experiments.cli import add_trust_argument, check_directory, make_parser
-from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.console import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.cross_play_report import plot_encounters, summary_rows, write_encounters
 from algorithms.reporting.wide_tables import print_rows

@@ -164,8 +164,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from algorithms.evaluation.front import Front
     from algorithms.experiments.agent_report import film_policies_of_front
     from algorithms.experiments.build import load_policy
+    from algorithms.experiments.console import make_console
     from algorithms.experiments.policy_evaluation import evaluate_front_policies
-    from algorithms.experiments.progress_bar import make_console
 
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):

@@ -45,7 +45,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
 
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):

@@ -61,7 +61,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console, print_line
 
     console = make_console()
     with exit_on_error(ValueError, program=program):
@@ -80,6 +80,6 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
                 here = f"; here {set_here[key.name]}" if key.name in set_here else ""
                 for each in (line + here, *description):
                     text = textwrap.fill(each, console.width, subsequent_indent="    ", break_on_hyphens=False)
-                    console.print(text, markup=False, highlight=False, soft_wrap=True)
+                    print_line(console, text)
             console.print()
     return 0

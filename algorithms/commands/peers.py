@@ -75,7 +75,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options, overrides = parse_arguments(arguments, program)
 
     from algorithms.common.threads import set_threads
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
     from algorithms.peers.listing import peers_table
     from algorithms.peers.running import run_peer
 

@@ -69,7 +69,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     given = parse_arguments(arguments, program)
 
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
     from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
     from algorithms.reproduction.plan import load_plan
     from algorithms.sweeps.runner import available_cores

@@ -93,7 +93,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
     from algorithms.sweeps.runner import Backend, SweepRunner, show_status
 
     directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem

@@ -88,7 +88,7 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> list[Rows]:
     Raises:
         ValueError: for options that do not fit together, or if there is nothing to show.
     """
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
     from algorithms.reporting.seed_tables import print_runs
     from algorithms.sweeps.tables import print_sweep
 

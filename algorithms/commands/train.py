@@ -74,7 +74,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             return int(warn_of_changes(run.path))
     how = resume_options(run.path, run.experiment.to_dict())
     resume_with = as_called(f"resume with: mo-deepdrive train {how}", program)
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
     from algorithms.experiments.training import train_and_finish
 
     with exit_on_error(hint=resume_with):

@@ -15,7 +15,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     make_parser(__doc__, program, "zoo").parse_args(arguments)
 
-    from algorithms.experiments.progress_bar import make_console
+    from algorithms.experiments.console import make_console
     from algorithms.zoo.listing import zoo_table
 
     with exit_on_error(ValueError, OSError, program=program):

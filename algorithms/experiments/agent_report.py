@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.evaluation.splits import describe_episodes
+from algorithms.experiments.console import print_line
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 
@@ -161,8 +162,8 @@ def attempt_film(recording: Callable[[], object], path: str | Path, what: str, c
         seconds = video_seconds(path) if Path(path).is_file() else None
     except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
         reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        console.print(f"no video: {reason}", markup=False, highlight=False, soft_wrap=True)
+        print_line(console, f"no video: {reason}")
         return False
     if seconds is not None:
-        console.print(f"video: {path}: {what}, {seconds:.1f} s", markup=False, highlight=False, soft_wrap=True)
+        print_line(console, f"video: {path}: {what}, {seconds:.1f} s")
     return True

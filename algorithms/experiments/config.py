@@ -242,7 +242,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
 
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     algorithm = attempt(lambda: _algorithm(experiment.algorithm))
-    attempt(lambda: _check_device(experiment.training.device, here))
+    attempt(lambda: check_device("training.device", experiment.training.device, here))
     attempt(lambda: _check_episodes(experiment.evaluation))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
@@ -412,16 +412,21 @@ def _check_episodes(settings: EvaluationSettings) -> dict[str, Any]:
     return {}
 
 
-def _check_device(name: str, here: bool) -> dict[str, Any]:
+def check_device(argument: str, name: str, here: bool = True) -> dict[str, Any]:
+    """Refuse a device that the networks cannot be on; ``here`` means on this machine.
+
+    Raises:
+        ValueError: with the name of the ``argument``.
+    """
     import torch  # as late as this, because it takes seconds and much memory
 
     try:
         device = torch.device(name)
     except RuntimeError:
-        raise ValueError(f"training.device = {name!r} is not a valid device; write cpu, cuda or cuda:0") from None
+        raise ValueError(f"{argument} = {name!r} is not a valid device; write cpu, cuda or cuda:0") from None
     count = torch.cuda.device_count()
     if here and device.type == "cuda" and (device.index or 0) >= count:
-        raise ValueError(f"training.device = {name!r} does not exist; PyTorch finds {count} CUDA devices")
+        raise ValueError(f"{argument} = {name!r} does not exist; PyTorch finds {count} CUDA devices")
     if device.type not in ("cpu", "cuda"):
-        raise ValueError(f"training.device = {name!r} is not supported; write cpu, cuda or cuda:0")
+        raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")
     return {}

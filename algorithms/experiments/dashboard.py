@@ -13,6 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from algorithms.experiments.console import print_line
 from algorithms.experiments.progress_bar import LINE_INTERVAL
 from algorithms.experiments.run_directory import read_status
 
@@ -88,7 +89,7 @@ class Dashboard:
     def failed(self, job: Job, reason: str) -> None:
         """Mark a run as failed and print the reason."""
         self._failed[job.path] = reason
-        self._print(f"FAILED {job.name}: {reason}")
+        print_line(self._console, f"FAILED {job.name}: {reason}")
 
     def update(self, now: bool = False) -> None:
         """Read and show the progress if the last update is long enough ago, or if ``now`` is true."""
@@ -134,10 +135,7 @@ class Dashboard:
 
     def _line(self) -> None:
         self._print_time = monotonic()
-        self._print(f"{self._title}: {self.summary()}")
-
-    def _print(self, text: str) -> None:
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        print_line(self._console, f"{self._title}: {self.summary()}")
 
     def _table(self) -> Group:
         head = Table.grid(padding=(0, 2))

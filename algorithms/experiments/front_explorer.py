@@ -15,6 +15,7 @@ from algorithms.evaluation.metrics import without_vehicle
 from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.cli import CHOICE_EPISODES, CHOICE_SPLIT
 from algorithms.experiments.config import find_environment
+from algorithms.experiments.console import print_line
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import imported_paths
 from algorithms.reporting.explorer.explorable_front import ExplorableFront
@@ -150,9 +151,9 @@ def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
         write_page([front], path, f"Explorer of fronts: {name}")
     except Exception as error:  # as of videos: what is shown must not cost the numbers
         reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        console.print(f"no explorer: {reason}", markup=False, highlight=False, soft_wrap=True)
+        print_line(console, f"no explorer: {reason}")
         return
-    console.print(f"explorer: {path}: open it in a browser", markup=False, highlight=False, soft_wrap=True)
+    print_line(console, f"explorer: {path}: open it in a browser")
 
 
 def explorable_best_known(name: str) -> ExplorableFront:

@@ -136,8 +136,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
-    from rich.console import Console
-
+    from algorithms.experiments.console import make_console
     from algorithms.experiments.training import resume, train_and_finish
 
     try:
@@ -152,8 +151,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
         _keep_wandb_id(job)
         agent = resume(run)
         with (job.path / "train.log").open("a") as log:
-            console = Console(file=log, width=120)
-            if train_and_finish(run, agent, console, resumed=resumed, watch=watch, stop=stop) is not None:
+            if train_and_finish(run, agent, make_console(log), resumed=resumed, watch=watch, stop=stop) is not None:
                 return "stopped"
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error

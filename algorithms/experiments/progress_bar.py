@@ -5,7 +5,6 @@ from __future__ import annotations
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from algorithms.evaluation.metrics import (
@@ -19,19 +18,16 @@ from algorithms.evaluation.metrics import (
     evaluation_prefix,
     split_name,
 )
+from algorithms.experiments.console import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
+    from rich.console import Console
+
 SHOWN = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
-LINE_INTERVAL, LINE_WIDTH = 15.0, 120  # without a terminal: s between lines, and columns
-
-
-def make_console() -> Console:
-    """A console on standard output; if that is not a terminal, it is wide enough for tables."""
-    console = Console()
-    return console if console.is_terminal else Console(width=LINE_WIDTH)
+LINE_INTERVAL = 15.0  # s between lines, without a terminal
 
 
 class ProgressReporter:
@@ -85,7 +81,7 @@ class ProgressReporter:
 
     def say(self, message: str) -> None:
         """Print a message above the bar."""
-        self._console.print(message, markup=False, highlight=False, soft_wrap=True)
+        print_line(self._console, message)
 
     def _numbers(self) -> str:
         """The metrics as text; with several vehicles their mean."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
+from algorithms.experiments.console import print_line
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.shipped import CONFIGS
@@ -133,7 +134,7 @@ def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int
         names = export_policies(runs, plan, results)
         console.print(f"updated the policies {', '.join(names)} in the zoo")
     for job, error in failed.items():
-        console.print(f"FAILED {job.name}: {error}", markup=False, highlight=False, soft_wrap=True)
+        print_line(console, f"FAILED {job.name}: {error}")
     return 1 if failed else 0
 
 

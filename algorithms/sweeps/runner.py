@@ -9,6 +9,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from algorithms.experiments.console import print_line
 from algorithms.experiments.dashboard import Dashboard, count_states, summary_of
 from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import imported_paths, is_run, read_status
@@ -241,7 +242,7 @@ class SweepRunner:
         return f"the jobs stay in Slurm's queue: the same command watches them again, `{cancel}` cancels them"
 
     def _say(self, text: str) -> None:
-        _say(self._console, text)
+        print_line(self._console, text)
 
 
 def show_status(directory: Path, console: Console) -> None:
@@ -251,12 +252,7 @@ def show_status(directory: Path, console: Console) -> None:
         ValueError: if the directory has no manifest, or a broken one.
     """
     states = (read_status(directory / row.directory).get("state") for row in iterate_manifest(directory))
-    _say(console, summary_of(count_states(states)))
-
-
-def _say(console: Console, text: str) -> None:
-    """Print a line without interpreting markup."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    print_line(console, summary_of(count_states(states)))
 
 
 def available_cores() -> int:

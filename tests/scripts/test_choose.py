@@ -52,7 +52,7 @@ Choose = Callable[..., Done]
 @pytest.fixture
 def choose(call: Call, monkeypatch: pytest.MonkeyPatch) -> Choose:
     """Run the script in the test's folder, on lines long enough for its table."""
-    monkeypatch.setattr("algorithms.experiments.progress_bar.make_console", lambda: Console(width=250))
+    monkeypatch.setattr("algorithms.experiments.console.make_console", lambda: Console(width=250))
     return functools.partial(call, "choose")
 
 

@@ -147,7 +147,7 @@ def test_every_algorithm_is_measured(paired: ModuleType) -> None:
         (["--only", "make"], "--only and --pairs are for --against COMMIT, --threads COUNT and --device D"),
         (["--against", "HEAD", "--threads", "2"], "make one at a time"),
         (["--device", "cuda", "--threads", "2"], "make one at a time"),
-        (["--device", "abacus"], "'abacus' is not a valid device"),
+        (["--device", "abacus"], "--device = 'abacus' is not a valid device"),
         (["--device", "cuda:99"], "'cuda:99' does not exist"),
         (["--device", "cuda:99", "--only", "make"], "'make' matches no measurement; known: a2c-64-32-discrete"),
         (["--threads", "1"], "--threads 1 must be from 2 to "),

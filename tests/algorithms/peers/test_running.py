@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from algorithms.experiments.config import load_experiment
-from algorithms.experiments.progress_bar import make_console
+from algorithms.experiments.console import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front, prepare, run_peer

@@ -60,7 +60,7 @@ def call(
     """Run a script in the test's folder, with a console wide enough for its tables."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("algorithms.experiments.progress_bar.make_console", lambda: Console(width=250))
+    monkeypatch.setattr("algorithms.experiments.console.make_console", lambda: Console(width=250))
 
     def call(script: str, *arguments: Any) -> Done:
         capfd.readouterr()
