@@ -517,7 +517,7 @@ class FrontAgent(Agent):
             front,
             reference_point=plan.reference_point,
             reference_front=plan.reference_front,
-            scales=np.tile(self.env.objective_scales, self.env.vehicles),
+            scales=self.env.joint_scales,
         )
         vehicles = self.env.vehicles
         for v, best in enumerate(front.returns.max(axis=0).reshape(vehicles, -1)):

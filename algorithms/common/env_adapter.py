@@ -171,6 +171,11 @@ class EnvAdapter:
         self._was_over = np.zeros((self.num_envs, 1), dtype=np.bool_)
         self.bare = env if type(env) is DrivingVectorEnv else None
 
+    @property
+    def joint_scales(self) -> NDArray[np.float32]:
+        """(V d,) :attr:`objective_scales` for each vehicle in turn."""
+        return np.tile(self.objective_scales, self.vehicles)
+
     def chosen_objective_scales(self, scales: Sequence[float] | None) -> NDArray[np.float32]:
         """``scales`` (d,), or the environment's own where they are None.
 

@@ -73,8 +73,7 @@ def report_front(
     env = make_env(env_id, 1, dict(env_arguments))
     try:
         reference_front = best_known_front(env, front.gamma)
-        adapter = EnvAdapter(env)
-        scales = np.tile(adapter.objective_scales, adapter.vehicles)
+        scales = EnvAdapter(env).joint_scales
     finally:
         env.close()
     measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
