@@ -39,10 +39,10 @@ def test_fronts_are_shipped_where_the_package_reads_them() -> None:
 def test_the_same_seed_finds_the_same_front_and_another_seed_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front_search, "POPULATION", 256)
+    monkeypatch.setattr(front_search, "POPULATION", 64)
     # More than RULE_GENERATIONS generations, so that there are offspring too.
     first, second, other = (
-        improve_front(FrontSearchSettings(decisions=600_000, seed=seed), tmp_path / "missing.json")
+        improve_front(FrontSearchSettings(decisions=150_000, seed=seed), tmp_path / "missing.json")
         for seed in (0, 0, 1)
     )
     assert first == second
