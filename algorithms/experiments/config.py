@@ -233,9 +233,9 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     experiment = parse(Experiment, values, what)
     problems: list[str] = []
 
-    def attempt(check: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    def attempt(check: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
         try:
-            return check()
+            return check() or {}
         except ValueError as error:
             problems.append(str(error))
             return {}
@@ -371,7 +371,7 @@ def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
     return {"name": name, **config.model_dump(mode="json")}
 
 
-def _check_utility(experiment: Experiment) -> dict[str, Any]:
+def _check_utility(experiment: Experiment) -> None:
     name = experiment.algorithm["name"]
     if experiment.known_utility and experiment.utility is None:
         raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
@@ -380,7 +380,6 @@ def _check_utility(experiment: Experiment) -> dict[str, Any]:
             f"utility = {experiment.utility.name!r}: algorithm {name!r} learns a front for every utility; leave the "
             "section out (mo-deepdrive choose applies a utility to the front)"
         )
-    return {}
 
 
 def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -406,13 +405,12 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
     return {"reference_point": point.values.tolist()}
 
 
-def _check_episodes(settings: EvaluationSettings) -> dict[str, Any]:
+def _check_episodes(settings: EvaluationSettings) -> None:
     check_episodes("evaluation.episodes", settings.episodes, "validation")
     check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
-    return {}
 
 
-def check_device(argument: str, name: str, here: bool = True) -> dict[str, Any]:
+def check_device(argument: str, name: str, here: bool = True) -> None:
     """Refuse a device that the networks cannot be on; ``here`` means on this machine.
 
     Raises:
@@ -429,4 +427,3 @@ def check_device(argument: str, name: str, here: bool = True) -> dict[str, Any]:
         raise ValueError(f"{argument} = {name!r} does not exist; PyTorch finds {count} CUDA devices")
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")
-    return {}

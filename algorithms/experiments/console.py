@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import IO
-
 from rich.console import Console
 
-WIDTH = 120  # columns, without a terminal
+WIDTH = 120  # columns, of files and where there is no terminal
 
 
-def make_console(file: IO[str] | None = None) -> Console:
-    """A console on ``file``, or else on standard output; if that is not a terminal, it is wide enough for tables."""
-    console = Console(file=file)
-    return console if console.is_terminal else Console(file=file, width=WIDTH)
+def make_console() -> Console:
+    """A console on standard output; if that is not a terminal, it is wide enough for tables."""
+    console = Console()
+    return console if console.is_terminal else Console(width=WIDTH)
 
 
 def print_line(console: Console, text: str) -> None:

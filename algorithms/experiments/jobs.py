@@ -136,7 +136,9 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
-    from algorithms.experiments.console import make_console
+    from rich.console import Console
+
+    from algorithms.experiments.console import WIDTH
     from algorithms.experiments.training import resume, train_and_finish
 
     try:
@@ -151,7 +153,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
         _keep_wandb_id(job)
         agent = resume(run)
         with (job.path / "train.log").open("a") as log:
-            if train_and_finish(run, agent, make_console(log), resumed=resumed, watch=watch, stop=stop) is not None:
+            console = Console(file=log, width=WIDTH)
+            if train_and_finish(run, agent, console, resumed=resumed, watch=watch, stop=stop) is not None:
                 return "stopped"
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error

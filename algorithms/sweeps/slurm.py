@@ -17,9 +17,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import submitit
+from rich.console import Console
 
 from algorithms.common.atomic_io import write_json
-from algorithms.experiments.console import make_console
+from algorithms.experiments.console import WIDTH
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import read_status
@@ -70,7 +71,7 @@ class ArrayTask:
 
         def work() -> None:
             try:
-                with Dashboard(jobs, make_console(), "this job") as monitor:
+                with Dashboard(jobs, Console(width=WIDTH), "this job") as monitor:
                     result.append(perform_all(jobs, self.side_by_side, monitor, retries=self.retries, stop=stop.is_set))
             except BaseException as error:
                 result.append(error)
