@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 from algorithms.agent import Agent
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import (
     ACCRUED_GAMMA,
     GENERATOR,
@@ -30,8 +29,9 @@ from algorithms.common.guides import Guides
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, Episodes, Rollout, VehicleRollout
 from algorithms.common.trained_networks import TrainedNetworks
-from algorithms.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
-from algorithms.evaluation.team import check_same_task
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
+from mo_deepdrive.evaluation.policy import check_same_task
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.guides import Guide
-    from algorithms.evaluation.episodes import UtilityLike
-    from algorithms.evaluation.team import Population
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.episodes import UtilityLike
+    from mo_deepdrive.evaluation.team import Population
     from mo_deepdrive.utilities import Utility
 
 
@@ -119,7 +119,7 @@ class ActorCritic(Agent):
     """Base of the actor-critic agents: one independent learner per vehicle.
 
     Args:
-        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.

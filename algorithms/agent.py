@@ -26,12 +26,13 @@ from algorithms.common.checkpoints import (
     strip_prefix,
     write_checkpoint,
 )
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.rollout import Episodes
 from algorithms.common.threads import limited_threads
-from algorithms.evaluation.episodes import evaluate, evaluate_each, vehicle_utilities
-from algorithms.evaluation.front import Front, measure_front
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.config import Settings, parse
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each, vehicle_utilities
+from mo_deepdrive.evaluation.front import Front, measure_front
+from mo_deepdrive.evaluation.metrics import (
     FRONT,
     GREEDY,
     STEPS_PER_SECOND,
@@ -43,8 +44,7 @@ from algorithms.evaluation.metrics import (
     summarise,
     vehicle_prefix,
 )
-from algorithms.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
-from mo_deepdrive.config import Settings, parse
+from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,8 +52,10 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.evaluation.episodes import Evaluation, Policy, UtilityLike
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.episodes import UtilityLike
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.utilities import Utility
 
 EVALUATION_INTERVALS = 20
@@ -103,7 +105,7 @@ class Agent(ABC):
 
     - :class:`algorithms.common.rollout.Collector`: T steps of all environments as one rollout, and the episodes that
       ended; its state is part of the agent's unless every update resets it.
-    - :class:`algorithms.common.env_adapter.EnvAdapter`, which is ``env``: reset and step in the shapes (N, V, ...).
+    - :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`, which is ``env``: reset and step in shapes (N, V, ...).
     - :mod:`algorithms.common.networks`, with :class:`algorithms.common.hyperparameters.NetworkSettings` for a Config.
     - :mod:`algorithms.common.advantages` and :mod:`algorithms.common.optimisers`.
 
@@ -111,7 +113,7 @@ class Agent(ABC):
     be repeated and resumed bit for bit.
 
     Args:
-        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle; None for
             agents that learn a front.
         seed: determines the run, bit for bit on one machine.
@@ -427,7 +429,7 @@ class FrontAgent(Agent):
     - :meth:`policies`: what acts under conditions.
 
     Args:
-        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
         **hyperparameters: fields of the class's Config.
@@ -499,7 +501,7 @@ class FrontAgent(Agent):
         """Evaluate the greedy policy under each of :meth:`conditions` and keep the non-dominated policies.
 
         Args:
-            env: a raw environment, from `algorithms.common.env_adapter.make_env`; not the one that trains.
+            env: a raw environment, from `mo_deepdrive.evaluation.env_adapter.make_env`; not the one that trains.
             episodes: per policy; one is enough where every episode is the same.
             seed: of the first episode.
             gamma: discount of the returns by which policies dominate each other.
@@ -529,7 +531,7 @@ class FrontAgent(Agent):
 class PolicyOfFront(ABC):
     """An agent that learns a front, under conditions: base of what :meth:`FrontAgent.policies` returns.
 
-    It is a policy in the sense of :class:`algorithms.evaluation.episodes.Policy`; a subclass has the conditions and
+    It is a policy in the sense of :class:`mo_deepdrive.evaluation.policy.Policy`; a subclass has the conditions and
     defines :meth:`act`.
 
     Attributes:

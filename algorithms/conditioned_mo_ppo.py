@@ -83,7 +83,6 @@ import torch
 from pydantic import Field, model_validator
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.actors import make_actor
 from algorithms.common.advantages import generalised_advantages, normalise
 from algorithms.common.checkpoints import GENERATOR, GUIDES, PRICE, RHO, restore_generator, strip_prefix
@@ -106,7 +105,8 @@ from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedu
 from algorithms.common.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
 from algorithms.common.rollout import Collector, Samples
 from algorithms.common.trained_networks import TrainedNetworks
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
+from mo_deepdrive.evaluation.metrics import (
     APPROX_KL,
     CLIP_FRACTION,
     ENTROPY,
@@ -116,7 +116,7 @@ from algorithms.evaluation.metrics import (
     VALUE_LOSS,
     vehicle_prefix,
 )
-from algorithms.evaluation.team import check_same_task
+from mo_deepdrive.evaluation.policy import check_same_task
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -124,10 +124,10 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.guides import Guide
     from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 
 
 class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
@@ -364,7 +364,7 @@ class ConditionedMOPPO(FrontAgent):
     """MO-PPO conditioned on preferences, one independent learner per vehicle, each with a preference of its own.
 
     Args:
-        env: a vector environment with vector rewards, from `algorithms.common.env_adapter.make_env`.
+        env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
         guides: what begins episodes.

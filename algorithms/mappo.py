@@ -52,16 +52,16 @@ from algorithms.common.losses import clipped_surrogate, mean, policy_change, squ
 from algorithms.common.networks import make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.rollout import Samples
-from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
+from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from gymnasium.vector import VectorEnv
 
-    from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import Rollout, VehicleRollout
-    from algorithms.evaluation.episodes import UtilityLike
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.utilities import Utility
 
 

@@ -70,11 +70,11 @@ from algorithms.common.losses import Loss, weighted_sum
 from algorithms.common.networks import centralised_inputs, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.return_distributions import CategoricalGrid, Particles, ReturnDistribution
-from algorithms.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
+from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 
 

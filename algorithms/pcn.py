@@ -42,7 +42,6 @@ from pydantic import Field
 from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from algorithms.common.checkpoints import GENERATOR, all_finite, restore_generator, strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
@@ -56,10 +55,11 @@ from algorithms.common.hyperparameters import (
 )
 from algorithms.common.networks import CommandNetwork
 from algorithms.common.optimisers import Adam, linear_schedule
-from algorithms.common.pareto import farthest_point_subset
 from algorithms.common.rollout import Episodes
-from algorithms.evaluation import metrics
 from mo_deepdrive.config import Settings
+from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
+from mo_deepdrive.evaluation.pareto import farthest_point_subset
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -125,7 +125,8 @@ class PCN(FrontAgent):
     """Pareto Conditioned Networks.
 
     Args:
-        env: a vector environment with vector rewards and one vehicle, from `algorithms.common.env_adapter.make_env`.
+        env: a vector environment with vector rewards and one vehicle, from
+            `mo_deepdrive.evaluation.env_adapter.make_env`.
         seed: determines the run, bit for bit on one machine.
         device: of the network.
         **hyperparameters: fields of PCNConfig.

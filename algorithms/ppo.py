@@ -44,11 +44,11 @@ from algorithms.common.losses import clipped_surrogate, mean, policy_change, squ
 from algorithms.common.networks import centralised_inputs, make_network
 from algorithms.common.optimisers import Adam
 from algorithms.common.rollout import Samples
-from algorithms.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
+from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from algorithms.common.env_adapter import EnvAdapter
     from algorithms.common.rollout import VehicleRollout
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 
 

@@ -48,13 +48,22 @@ from rich.table import Table
 
 import mo_deepdrive
 from algorithms import ALGORITHMS
-from algorithms.common.atomic_io import write_json
-from algorithms.common.env_adapter import make_env
-from algorithms.common.pareto import hypervolume
 from algorithms.common.threads import set_threads
 from algorithms.common.yaml_io import dump
-from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import (
+from algorithms.experiments.build import build
+from algorithms.experiments.cli import make_parser
+from algorithms.experiments.config import check_device, load_experiment
+from algorithms.experiments.policy_evaluation import evaluate_front
+from algorithms.peers import PEERS
+from algorithms.peers.running import evaluate_front as evaluate_peer_front
+from algorithms.peers.running import prepare
+from algorithms.sweeps.collection import FOLDER as COLLECTED
+from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
+from algorithms.sweeps.runner import available_cores
+from mo_deepdrive.atomic_io import write_json
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import (
     COMFORT,
     GREEDY,
     LENGTH,
@@ -71,16 +80,7 @@ from algorithms.evaluation.metrics import (
     mean_of,
     return_of,
 )
-from algorithms.experiments.build import build
-from algorithms.experiments.cli import make_parser
-from algorithms.experiments.config import check_device, load_experiment
-from algorithms.experiments.policy_evaluation import evaluate_front
-from algorithms.peers import PEERS
-from algorithms.peers.running import evaluate_front as evaluate_peer_front
-from algorithms.peers.running import prepare
-from algorithms.sweeps.collection import FOLDER as COLLECTED
-from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
-from algorithms.sweeps.runner import available_cores
+from mo_deepdrive.evaluation.pareto import hypervolume
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from algorithms.evaluation.splits import SPLITS
-from algorithms.evaluation.statistics import rate
 from algorithms.planning.best_first_search import LETTERS
 from algorithms.planning.solvability import ScenarioOutcome, describe_geometry, solve_scenarios, write_outcomes
+from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.evaluation.statistics import rate
 
 
 def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:

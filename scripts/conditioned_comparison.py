@@ -20,13 +20,13 @@ from result_file import check_folder, read_results, write_results
 from rich.console import Console
 from rich.table import Table
 
-from algorithms.common.env_adapter import EnvAdapter
-from algorithms.evaluation.front import best_known_front, indicators
-from algorithms.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluation_env
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.front import best_known_front, indicators
+from mo_deepdrive.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -25,12 +25,12 @@ from rich.console import Console
 from rich.table import Table
 
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
-from algorithms.evaluation.metrics import vehicle_name
-from algorithms.evaluation.splits import SPLITS, check_episodes
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import add_trust_argument, exit_on_error, make_parser
 from algorithms.experiments.policy_evaluation import evaluation_env
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.metrics import vehicle_name
+from mo_deepdrive.evaluation.splits import SPLITS, check_episodes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

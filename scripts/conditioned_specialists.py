@@ -25,21 +25,21 @@ from rich.table import Table
 
 from algorithms.common.preferences import LINEAR
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO, ConditionedMOPPOConfig
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment, make_experiment
 from algorithms.experiments.policy_evaluation import evaluation_env
 from algorithms.mo_ppo import MOPPOConfig
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.episodes import Evaluation
     from algorithms.experiments.config import Experiment
+    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 PREFERENCES_SEED = 1  # of the preferences; those of the front have another
 SPECIALIST_SEED = 0

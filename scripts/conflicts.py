@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from algorithms.evaluation.splits import SPLITS, describe_episodes
 from algorithms.experiments.cli import make_parser
 from algorithms.planning.conflicts import ARRIVALS, find_conflicts, find_rule_conflicts, plot_conflicts, write_conflicts
 from algorithms.reporting.wide_tables import print_rows
+from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:

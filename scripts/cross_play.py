@@ -17,22 +17,22 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.driving.intersection_rules import SCENARIO
-from algorithms.evaluation.cross_play import ROLES, cross_play
-from algorithms.evaluation.metrics import vehicle_name
-from algorithms.evaluation.splits import SPLITS, describe_episodes
 from algorithms.experiments.build import open_driver
 from algorithms.experiments.cli import add_trust_argument, check_directory, make_parser
 from algorithms.experiments.console import make_console
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.cross_play_report import plot_encounters, summary_rows, write_encounters
 from algorithms.reporting.wide_tables import print_rows
+from mo_deepdrive.evaluation.cross_play import ROLES, cross_play
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.metrics import vehicle_name
+from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
 
 if TYPE_CHECKING:
     import argparse
 
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.policy import Policy
 
 
 def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:

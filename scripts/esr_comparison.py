@@ -23,13 +23,13 @@ from rich.console import Console
 from rich.table import Table
 from tuned_comparison import RATES, TUNING_SEED, Result, Run
 
-from algorithms.evaluation.metrics import STOCHASTIC, SUCCESS, UTILITY_ESR
-from algorithms.evaluation.statistics import mean
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment, make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_policies
 from algorithms.mocac import MOCACConfig
+from mo_deepdrive.evaluation.metrics import STOCHASTIC, SUCCESS, UTILITY_ESR
+from mo_deepdrive.evaluation.statistics import mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from algorithms.evaluation.splits import SPLITS, describe_episodes, first_seed
 from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
 from algorithms.experiments.run_directory import Run
 from algorithms.planning.left_turn_front import JointFront, drive_rules, drive_run
 from algorithms.reporting.wide_tables import print_rows
+from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes, first_seed
 
 if TYPE_CHECKING:
     import argparse

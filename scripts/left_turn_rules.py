@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, get_args
 
 from rich.console import Console
 
-from algorithms.evaluation.splits import SPLITS, describe_episodes
 from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
 from algorithms.experiments.run_directory import Run
 from algorithms.planning.rules_report import (
@@ -31,6 +30,7 @@ from algorithms.planning.rules_report import (
 )
 from algorithms.reporting.wide_tables import print_rows
 from mo_deepdrive.config import ActionType, Traffic
+from mo_deepdrive.evaluation.splits import SPLITS, describe_episodes
 
 if TYPE_CHECKING:
     import argparse

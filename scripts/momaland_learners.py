@@ -23,10 +23,10 @@ from rich.console import Console
 
 import mo_deepdrive
 from algorithms.commands.peers import seed_everything
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.evaluation import evaluate
-from algorithms.evaluation.metrics import vehicle_name
 from algorithms.experiments.cli import check_file, make_parser
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation import evaluate
+from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.extras import needed_for
 from mo_deepdrive.objectives import scales
 from mo_deepdrive.utilities import make_utility

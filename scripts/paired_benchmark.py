@@ -115,7 +115,7 @@ def training(
 ) -> float:
     """Environment steps per CPU second of an actor-critic with the default settings; on the clock in a place."""
     import algorithms
-    from algorithms.common.env_adapter import make_env
+    from mo_deepdrive.evaluation.env_adapter import make_env
     from mo_deepdrive.utilities import make_utility
 
     if place is not None:
@@ -144,7 +144,7 @@ def shipped(config: str, updates: int, place: Place | None = None) -> float:
 def pcn(gradient_steps: int, batch_size: int) -> float:
     """Environment steps per CPU second of PCN on OneWaypoint, with the network and buffer of the shipped YAML file."""
     import algorithms
-    from algorithms.common.env_adapter import make_env
+    from mo_deepdrive.evaluation.env_adapter import make_env
 
     env = make_env(ONE_WAYPOINT, PCN_ENVS, {"fixed_destination": True})
     settings = {"hidden": [64, 64], "learning_rate": 3e-3, "persistence": 0.95, "buffer_size": 100}

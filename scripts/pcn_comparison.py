@@ -25,8 +25,6 @@ from rich.progress import track
 from rich.table import Table
 
 from algorithms.commands.peers import seed_everything
-from algorithms.common.pareto import hypervolume
-from algorithms.evaluation.statistics import mean
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import make_experiment
@@ -34,12 +32,14 @@ from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
+from mo_deepdrive.evaluation.pareto import hypervolume
+from mo_deepdrive.evaluation.statistics import mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from algorithms.evaluation.front import Front
     from algorithms.experiments.config import Experiment
+    from mo_deepdrive.evaluation.front import Front
 
 OURS, THEIRS = "pcn", "morl_baselines.pcn"
 LEARNERS = (OURS, THEIRS)

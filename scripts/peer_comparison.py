@@ -26,10 +26,6 @@ from rich.table import Table
 from tuned_comparison import TUNING_SEED, Result, Run
 
 from algorithms.commands.peers import seed_everything
-from algorithms.evaluation.front import indicators
-from algorithms.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME, STOCHASTIC, SUCCESS, UTILITY_ESR
-from algorithms.evaluation.splits import SPLITS
-from algorithms.evaluation.statistics import mean
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import make_experiment
@@ -37,6 +33,10 @@ from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_po
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
+from mo_deepdrive.evaluation.front import indicators
+from mo_deepdrive.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME, STOCHASTIC, SUCCESS, UTILITY_ESR
+from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.evaluation.statistics import mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

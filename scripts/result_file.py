@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser

@@ -23,14 +23,14 @@ from rich.console import Console
 from rich.table import Table
 
 from algorithms import zoo
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.return_distributions import CategoricalGrid, Particles, ReturnDistribution, project
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.splits import check_episodes
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.run_directory import Run
 from algorithms.mocac import WIDE
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.splits import check_episodes
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:

@@ -35,23 +35,24 @@ from rich.progress import track
 from rich.table import Table
 
 from algorithms import ALGORITHMS
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.common.env_adapter import make_env
 from algorithms.common.threads import set_threads
-from algorithms.evaluation.episodes import Policy, evaluate
-from algorithms.evaluation.metrics import SUCCESS
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import make_experiment
 from algorithms.peers import PEERS
 from algorithms.peers.running import prepare
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.metrics import SUCCESS
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from algorithms.evaluation.function_policy import PolicyFunction
     from algorithms.peers import PeerTask
+    from mo_deepdrive.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.policy import Policy
 
 ONE_WAYPOINT, CARTPOLE = "mo-deepdrive-one-waypoint-v0", "CartPole-v1"
 VECTOR_CARTPOLE = "mo-deepdrive-benchmark-cartpole-v0"

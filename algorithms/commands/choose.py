@@ -19,13 +19,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.common.yaml_io import read_value
-from algorithms.evaluation.choice import (
-    ChoiceCriterion,
-    distance_to_target,
-    expected_utility,
-    rank_policies,
-    weighted_sum,
-)
 from algorithms.experiments.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
@@ -40,6 +33,13 @@ from algorithms.experiments.cli import (
 )
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.config import UtilityChoice, parse
+from mo_deepdrive.evaluation.choice import (
+    ChoiceCriterion,
+    distance_to_target,
+    expected_utility,
+    rank_policies,
+    weighted_sum,
+)
 from mo_deepdrive.utilities import check_utility, make_utility
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.table import Table
 
-    from algorithms.evaluation.episodes import Evaluation
-    from algorithms.evaluation.front import Front
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.front import Front
 
 RUNNERS_UP = 4
 
@@ -122,7 +122,7 @@ def choice_table(
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate, mean, rate
+    from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, rate
 
     chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
@@ -161,11 +161,11 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.evaluation.front import Front
     from algorithms.experiments.agent_report import film_policies_of_front
     from algorithms.experiments.build import load_policy
     from algorithms.experiments.console import make_console
     from algorithms.experiments.policy_evaluation import evaluate_front_policies
+    from mo_deepdrive.evaluation.front import Front
 
     console = make_console()
     with exit_on_error(ValueError, OSError, program=program):

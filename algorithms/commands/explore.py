@@ -71,9 +71,9 @@ def _explorable_run(name: str, options: Namespace, program: str) -> ExplorableFr
     Raises:
         ValueError: if it has no front, or its files do not fit this version.
     """
-    from algorithms.evaluation.front import Front
     from algorithms.experiments.build import load_policy
     from algorithms.experiments.front_explorer import choose_command, explorable
+    from mo_deepdrive.evaluation.front import Front
 
     run = Run.open(name, device="cpu", trust=options.trust)
     if run.experiment.known_utility:

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from algorithms.agent import Agent
-    from algorithms.evaluation.policy_driver import PolicyDriver
     from mo_deepdrive.envs.vector import DrivingVectorEnv
+    from mo_deepdrive.evaluation.policy_driver import PolicyDriver
     from mo_deepdrive.play import EpisodeOutcome
 
 ENVIRONMENT: dict[str, str] = {}  # SDL chooses the driver of the window
@@ -89,8 +89,8 @@ def open_environment(options: argparse.Namespace) -> tuple[DrivingVectorEnv, Age
         env = make_play_env(options.env)
         return env, None, list(range(env.vehicles))
     with needed_for("--against"):
-        from algorithms.evaluation.metrics import vehicle_name
         from algorithms.experiments.build import load_policy
+        from mo_deepdrive.evaluation.metrics import vehicle_name
     run = Run.open(options.against, device="cpu", trust=options.trust)
     theirs = run.experiment.environment
     if find_environment(theirs.id).id != spec.id:
@@ -125,7 +125,7 @@ def make_driver(agent: Agent, options: argparse.Namespace) -> PolicyDriver:
     """The trained policy as a driver."""
     import torch
 
-    from algorithms.evaluation.policy_driver import PolicyDriver
+    from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 
     generator = torch.Generator().manual_seed(options.seed or 0) if options.stochastic else None
     return PolicyDriver(agent, generator)

@@ -25,10 +25,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.experiments.cli import INSTALLED, as_called, check_file, make_parser
 from algorithms.experiments.run_files import changed_files
 from algorithms.sweeps.manifest import is_sweep
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -66,9 +66,9 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
     Raises:
         ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
     """
-    from algorithms.evaluation.front import EVALUATION_FILE
     from algorithms.experiments.run_directory import read_status
     from algorithms.reporting.seed_tables import find_runs
+    from mo_deepdrive.evaluation.front import EVALUATION_FILE
 
     runs = []
     for run in find_runs(paths):

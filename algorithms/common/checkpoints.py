@@ -12,7 +12,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_safetensors
 
-from algorithms.common.atomic_io import atomic_write
+from mo_deepdrive.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from algorithms.common.pareto import crowding_distances, farthest_point_subset, non_dominated
+from mo_deepdrive.evaluation.pareto import crowding_distances, farthest_point_subset, non_dominated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

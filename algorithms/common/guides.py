@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.common.accrued_reward import AccruedReward
     from algorithms.common.hyperparameters import GuideSettings
     from algorithms.common.rollout import Rollout
-    from algorithms.evaluation.team import Population
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.team import Population
 
 
 class Guide:

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from pydantic import Field, model_validator
 
-from algorithms.common.accrued_reward import SMALLEST_DISCOUNT
 from algorithms.common.hyperparameters import NonNegative, Positive
 from mo_deepdrive.config import Settings
+from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

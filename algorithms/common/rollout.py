@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from algorithms.common.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
-    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 
 # By which accrued rewards and discounts may differ from exact ones: relative, and of discounts absolute.
 ROUNDING, TINY = 1e-3, 1e-6

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from algorithms.common.atomic_io import DEEPEST
+from mo_deepdrive.atomic_io import DEEPEST
 
 MOST_VALUES = 100_000  # of a file, after its aliases are expanded
 LARGEST = 2**63 - 1  # integer

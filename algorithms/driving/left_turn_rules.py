@@ -134,7 +134,7 @@ class LeftTurner:
 
 
 class GapDriver:
-    """A driver that follows a :class:`GapRule`, as a policy for :func:`algorithms.evaluation.episodes.evaluate`.
+    """A driver that follows a :class:`GapRule`, as a policy for :func:`mo_deepdrive.evaluation.episodes.evaluate`.
 
     It remembers in which episodes it goes. An episode in which no reward has accrued has only begun.
 

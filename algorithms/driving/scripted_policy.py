@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 
 
 class ScriptedPolicy:
-    """A policy (:class:`algorithms.evaluation.episodes.Policy`) of which one vehicle follows a script, and others idle.
+    """A policy (:class:`mo_deepdrive.evaluation.policy.Policy`) of which one vehicle follows a script, and others idle.
 
     Args:
         env: where it drives.

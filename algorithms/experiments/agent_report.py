@@ -8,20 +8,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
-from algorithms.evaluation.splits import describe_episodes
 from algorithms.experiments.console import print_line
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.reporting.tables import evaluation_table, write_evaluation
+from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
+from mo_deepdrive.evaluation.splits import describe_episodes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rich.console import Console
 
-    from algorithms.evaluation.episodes import Policy
-    from algorithms.evaluation.front import Front
     from algorithms.experiments.config import Experiment
+    from mo_deepdrive.evaluation.front import Front
+    from mo_deepdrive.evaluation.policy import Policy
 
 
 def report_agent(

@@ -9,17 +9,18 @@ import numpy as np
 import torch
 
 from algorithms.common.checkpoints import read_checkpoint
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.guides import Guide
 from algorithms.common.threads import set_threads
 from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
 from algorithms.driving.scripted_policy import ScriptedPolicy
-from algorithms.evaluation.front import check_reference_point
-from algorithms.evaluation.metrics import joint_objectives, vehicle_name
-from algorithms.evaluation.team import Population, check_same_task
 from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.front import check_reference_point
+from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name
+from mo_deepdrive.evaluation.policy import check_same_task
+from mo_deepdrive.evaluation.team import Population
 from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import Agent
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.policy import Policy
 
 
 DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver

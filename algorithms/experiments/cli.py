@@ -14,10 +14,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
 from algorithms.experiments.run_files import changed_files
+from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 import mo_deepdrive
 from algorithms.common.hyperparameters import GuideSettings
 from algorithms.common.yaml_io import read_mapping, read_value
-from algorithms.evaluation.metrics import vehicle_name
-from algorithms.evaluation.splits import SPLITS, Split, check_episodes
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, parse
+from mo_deepdrive.evaluation.metrics import vehicle_name
+from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.names import nearest
 from mo_deepdrive.scenarios import SCENARIOS
@@ -108,7 +108,7 @@ class EvaluationSettings(Settings):
         interval: environment steps between evaluations during training; None for a twentieth of the training.
         episodes: episodes per evaluation during training, which are the first ones of the validation split.
         final_episodes: episodes of the evaluation at the end.
-        split: the split of scenario seeds (:mod:`algorithms.evaluation.splits`) of the evaluation at the end;
+        split: the split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end;
             "validation" for runs that are compared in order to choose one.
         gamma: discount of the reported discounted returns.
         reference_point: reference point of a front's hypervolume, one number per objective; None for the default of

@@ -8,11 +8,6 @@ from typing import TYPE_CHECKING, Any
 import moocore
 import numpy as np
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.drives import PlanDriver, PoliciesDriver, is_drivable, record_scenes
-from algorithms.evaluation.front import Front, best_known_front
-from algorithms.evaluation.metrics import without_vehicle
-from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.cli import CHOICE_EPISODES, CHOICE_SPLIT
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.console import print_line
@@ -22,6 +17,11 @@ from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import EXPLORER_FILE, write_page
 from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
+from mo_deepdrive.evaluation.drives import PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.front import Front, best_known_front
+from mo_deepdrive.evaluation.metrics import without_vehicle
+from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import COMFORT_BUDGETS, NONLINEAR, ComfortBudget
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.agent import FrontAgent
-    from algorithms.evaluation.drives import Scene
     from algorithms.experiments.config import Experiment
     from algorithms.experiments.run_directory import Run
+    from mo_deepdrive.evaluation.drives import Scene
 
 SCENARIOS_SHOWN = 3  # of a front whose episodes differ
 BEST_KNOWN = "best-known/"  # before the name of a best-known front

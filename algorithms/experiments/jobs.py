@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.common.atomic_io import atomic_write
 from algorithms.common.yaml_io import dump, read_mapping
-from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Stopped, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
+from algorithms.reporting.seed_groups import INCIDENTAL
+from mo_deepdrive.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Callable

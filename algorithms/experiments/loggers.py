@@ -9,10 +9,10 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import MetricsFile
-from algorithms.evaluation.metrics import split_name
 from algorithms.reporting.seed_tables import TABLE_METRICS
+from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.evaluation.metrics import split_name
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
 if TYPE_CHECKING:

@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.evaluation.episodes import OTHER_ENVS, OUR_ENVS, Evaluation, Policy, evaluate
-from algorithms.evaluation.metrics import GREEDY, STOCHASTIC
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.config import EnvironmentSettings, Experiment, find_environment, is_ours
+from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
+from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import FrontAgent
-    from algorithms.evaluation.front import Front
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.front import Front
+    from mo_deepdrive.evaluation.policy import Policy
 
 POLICIES = (GREEDY, STOCHASTIC)
 FRONT_EPISODES = 256  # parallel environments for the episodes of all policies of a front

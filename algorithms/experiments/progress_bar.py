@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from algorithms.evaluation.metrics import (
+from algorithms.experiments.console import print_line
+from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     FRONT,
     HYPERVOLUME,
@@ -18,7 +19,6 @@ from algorithms.evaluation.metrics import (
     evaluation_prefix,
     split_name,
 )
-from algorithms.experiments.console import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

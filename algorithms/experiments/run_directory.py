@@ -12,11 +12,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.common.atomic_io import atomic_write, is_temporary, leftovers, open_lock, read_json_object, write_json
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.registry import directory_name, find_trained_policy
 from algorithms.experiments.run_files import RESULTS, STATUS_FILE, record_files
+from mo_deepdrive.atomic_io import atomic_write, is_temporary, leftovers, open_lock, read_json_object, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.atomic_io import read_json_object
+from mo_deepdrive.atomic_io import read_json_object
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

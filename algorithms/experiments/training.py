@@ -7,10 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from algorithms.common.checkpoints import read_checkpoint
+from algorithms.common.fronts_file import FrontsFile
 from algorithms.common.metrics_file import rows_until
-from algorithms.evaluation.front import best_known_front
-from algorithms.evaluation.fronts_file import FrontsFile
-from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
@@ -20,6 +18,8 @@ from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_ep
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from algorithms.reporting.seed_tables import final_metrics
+from mo_deepdrive.evaluation.front import best_known_front
+from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from rich.console import Console

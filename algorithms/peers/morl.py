@@ -14,8 +14,8 @@ import gymnasium
 import numpy as np
 import torch
 
-from algorithms.common.pareto import evenly_spaced_weights, non_dominated
 from algorithms.peers.peer_task import PeerPolicies, PeerTask, PolicyInputs, WeightedConfig
+from mo_deepdrive.evaluation.pareto import evenly_spaced_weights, non_dominated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -9,13 +9,13 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from algorithms.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
+from mo_deepdrive.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.agent import Log
-    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 
 

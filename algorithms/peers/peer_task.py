@@ -18,8 +18,8 @@ from mo_deepdrive.config import Settings
 if TYPE_CHECKING:
     import gymnasium
 
-    from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 
 
@@ -206,7 +206,7 @@ class PeerPolicies:
 
 @dataclass(frozen=True)
 class PeerPolicy:
-    """Policies of a peer behind the interface of our own (:class:`algorithms.evaluation.episodes.Policy`).
+    """Policies of a peer behind the interface of our own (:class:`mo_deepdrive.evaluation.policy.Policy`).
 
     Attributes:
         policies: all policies of the peer.

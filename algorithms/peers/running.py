@@ -11,12 +11,7 @@ import mo_gymnasium
 import numpy as np
 import torch
 
-from algorithms.common.env_adapter import EnvAdapter
-from algorithms.evaluation.episodes import evaluate_each
-from algorithms.evaluation.front import Front, check_reference_point
-from algorithms.evaluation.fronts_file import FrontsFile
-from algorithms.evaluation.metrics import FRONT, evaluation_prefix
-from algorithms.evaluation.splits import describe_episodes
+from algorithms.common.fronts_file import FrontsFile
 from algorithms.experiments.agent_report import film, film_policies_of_front
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.loggers import Logger, log_results
@@ -29,6 +24,11 @@ from algorithms.reporting.learning_curves import load_groups, plot
 from algorithms.reporting.seed_tables import final_metrics
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.episodes import evaluate_each
+from mo_deepdrive.evaluation.front import Front, check_reference_point
+from mo_deepdrive.evaluation.metrics import FRONT, evaluation_prefix
+from mo_deepdrive.evaluation.splits import describe_episodes
 from mo_deepdrive.utilities import check_utility, make_utility
 
 if TYPE_CHECKING:

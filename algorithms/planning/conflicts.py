@@ -17,15 +17,15 @@ import numpy as np
 import scipy
 from matplotlib.figure import Figure
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
-from algorithms.evaluation.episodes import OUR_ENVS, evaluate, evaluate_each
-from algorithms.evaluation.function_policy import FunctionPolicy
-from algorithms.evaluation.metrics import name_and_unit
-from algorithms.evaluation.statistics import Estimate, estimate
 from algorithms.reporting.style import DIM, DPI, INK, STYLE, TITLE_SIZE
 from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE, action_table
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import OUR_ENVS, evaluate, evaluate_each
+from mo_deepdrive.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation.metrics import name_and_unit
+from mo_deepdrive.evaluation.statistics import Estimate, estimate
 from mo_deepdrive.observation import OWN
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.episodes import Evaluation
+    from mo_deepdrive.evaluation.evaluation import Evaluation
 
     Floats = NDArray[np.float64]
 

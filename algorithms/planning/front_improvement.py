@@ -10,11 +10,11 @@ import moocore
 import numpy as np
 
 import mo_deepdrive
-from algorithms.common.atomic_io import atomic_write
 from algorithms.planning.front_search import UNKNOWN_SOURCE, FrontSearch
 from algorithms.planning.plans import CRITERIA, Criterion
 from mo_deepdrive.action_sequences import decode as decode_actions
 from mo_deepdrive.action_sequences import encode as encode_actions
+from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.reference_fronts import GAMMA, KnownPolicy
 from mo_deepdrive.reference_fronts import read as read_front
 from mo_deepdrive.reference_fronts import write as format_front

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from algorithms.agent import FrontAgent
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.common.pareto import hypervolume, non_dominated
 from algorithms.driving.left_turn_rules import SCENARIO, GapDriver, GapRule
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.front import Front
-from algorithms.evaluation.splits import first_seed
 from algorithms.experiments.policy_evaluation import evaluate_front_policies, evaluate_policies
 from algorithms.planning.rules_report import load_turner
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
+from mo_deepdrive.evaluation.splits import first_seed
 from mo_deepdrive.reference_points import reference_point
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.episodes import Evaluation
-    from algorithms.evaluation.splits import Split
     from algorithms.experiments.run_directory import Run
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.splits import Split
 
 GAMMA = 1.0
 

@@ -10,19 +10,20 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.driving.left_turn_rules import SCENARIO, GapDriver, GapRule
-from algorithms.evaluation.episodes import evaluate, seeded_generator
-from algorithms.evaluation.function_policy import FunctionPolicy
-from algorithms.evaluation.metrics import COLLISION, UTILITY_SER
-from algorithms.evaluation.splits import first_seed
-from algorithms.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 from algorithms.experiments.build import load_policy
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.style import DPI, STYLE, algorithm_colours, surround
 from algorithms.reporting.videos import episode_frames, make_render_env
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation.metrics import COLLISION, UTILITY_SER
+from mo_deepdrive.evaluation.policy import seeded_generator
+from mo_deepdrive.evaluation.splits import first_seed
+from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
@@ -34,10 +35,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.agent import Agent
-    from algorithms.evaluation.episodes import Evaluation
-    from algorithms.evaluation.function_policy import PolicyFunction
-    from algorithms.evaluation.splits import Split
     from algorithms.experiments.run_directory import Run
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.splits import Split
 
 RISK_AVERSE = "left_turn_risk_averse"
 # Of the table, in order. Time and comfort are those of the episodes that arrive: a collision ends an episode early.

@@ -9,17 +9,17 @@ import numpy as np
 import torch
 
 from algorithms.agent import FrontAgent
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.reference_fronts import front_config
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.policy import Policy
 
 
 @dataclass(frozen=True)

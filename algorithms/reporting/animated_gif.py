@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from algorithms.common.atomic_io import atomic_write
 from algorithms.reporting.captions import caption_strip
 from algorithms.reporting.video_grid import scaled
+from mo_deepdrive.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

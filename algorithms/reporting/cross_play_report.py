@@ -8,10 +8,10 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes
-from algorithms.evaluation.cross_play import ARRIVALS, COLLISIONS, SCORES
-from algorithms.evaluation.metrics import UTILITY_ESR, vehicle_prefix
 from algorithms.reporting.style import LARGE_DPI, STYLE
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.cross_play import ARRIVALS, COLLISIONS, SCORES
+from mo_deepdrive.evaluation.metrics import UTILITY_ESR, vehicle_prefix
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.cross_play import Encounter
+    from mo_deepdrive.evaluation.cross_play import Encounter
 
 CELL = 0.3  # in, side of a cell of the picture
 MOST_WITH_NUMBERS = 40  # drivers of a vehicle, above which the cells have no numbers

@@ -12,9 +12,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from algorithms.evaluation.metrics import label, without_vehicle
 from algorithms.reporting.front_view import FrontView, place_labels
 from algorithms.reporting.style import DIM, INK, NOTE_SIZE, TITLE_SIZE
+from mo_deepdrive.evaluation.metrics import label, without_vehicle
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:

@@ -11,8 +11,6 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from algorithms.common.atomic_io import atomic_write
-from algorithms.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
 from algorithms.reporting.front_layout import (
     add_colour_bar,
     arrival_names,
@@ -26,13 +24,15 @@ from algorithms.reporting.front_layout import (
 )
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
 from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE
+from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.front import Front
+    from mo_deepdrive.evaluation.front import Front
 
 BARS = 8  # policies in bars.png
 MOST_PAIRED = 8  # objectives of which scatter.png shows all pairs

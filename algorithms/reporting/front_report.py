@@ -9,16 +9,16 @@ import numpy as np
 from rich.console import Console, Group
 from rich.text import Text
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.common.pareto import farthest_point_subset
-from algorithms.evaluation.front import FRONT_FILE, Front, best_known_front, measure_front
-from algorithms.evaluation.metrics import FRONT, name_and_unit
-from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate
 from algorithms.reporting.captions import cut_off
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reporting.video_grid import write_video_grid
 from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
 from algorithms.reporting.wide_tables import fitted_tables
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.front import FRONT_FILE, Front, best_known_front, measure_front
+from mo_deepdrive.evaluation.metrics import FRONT, name_and_unit
+from mo_deepdrive.evaluation.pareto import farthest_point_subset
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.policy import Policy
 
 FILMED_POLICIES = 4
 MAX_FRAMES = 1000  # of every policy that is filmed; an episode of ours has 601 unless its time limit is changed

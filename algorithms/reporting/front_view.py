@@ -13,15 +13,15 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from scipy.optimize import isotonic_regression
 
-from algorithms.common.pareto import farthest_point_subset
-from algorithms.evaluation.metrics import name_and_unit
+from mo_deepdrive.evaluation.metrics import name_and_unit
+from mo_deepdrive.evaluation.pareto import farthest_point_subset
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.evaluation.front import Front
+    from mo_deepdrive.evaluation.front import Front
 
 REPRESENTATIVES = 16  # policies that are drawn individually at most; in larger fronts these represent all
 # Colours of policies: viridis, which is safe for colour-blind readers, without the yellow that is hard to see on white.

@@ -18,7 +18,24 @@ from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 
 from algorithms.common.metrics_file import read_metrics
 from algorithms.common.yaml_io import read_mapping
-from algorithms.evaluation.metrics import (
+from algorithms.reporting.seed_groups import (
+    distinct_labels,
+    group_by_experiment,
+    identifying_settings,
+    task_settings,
+)
+from algorithms.reporting.style import (
+    DIM,
+    DPI,
+    MAX_POINTS,
+    STYLE,
+    TRAINING_COLOUR,
+    algorithm_order,
+    curve_styles,
+    surround,
+    widened,
+)
+from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     EXPECTED_UTILITY,
     FRONT,
@@ -37,24 +54,7 @@ from algorithms.evaluation.metrics import (
     split_name,
     title_of,
 )
-from algorithms.evaluation.seed_groups import (
-    distinct_labels,
-    group_by_experiment,
-    identifying_settings,
-    task_settings,
-)
-from algorithms.evaluation.statistics import MIN_SAMPLES, bootstrap
-from algorithms.reporting.style import (
-    DIM,
-    DPI,
-    MAX_POINTS,
-    STYLE,
-    TRAINING_COLOUR,
-    algorithm_order,
-    curve_styles,
-    surround,
-    widened,
-)
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class CurveGroup:
 
 
 def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
-    """Read runs and group those that differ in their seed alone (:mod:`algorithms.evaluation.seed_groups`).
+    """Read runs and group those that differ in their seed alone (:mod:`algorithms.reporting.seed_groups`).
 
     Groups are in the order of their algorithms, those of one algorithm in the order given.
 

@@ -14,8 +14,17 @@ import numpy as np
 from gymnasium import registry
 
 from algorithms.common.yaml_io import read_mapping
-from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import (
+from algorithms.reporting.seed_groups import (
+    distinct_labels,
+    group_by_experiment,
+    identifying_settings,
+    task_settings,
+)
+from algorithms.reporting.style import algorithm_order
+from algorithms.reporting.wide_tables import Rows, print_rows
+from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
     COLLISION,
@@ -35,13 +44,7 @@ from algorithms.evaluation.metrics import (
     return_of,
     split_name,
 )
-from algorithms.evaluation.seed_groups import (
-    distinct_labels,
-    group_by_experiment,
-    identifying_settings,
-    task_settings,
-)
-from algorithms.evaluation.statistics import (
+from mo_deepdrive.evaluation.statistics import (
     MIN_SAMPLES,
     Estimate,
     interquartile_mean,
@@ -49,9 +52,6 @@ from algorithms.evaluation.statistics import (
     mean_difference,
     means,
 )
-from algorithms.reporting.style import algorithm_order
-from algorithms.reporting.wide_tables import Rows, print_rows
-from mo_deepdrive.config import EnvConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -113,7 +113,7 @@ class ScoreGroup:
         """The scores of one policy, vehicle and metric.
 
         Evaluations in another library's environment may have a success rate only if some episode succeeded
-        (:mod:`algorithms.evaluation.estimates`): where one seed has it, it is 0 for those that were evaluated without.
+        (:mod:`mo_deepdrive.evaluation.evaluation`): where one seed has it, it is 0 for those evaluated without.
         """
         known = self.scores[place]
         if place.metric != SUCCESS:
@@ -183,7 +183,7 @@ def _runs_below(path: Path) -> Iterator[Path]:
 
 
 def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[ScoreGroup]:
-    """Group the finished runs among and below ``paths`` by :mod:`algorithms.evaluation.seed_groups`.
+    """Group the finished runs among and below ``paths`` by :mod:`algorithms.reporting.seed_groups`.
 
     Args:
         paths: run directories, or folders that hold some.

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
-from algorithms.evaluation.statistics import MIN_SAMPLES, Estimate, mean
 from algorithms.reporting.style import (
     DIM,
     DPI,
@@ -27,6 +26,7 @@ from algorithms.reporting.style import (
     text_width,
     widened,
 )
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,10 +10,10 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
-from algorithms.evaluation.estimates import estimate_metrics
-from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, write_json
+from mo_deepdrive.evaluation.evaluation import estimate_metrics
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import (
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
     END,
@@ -26,13 +26,13 @@ from algorithms.evaluation.metrics import (
     return_of,
     split_name,
 )
-from algorithms.evaluation.statistics import Estimate, rate
+from mo_deepdrive.evaluation.statistics import Estimate, rate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from algorithms.evaluation.episodes import Evaluation
+    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 # Metrics that may have the values of another one.
 _REPEATED = {

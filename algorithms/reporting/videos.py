@@ -13,18 +13,18 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
-from algorithms.evaluation.splits import SPLITS
 from algorithms.reporting.captions import cut_off
 from mo_deepdrive.envs.vector import DrivingVectorEnv
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
+from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.policy import Policy
 
 MAX_FRAMES = 2000  # of a video, three of our longest episodes; the rest is cut off
 HOLD = 0.5  # s for which the last frame of an episode is shown

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     FRONT,
     HIGHEST_DISTANCE,
@@ -30,7 +30,7 @@ from algorithms.evaluation.metrics import (
     UTILITY_ESR,
     return_of,
 )
-from algorithms.evaluation.statistics import (
+from mo_deepdrive.evaluation.statistics import (
     Estimate,
     iqm,
     iqm_difference,

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from algorithms.common.atomic_io import atomic_write
-from algorithms.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
-from algorithms.evaluation.statistics import MIN_SAMPLES
 from algorithms.reporting.learning_curves import curve
 from algorithms.reporting.style import ALGORITHM_COLOURS, DPI, STYLE, surround, widened
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
+from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 from algorithms.experiments.console import print_line
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
@@ -26,6 +25,7 @@ from algorithms.reproduction.report import (
 )
 from algorithms.reproduction.results import ReproductionResults, gather
 from algorithms.zoo.exporting import export
+from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

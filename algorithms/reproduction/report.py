@@ -12,24 +12,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 from rich.text import Text
 
-from algorithms.common.atomic_io import atomic_write
-from algorithms.evaluation.front import Front
-from algorithms.evaluation.metrics import (
-    CARDINALITY,
-    COLLISION,
-    FRONT,
-    GREEDY,
-    HIGHEST_DISTANCE,
-    HYPERVOLUME,
-    LOWEST_DISTANCE,
-    STOCHASTIC,
-    SUCCESS,
-    end_by,
-    return_of,
-    vehicle_prefix,
-)
-from algorithms.evaluation.splits import describe_episodes
-from algorithms.evaluation.statistics import iqm, iqm_difference, probability_of_improvement
 from algorithms.reporting.front_plots import draw_front
 from algorithms.reproduction.claims import (
     BASELINE,
@@ -46,6 +28,24 @@ from algorithms.reproduction.claims import (
 )
 from algorithms.reproduction.figures import CURVE_FIGURES, FRONT_FIGURES, draw_curves, file_name
 from algorithms.reproduction.results import ReproductionResults
+from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.metrics import (
+    CARDINALITY,
+    COLLISION,
+    FRONT,
+    GREEDY,
+    HIGHEST_DISTANCE,
+    HYPERVOLUME,
+    LOWEST_DISTANCE,
+    STOCHASTIC,
+    SUCCESS,
+    end_by,
+    return_of,
+    vehicle_prefix,
+)
+from mo_deepdrive.evaluation.splits import describe_episodes
+from mo_deepdrive.evaluation.statistics import iqm, iqm_difference, probability_of_improvement
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes
 from algorithms.common.metrics_file import read_metrics
-from algorithms.evaluation.front import EVALUATION_FILE, Front
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.front import EVALUATION_FILE, Front
+from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     COLLISION,
     EXPECTED_UTILITY,

@@ -29,15 +29,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from algorithms.common.atomic_io import leftovers, open_lock
-from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
 from algorithms.experiments.run_files import changed_files
 from algorithms.reporting.seed_tables import final_scores
 from algorithms.reporting.style import MAX_POINTS
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
+from mo_deepdrive.atomic_io import leftovers, open_lock
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

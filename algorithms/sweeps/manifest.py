@@ -12,14 +12,14 @@ from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.atomic_io import atomic_write, check_depth
 from algorithms.common.yaml_io import read_mapping
-from algorithms.evaluation.seed_groups import INCIDENTAL
 from algorithms.experiments.config import Experiment, make_experiment, override
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.registry import directory_name
 from algorithms.experiments.shipped import find_config
+from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
+from mo_deepdrive.atomic_io import atomic_write, check_depth
 
 if TYPE_CHECKING:
     from algorithms.sweeps.sweep_settings import SweepSettings
@@ -78,7 +78,7 @@ def label(cell: Mapping[str, Any]) -> str:
 def run_id(config: Mapping[str, Any]) -> str:
     """The id of a resolved experiment: the first digits of the SHA-256 of its canonical JSON.
 
-    Device, threads and logging (:data:`algorithms.evaluation.seed_groups.INCIDENTAL`) are left out: they do not affect
+    Device, threads and logging (:data:`algorithms.reporting.seed_groups.INCIDENTAL`) are left out: they do not affect
     the result. It is not the same bit for bit: the number of threads changes last bits, and a GPU draws other random
     numbers.
     """

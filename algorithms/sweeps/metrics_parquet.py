@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import read_metrics
-from algorithms.evaluation.metrics import STEP
+from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.evaluation.metrics import STEP
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.evaluation.metrics import evaluation_prefix
 from algorithms.reporting.learning_curves import CurveGroup, describe, drawn, plot
 from algorithms.reporting.sweep_effects import VariedScores, plot_effects
 from algorithms.sweeps.collection import Cell, Collection, collect
 from algorithms.sweeps.ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
+from mo_deepdrive.evaluation.metrics import evaluation_prefix
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

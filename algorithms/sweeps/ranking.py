@@ -11,7 +11,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from algorithms.evaluation.metrics import (
+from algorithms.reporting.seed_groups import task_settings
+from algorithms.reporting.seed_tables import environment_label, utility_label
+from algorithms.sweeps.collection import SCORE_KEYS, Cell, as_json
+from algorithms.sweeps.manifest import label
+from mo_deepdrive.evaluation.metrics import (
     EXPECTED_UTILITY,
     FRONT,
     GREEDY,
@@ -24,10 +28,6 @@ from algorithms.evaluation.metrics import (
     lower_is_better,
     split_name,
 )
-from algorithms.evaluation.seed_groups import task_settings
-from algorithms.reporting.seed_tables import environment_label, utility_label
-from algorithms.sweeps.collection import SCORE_KEYS, Cell, as_json
-from algorithms.sweeps.manifest import label
 
 # Cells are ranked by the first of these metrics that the runs have.
 DEFAULT_METRICS = (
@@ -92,7 +92,7 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
         cells: in any order.
         scores: with the columns run, policy, vehicle, metric and value.
         metric: such as "greedy/utility_esr" or "stochastic/vehicle_0/success"; without a policy, the first of
-            :data:`algorithms.evaluation.metrics.POLICIES` that has the metric; None for the first of
+            :data:`mo_deepdrive.evaluation.metrics.POLICIES` that has the metric; None for the first of
             :data:`DEFAULT_METRICS` that the runs have.
 
     Raises:
@@ -127,7 +127,7 @@ def check_metric(metric: str, scores: pl.DataFrame) -> None:
         scores: with the columns policy, vehicle and metric.
 
     Raises:
-        ValueError: as :func:`algorithms.evaluation.metrics.known_metric`.
+        ValueError: as :func:`mo_deepdrive.evaluation.metrics.known_metric`.
     """
     places = scores.select(SCORE_KEYS).unique().sort(SCORE_KEYS).rows()
     names = ["/".join(filter(None, place)) for place in places]

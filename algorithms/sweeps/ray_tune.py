@@ -20,13 +20,13 @@ from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
-from algorithms.evaluation.metrics import EVALUATION, STEP
 from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.reporting.seed_tables import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
+from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from algorithms.common.metrics_file import read_metrics
-from algorithms.evaluation.front import EVALUATION_FILE
-from algorithms.evaluation.metrics import EVALUATION, known_metric
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.run_files import changed_files
 from algorithms.reporting.seed_tables import final_metrics
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import EVALUATION, known_metric
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 import submitit
 from rich.console import Console
 
-from algorithms.common.atomic_io import write_json
 from algorithms.experiments.console import WIDTH
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
 from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, TaskExecutor, sbatch_options, slurm_folder
+from mo_deepdrive.atomic_io import write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

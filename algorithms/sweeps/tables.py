@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from algorithms.evaluation.metrics import RETURN, MetricName
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
     ScoreGroup,
@@ -18,6 +17,7 @@ from algorithms.reporting.seed_tables import (
 from algorithms.reporting.wide_tables import Rows, print_rows
 from algorithms.sweeps.collection import SCORE_KEYS, Collection, collect
 from algorithms.sweeps.ranking import TOTAL, Ranking, rank, short_names, totals, value_labels, value_text, varying_keys
+from mo_deepdrive.evaluation.metrics import RETURN, MetricName
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms import zoo
-from algorithms.common.atomic_io import atomic_write, write_json
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.yaml_io import dump
-from algorithms.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
 from algorithms.experiments.build import build
+from mo_deepdrive.atomic_io import atomic_write, write_json
+from mo_deepdrive.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

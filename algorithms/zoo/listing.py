@@ -9,7 +9,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.common.yaml_io import read_mapping
-from algorithms.evaluation.metrics import (
+from algorithms.experiments.config import Experiment, find_environment
+from algorithms.zoo import ABOUT, CONFIG, find, names
+from mo_deepdrive.config import parse
+from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     FRONT,
     GREEDY,
@@ -18,9 +21,6 @@ from algorithms.evaluation.metrics import (
     TOTAL_UTILITY_ESR,
     UTILITY_ESR,
 )
-from algorithms.experiments.config import Experiment, find_environment
-from algorithms.zoo import ABOUT, CONFIG, find, names
-from mo_deepdrive.config import parse
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from algorithms.evaluation import evaluate
+from mo_deepdrive.evaluation import evaluate
 
 NEXT_ANGLE, SPEED = 0, 11  # columns of the observation: see mo_deepdrive.observation.LAYOUT
 CRUISE = 5.0  # m/s

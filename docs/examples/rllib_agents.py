@@ -15,8 +15,8 @@ from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.rllib.core.rl_module.torch import TorchRLModule
 from rllib_vector_runner import VectorRunner
 
-from algorithms.evaluation import evaluate
 from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
+from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import scales
 from mo_deepdrive.scenarios import SCENARIOS

@@ -5,7 +5,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-from algorithms.evaluation import evaluate
+from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.wrappers import UtilityReward
 
 ENV_ID, UTILITY = "mo-deepdrive-one-waypoint-v0", "one_waypoint_linear"

@@ -10,7 +10,7 @@ from torchrl.modules import MLP, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from algorithms.evaluation import evaluate
+from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.observation import scales
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward

@@ -16,8 +16,8 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,

@@ -15,8 +15,8 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, ALGORITHMS, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
-from algorithms.common.env_adapter import make_env
-from algorithms.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,

@@ -15,10 +15,10 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file
 
 from algorithms import ConditionedMOPPO
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.actors import GaussianActor, StateGaussianActor
-from algorithms.common.env_adapter import make_env
-from algorithms.common.pareto import non_dominated
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.pareto import non_dominated
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, same
 

@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from algorithms import ALGORITHMS, FrontAgent
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA
 from tests.helpers.short_agents import STEPS, check_resumed, trained
 

@@ -10,14 +10,14 @@ import torch
 from safetensors.torch import load_file
 
 from algorithms import A2C, MAPPO, MOPPO
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.guides import Guide
 from algorithms.common.hyperparameters import GuideSettings
-from algorithms.evaluation.team import Population
 from algorithms.experiments.build import build, load_policy, open_population
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.team import Population
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION
 from tests.helpers.short_agents import check_resumed, pair_experiment, trained

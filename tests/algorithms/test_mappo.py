@@ -10,9 +10,9 @@ import torch
 
 import algorithms.agent
 from algorithms import MAPPO
-from algorithms.common.env_adapter import EnvAdapter, Step, make_env
 from algorithms.common.joint_utilities import JOINT_UTILITIES, joint_utility
-from algorithms.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, Step, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT
 

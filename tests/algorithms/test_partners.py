@@ -9,15 +9,15 @@ import pytest
 import torch
 
 from algorithms import MOPPO, PPO
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.common.checkpoints import read_checkpoint
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.threads import set_threads, wanted_threads
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.team import Team
 from algorithms.experiments.build import build, load_policy, open_driver, open_population
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.team import Team
 from tests.helpers.agents import INTERSECTION
 from tests.helpers.short_agents import check_resumed, pair_experiment, trained
 

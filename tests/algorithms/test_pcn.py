@@ -17,14 +17,14 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file, save_file
 
 from algorithms import MOA2C, PCN
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import make_env
-from algorithms.common.pareto import hypervolume, non_dominated
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.front import indicators
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.front import indicators
+from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded, same
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.common.episode_buffer import Episode
-    from algorithms.evaluation.front import Front
+    from mo_deepdrive.evaluation.front import Front
 
 SHORT = {"time_limit": 2, "fixed_destination": True}
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.front_explorer import choose_command, explorable, explorable_best_known
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.explorer.page import write_page
+from mo_deepdrive.evaluation.front import Front
 from tests.browser.explorer_page import EPISODES, SEED, Page
 
 if TYPE_CHECKING:

@@ -15,14 +15,14 @@ import pytest
 import yaml
 
 from algorithms.commands import choose
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.evaluation.choice import expected_utility, rank_policies, weighted_sum
-from algorithms.evaluation.drives import PlanDriver, record_scenes
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.choice import expected_utility, rank_policies, weighted_sum
+from mo_deepdrive.evaluation.drives import PlanDriver, record_scenes
+from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
 from tests.browser.conftest import CONDITIONED, ZOO

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from algorithms.common.pareto import hypervolume
-from algorithms.evaluation.statistics import mean
+from mo_deepdrive.evaluation.pareto import hypervolume
+from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.markdown_tables import tables
 from tests.helpers.paths import REPOSITORY

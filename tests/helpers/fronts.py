@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from algorithms.evaluation.front import Front
+from mo_deepdrive.evaluation.front import Front
 
 OBJECTIVES = ("distance", "destination", "g_force", "jerk", "collision", "lane_violation")
 

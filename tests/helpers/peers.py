@@ -8,10 +8,10 @@ from typing import Any
 import mo_gymnasium
 import numpy as np
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.peers import PeerConfig, PeerTask
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 FIXED = {"fixed_destination": True, "time_limit": 3.0}

@@ -14,12 +14,12 @@ import torch
 from algorithms import ALGORITHMS, zoo
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import FrontAgent
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.evaluation.episodes import evaluate
 from algorithms.experiments.build import build, make_environment
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.episodes import evaluate
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, exaggerate
 
 SHIPPED = Path(zoo.__file__).resolve().parent

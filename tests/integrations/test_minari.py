@@ -11,8 +11,8 @@ import pytest
 minari = pytest.importorskip("minari", reason="needs Minari: the extra [minari]")
 pytest.importorskip("h5py", reason="needs h5py: the extra [minari]")
 
-from algorithms.evaluation import record_dataset  # noqa: E402
-from algorithms.evaluation.splits import FIRST_TRAINING_SEED  # noqa: E402
+from mo_deepdrive.evaluation import record_dataset  # noqa: E402
+from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from algorithms.common.atomic_io import atomic_write
+from mo_deepdrive.atomic_io import atomic_write
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Group:
 
 GROUPS = (
     Group("advantages", "algorithms/common/advantages.py", ("tests/algorithms/common/test_advantages.py",), 12),
-    Group("pareto", "algorithms/common/pareto.py", ("tests/algorithms/common/test_pareto.py",), 25),
+    Group("pareto", "mo_deepdrive/evaluation/pareto.py", ("tests/algorithms/common/test_pareto.py",), 25),
     Group("scenarios", "mo_deepdrive/scenarios.py", ("tests/mo_deepdrive/test_own_scenario.py",), 10),
     # The rules of the kernel are tested in every scenario.
     Group(

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.episodes import evaluate, evaluate_each
 from algorithms.peers import PEERS, PeerTask
 from algorithms.peers.peer_env import Recorder
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.common.env_adapter import make_env
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, Done, refused

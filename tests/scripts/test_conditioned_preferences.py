@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from algorithms import zoo
-from algorithms.common.env_adapter import make_env
 from algorithms.common.yaml_io import dump, read_mapping, read_value
-from algorithms.evaluation.splits import SPLITS
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.splits import SPLITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from algorithms.evaluation.front import Front
 from algorithms.experiments.run_files import broken_files
+from mo_deepdrive.evaluation.front import Front
 from tests.helpers.script_runs import (
     PICTURES,
     SEA_FRONT,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.reference_fronts import reference_front, shipped
 from tests.helpers.script_runs import SEA_FRONT, Call, refused
 

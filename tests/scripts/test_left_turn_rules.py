@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from algorithms.evaluation.episodes import evaluate
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.training import train_and_finish
+from mo_deepdrive.evaluation.episodes import evaluate
 from tests.helpers.short_runs import VALUES, quiet
 
 if TYPE_CHECKING:

@@ -13,13 +13,13 @@ import pytest
 import torch
 import yaml
 
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter
 from algorithms.common.metrics_file import read_metrics
-from algorithms.evaluation.policy_driver import PolicyDriver
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import load_experiment, make_experiment
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import interrupt, refused
 from tests.helpers.short_runs import assert_same_run

@@ -15,11 +15,11 @@ import pytest
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
+from algorithms.common.fronts_file import FrontsFile
 from algorithms.common.metrics_file import read_metrics
-from algorithms.common.pareto import hypervolume, non_dominated
-from algorithms.evaluation.front import Front
-from algorithms.evaluation.fronts_file import FrontsFile
 from algorithms.reporting import videos
+from mo_deepdrive.evaluation.front import Front
+from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import (
     FRONT,

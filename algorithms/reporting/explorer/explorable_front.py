@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.evaluation.drives import READINGS
-from algorithms.evaluation.metrics import name_and_unit
-from algorithms.evaluation.statistics import rate
+from mo_deepdrive.evaluation.drives import READINGS
+from mo_deepdrive.evaluation.metrics import name_and_unit
+from mo_deepdrive.evaluation.statistics import rate
 from mo_deepdrive.scenarios import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.evaluation.drives import Drive, Scene
+    from mo_deepdrive.evaluation.drives import Drive, Scene
     from mo_deepdrive.utilities import ComfortBudget
 
 # Of the stored readings: whole multiples of this, as differences from decision to decision.
@@ -34,7 +34,7 @@ class ExplorableFront:
         title: what the front belongs to.
         objectives: d names.
         returns: (K, E, d) undiscounted returns of E episodes of each policy.
-        scales: (d,) nominal magnitudes of the returns, for :func:`algorithms.evaluation.choice.rank_policies`.
+        scales: (d,) nominal magnitudes of the returns, for :func:`mo_deepdrive.evaluation.choice.rank_policies`.
         signs: (d,) +1 or -1, by which a return is multiplied to get a magnitude.
         success: (K,) share of the episodes that arrived; NaN where that is not known.
         lengths: (K,) mean number of decisions.

@@ -14,8 +14,8 @@ import re
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.atomic_io import atomic_write
 from algorithms.reporting.style import COLOURS
+from mo_deepdrive.atomic_io import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

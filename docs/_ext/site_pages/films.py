@@ -81,8 +81,8 @@ def _random_frames(scenario: Scenario) -> Iterator[NDArray[np.uint8]]:
 
 def write_front(scenario: Scenario, kind: str, path: Path) -> None:
     """Draw the best-known front of a scenario, returns of two objectives at a time."""
-    from algorithms.evaluation.front import Front
     from algorithms.reporting.front_plots import draw_front
+    from mo_deepdrive.evaluation.front import Front
 
     policies = reference_fronts.shipped(scenario.name, kind)
     config = reference_fronts.front_config(scenario.name, kind)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from algorithms.evaluation.splits import SPLITS
-from algorithms.evaluation.statistics import interquartile_mean
+from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.evaluation.statistics import interquartile_mean
 from mo_deepdrive.scenarios import SCENARIOS
 from site_pages.markdown import table
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import VectorWrapper
 
-from algorithms.common.env_adapter import EnvAdapter, Step, make_env
 from mo_deepdrive.envs.vector import DrivingVectorEnv
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, Step, make_env
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT
 
 N = 6

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PCN, PPO, ConditionedMOPPO
 from algorithms.common.checkpoints import MERSENNE_TWISTER, restore_generator
-from algorithms.common.env_adapter import make_env
+from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.simulation.state import VEHICLE
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA, make_agent, same
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
-from algorithms.common.pareto import crowding_distances, non_dominated
+from mo_deepdrive.evaluation.pareto import crowding_distances, non_dominated
 
 SCALES = np.array([2.0, 5.0], dtype=np.float32)
 

@@ -17,14 +17,14 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.common.rollout import Act, Collector, Episodes, Rollout, Samples
 from mo_deepdrive.envs.vector import DrivingVectorEnv
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from algorithms.common.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

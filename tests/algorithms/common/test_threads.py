@@ -11,9 +11,9 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from algorithms.a2c import A2C
 from algorithms.common import perceptron
-from algorithms.common.env_adapter import make_env
 from algorithms.common.networks import Perceptron
 from algorithms.common.threads import limited_threads, one_blas_thread, set_threads, threads, wanted_threads
+from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import gymnasium
 import numpy as np
 import pytest
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
 from algorithms.driving.intersection_rules import SCENARIO, SEEN, as_in_left_turn, make_rule, room_ahead
 from algorithms.driving.left_turn_rules import COLUMN
 from algorithms.driving.scripted_policy import ScriptedPolicy
-from algorithms.evaluation.episodes import Evaluation, evaluate
-from algorithms.evaluation.team import Team
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.team import Team
 from mo_deepdrive.simulation.state import RUNNING
 from mo_deepdrive.simulation.traffic import ENTRY
+
+if TYPE_CHECKING:
+    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 ACTIONS = pytest.mark.parametrize("actions", ["discrete", "continuous"])
 

@@ -10,11 +10,13 @@ import pytest
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.driving.left_turn_rules import COLUMN, GapDriver, GapRule, free_time, locate
-from algorithms.evaluation.episodes import Evaluation, evaluate
+from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 LEFT_TURN = "mo-deepdrive-left-turn-v0"
 TIME = 6  # column of the rewards

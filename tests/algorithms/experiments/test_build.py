@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from algorithms import MOA2C
-from algorithms.common.accrued_reward import AccruedReward
 from algorithms.experiments.build import build, load_policy, make_environment
 from algorithms.experiments.config import EnvironmentSettings, make_experiment
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from tests.helpers.short_runs import VALUES
 
 if TYPE_CHECKING:

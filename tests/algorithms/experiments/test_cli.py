@@ -27,7 +27,7 @@ from algorithms.experiments.interrupts import DiskFull, Stopped
 from tests.helpers.short_runs import VALUES
 
 if TYPE_CHECKING:
-    from algorithms.evaluation.splits import Split
+    from mo_deepdrive.evaluation.splits import Split
 
 
 @pytest.fixture

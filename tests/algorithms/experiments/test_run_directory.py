@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import pytest
 
-from algorithms.common.atomic_io import write_json
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.run_directory import Run, default_directory, imported_paths, read_status, versions
 from algorithms.experiments.run_files import broken_files
+from mo_deepdrive.atomic_io import write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

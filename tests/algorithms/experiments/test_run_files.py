@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from algorithms.common.atomic_io import write_json
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import perform
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.run_files import NOT_RECORDED, RECORDED, broken_files, record_files
+from mo_deepdrive.atomic_io import write_json
 from tests.helpers.short_runs import VALUES, job
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from algorithms.common.env_adapter import make_env
-from algorithms.evaluation.episodes import evaluate_each
 from algorithms.peers.peer_task import PeerPolicies, PolicyInputs
+from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.episodes import evaluate_each
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import FIXED, ONE_WAYPOINT, constant_policies, make_task
 

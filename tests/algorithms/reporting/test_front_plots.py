@@ -13,11 +13,11 @@ import matplotlib
 import numpy as np
 import pytest
 
-from algorithms.evaluation.metrics import joint_objectives
 from algorithms.reporting import front_plots
 from algorithms.reporting.front_plots import BARS, draw_front
 from algorithms.reporting.front_view import FrontView
 from algorithms.reporting.style import DPI
+from mo_deepdrive.evaluation.metrics import joint_objectives
 from tests.helpers.fronts import driving, front_of
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from algorithms.evaluation.statistics import Estimate
 from algorithms.reporting.front_report import front_table
+from mo_deepdrive.evaluation.statistics import Estimate
 from tests.helpers.fronts import front_of
 
 

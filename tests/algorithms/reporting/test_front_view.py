@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from algorithms.common.pareto import farthest_point_subset
 from algorithms.reporting.front_plots import BARS
 from algorithms.reporting.front_view import (
     REPRESENTATIVES,
@@ -16,6 +15,7 @@ from algorithms.reporting.front_view import (
     principal_components,
     separate,
 )
+from mo_deepdrive.evaluation.pareto import farthest_point_subset
 from tests.helpers.fronts import driving, front_of
 
 MINUS = "\N{MINUS SIGN}"

@@ -11,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from algorithms.common.yaml_io import dump, read_mapping
-from algorithms.evaluation.episodes import Evaluation
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
@@ -24,6 +23,7 @@ from algorithms.reporting.seed_tables import (
     utility_label,
     without_empty_columns,
 )
+from mo_deepdrive.evaluation.evaluation import Evaluation
 
 if TYPE_CHECKING:
     from pathlib import Path

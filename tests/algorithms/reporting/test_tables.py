@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.evaluation.episodes import Evaluation
-from algorithms.evaluation.statistics import Estimate
 from algorithms.reporting.tables import estimate_metrics, evaluation_table, write_evaluation
+from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.utilities import Utility, make_utility
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.actor_critic import ActorCritic
-    from algorithms.common.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 UTILITIES = {ONE: "one_waypoint_linear", TWO: "intersection_linear"}

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from algorithms import zoo
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.zoo.exporting import FILES
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.front import Front
 from tests.helpers.zoo import (
     KILOBYTE,
     SHIPPED,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.evaluation.drives import READINGS, Drive, Scene
 from algorithms.reporting.explorer.explorable_front import RESOLUTION, ExplorableFront, drive_to_json, rounded
 from algorithms.reporting.explorer.page import as_json
+from mo_deepdrive.evaluation.drives import READINGS, Drive, Scene
 from mo_deepdrive.utilities import COMFORT_BUDGETS
 
 NAMES = ("distance", "destination", "g_force", "jerk")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from algorithms.evaluation.choice import distance_to_target, expected_utility, rank_policies, weighted_sum
-from algorithms.evaluation.statistics import mean
+from mo_deepdrive.evaluation.choice import distance_to_target, expected_utility, rank_policies, weighted_sum
+from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.utilities import make_utility
 
 NAMES = ("distance", "destination", "g_force", "jerk")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.evaluation.statistics import (
+from mo_deepdrive.evaluation.statistics import (
     Estimate,
     bootstrap,
     iqm,

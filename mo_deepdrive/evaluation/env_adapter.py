@@ -116,7 +116,7 @@ class EnvAdapter:
     def __init__(self, env: VectorEnv):
         if not isinstance(env, VectorEnv):
             raise TypeError(
-                f"env = {env!r} must be a vector environment: algorithms.common.env_adapter.make_env makes one"
+                f"env = {env!r} must be a vector environment: mo_deepdrive.evaluation.env_adapter.make_env makes one"
             )
         self.vector_env = env
         self.num_envs = env.num_envs

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from algorithms.evaluation.seed_groups import distinct_labels, group_by_experiment, identifying_settings, task_settings
+from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings, task_settings
 
 CONFIG: dict[str, Any] = {
     "environment": {"id": "a-v0", "arguments": {"time_limit": 60.0}},

@@ -8,11 +8,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from algorithms.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
-from algorithms.evaluation.front import Front
 from algorithms.experiments.build import load_policy
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import Run
+from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
+from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.atomic_io import atomic_write
 from algorithms.common.metrics_file import RowTally, append, csv_line, find_gap, format_number, rows_until, sync
-from algorithms.evaluation.metrics import STEP, discounted_return_of
+from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.evaluation.metrics import STEP, discounted_return_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from algorithms.evaluation.front import Front
+    from mo_deepdrive.evaluation.front import Front
 
 
 class FrontsFile:

@@ -6,24 +6,16 @@ latter does not need torch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, find_spec, make_env
-from algorithms.evaluation.function_policy import FunctionPolicy
-from algorithms.evaluation.metrics import (
-    SUCCESS,
-    WORST_OFF_UTILITY_ESR,
-    end_rates,
-    joint_objectives,
-    summarise,
-    vehicle_prefix,
-)
-from algorithms.evaluation.splits import first_seed
-from algorithms.evaluation.team import check_same_task
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
+from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation.policy import Policy, check_same_task, seeded_generator
+from mo_deepdrive.evaluation.splits import first_seed
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
@@ -33,133 +25,13 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.function_policy import PolicyFunction
-    from algorithms.evaluation.splits import Split
-    from algorithms.evaluation.statistics import Estimate
+    from mo_deepdrive.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.splits import Split
 
     UtilityLike = str | Utility | Callable[[Any], Any]
 
 # Parallel environments: this package's cost next to nothing, others a Python step each.
 OUR_ENVS, OTHER_ENVS = 256, 8
-
-
-class Policy(Protocol):
-    """What can be evaluated: an agent, a policy of a front, or another library's policy behind an adapter."""
-
-    @property
-    def env(self) -> EnvAdapter:
-        """The environment that it was trained on."""
-
-    @property
-    def utilities(self) -> Sequence[Utility]:
-        """One per vehicle; empty if no utility is known."""
-
-    @property
-    def gamma(self) -> float | NDArray[np.float32]:
-        """Discount factor of the accrued reward that it observes; one per vehicle (V,) where they differ."""
-
-    @property
-    def device(self) -> torch.device:
-        """Where its generator draws random numbers."""
-
-    def act(
-        self, observations: NDArray[np.float32], accrued_reward: AccruedReward, generator: torch.Generator | None
-    ) -> NDArray[Any]:
-        """Actions (N, V) or (N, V, k) for observations (N, V, o); greedy if ``generator`` is None."""
-
-
-@dataclass
-class Evaluation:
-    """E episodes of one policy with V vehicles.
-
-    Attributes:
-        objectives: names of the d components.
-        utilities: one per vehicle; empty if no utility is known.
-        returns: (E, V, d) undiscounted vector returns.
-        discounted: (E, V, d) vector returns discounted with the evaluation's gamma.
-        lengths: (E, V) decisions.
-        succeeded: (E, V) whether the goal was reached.
-        ends: (E, V) why the episode ended; None where the environment does not say.
-        largest: (E, V, d) largest magnitude of each objective in one decision.
-    """
-
-    objectives: tuple[str, ...]
-    utilities: tuple[Utility, ...]
-    returns: NDArray[np.float64]
-    discounted: NDArray[np.float64]
-    lengths: NDArray[np.int64]
-    succeeded: NDArray[np.bool_]
-    ends: NDArray[Any]
-    largest: NDArray[np.float64]
-
-    def episode_utilities(self, v: int = 0) -> NDArray[np.float64]:
-        """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
-        return np.asarray(self.utilities[v](self.returns[:, v]))
-
-    def worst_off_utilities(self) -> NDArray[np.float64]:
-        """(E,) the least utility of an undiscounted return among the vehicles, in every episode."""
-        return np.asarray(np.min([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0))
-
-    @property
-    def joint_objectives(self) -> tuple[str, ...]:
-        """Names of the V d components of joint returns: those of the first vehicle, of the second one, and so on."""
-        return joint_objectives(self.objectives, self.returns.shape[1])
-
-    @property
-    def joint_returns(self) -> NDArray[np.float64]:
-        """(E, V d) undiscounted returns of all vehicles."""
-        return self.returns.reshape(len(self.returns), -1)
-
-    @property
-    def joint_discounted(self) -> NDArray[np.float64]:
-        """(E, V d) discounted returns of all vehicles."""
-        return self.discounted.reshape(len(self.discounted), -1)
-
-    @property
-    def joint_lengths(self) -> NDArray[np.int64]:
-        """(E,) decisions until the last vehicle was through."""
-        return np.asarray(self.lengths.max(axis=1))
-
-    @property
-    def joint_succeeded(self) -> NDArray[np.bool_]:
-        """(E,) whether all vehicles reached their goals."""
-        return np.asarray(self.succeeded.all(axis=1))
-
-    def end_rates(self, v: int = 0) -> dict[str, float]:
-        """Share of the episodes of vehicle ``v`` per reason of their end."""
-        return end_rates(self.ends[:, v])
-
-    def estimates(self) -> dict[str, Estimate]:
-        """Every metric with its 95% interval (:func:`algorithms.evaluation.estimates.estimate_metrics`)."""
-        from algorithms.evaluation.estimates import estimate_metrics  # SciPy, which evaluating does not need
-
-        return estimate_metrics(self)
-
-    def metrics(self) -> dict[str, float]:
-        """Every metric by name (:mod:`algorithms.evaluation.metrics`).
-
-        With several vehicles the names begin with ``vehicle_0/`` and so on, and ``success`` is the share of episodes in
-        which all of them arrived.
-        """
-        metrics: dict[str, float] = {}
-        vehicles = self.returns.shape[1]
-        if vehicles > 1:
-            metrics[SUCCESS] = float(self.joint_succeeded.mean())
-            if self.utilities:
-                metrics[WORST_OFF_UTILITY_ESR] = float(self.worst_off_utilities().mean())
-        for v in range(vehicles):
-            summary = summarise(
-                self.objectives,
-                self.returns[:, v],
-                self.lengths[:, v],
-                self.succeeded[:, v],
-                utility=self.utilities[v] if self.utilities else None,
-                discounted=self.discounted[:, v],
-                ends=self.ends[:, v],
-                largest=self.largest[:, v],
-            )
-            metrics |= {vehicle_prefix(v, vehicles) + name: value for name, value in summary.items()}
-        return metrics
 
 
 def evaluate(
@@ -186,7 +58,7 @@ def evaluate(
             accrued reward R_t = sum_{i<t} gamma^i r_i (N, d), and gamma^t (N,). With V vehicles in an environment each
             has a second axis: (N, V, o), (N, V) or (N, V, k), (N, V, d), (N, V).
         env: an id, also as ``module:id``; or a raw vector environment from
-            :func:`algorithms.common.env_adapter.make_env`, not the one used for training.
+            :func:`mo_deepdrive.evaluation.env_adapter.make_env`, not the one used for training.
         split: the scenarios: "validation" (default), or "test" for final scores.
         episodes: E; the test split has 2,000.
         seed: of the first episode, instead of a split.
@@ -258,13 +130,6 @@ def _evaluate(
         lambda _: actor, adapter, seeds, gamma, None if greedy else seeded_generator(actor, int(seeds[0]))
     )
     return Evaluation(adapter.objectives, utilities, *columns)
-
-
-def seeded_generator(policy: Policy, seed: int) -> torch.Generator:
-    """A generator on the policy's device."""
-    import torch
-
-    return torch.Generator(policy.device).manual_seed(seed)
 
 
 def _make_env(env_id: str, episodes: int, arguments: dict[str, Any]) -> VectorEnv:

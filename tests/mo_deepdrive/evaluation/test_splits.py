@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.common.env_adapter import EnvAdapter
-from algorithms.evaluation.splits import (
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.jobs import Job, perform
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.splits import (
     EVALUATION_SEED_LIMIT,
     FIRST_TRAINING_SEED,
     SPLITS,
@@ -19,8 +21,6 @@ from algorithms.evaluation.splits import (
     describe_episodes,
     first_seed,
 )
-from algorithms.experiments.config import make_experiment
-from algorithms.experiments.jobs import Job, perform
 from tests.helpers.short_runs import VALUES
 
 if TYPE_CHECKING:

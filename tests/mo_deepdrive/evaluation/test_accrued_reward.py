@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.common.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.5, 0.99, 1.0]), st.integers(0, 12))

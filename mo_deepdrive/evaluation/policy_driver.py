@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 
 if TYPE_CHECKING:
     import numpy as np
     import torch
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.policy import Policy
 
 
 class PolicyDriver:

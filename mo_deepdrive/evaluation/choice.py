@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.evaluation.statistics import Estimate
+    from mo_deepdrive.evaluation.statistics import Estimate
     from mo_deepdrive.utilities import Utility
 
 
@@ -30,7 +30,7 @@ class ChoiceCriterion:
 
     def estimate(self, returns: NDArray[np.float64]) -> Estimate:
         """The value of one policy from returns (E, d) of its episodes, with its bootstrap interval."""
-        from algorithms.evaluation.statistics import LEVEL, MIN_SAMPLES, RESAMPLES, Estimate
+        from mo_deepdrive.evaluation.statistics import LEVEL, MIN_SAMPLES, RESAMPLES, Estimate
 
         value, n = float(self.values(returns[None])[0]), len(returns)
         if n < MIN_SAMPLES:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from algorithms import A2C, MOA2C
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.cross_play import SCORES, cross_play
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.team import Population, Team
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.cross_play import SCORES, cross_play
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.team import Population, Team
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, diversified, make_agent
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from algorithms import MOA2C
-from algorithms.common.accrued_reward import AccruedReward
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation import evaluate
-from algorithms.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation import evaluate
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:

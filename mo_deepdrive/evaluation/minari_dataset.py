@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import mo_gymnasium
 import numpy as np
 
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.episodes import as_policy, seeded_generator
-from algorithms.evaluation.policy_driver import PolicyDriver
-from algorithms.evaluation.splits import FIRST_TRAINING_SEED
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import as_policy
+from mo_deepdrive.evaluation.policy import seeded_generator
+from mo_deepdrive.evaluation.policy_driver import PolicyDriver
+from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED
 
 try:
     import h5py  # noqa: F401  (Minari imports it and Pillow when it has recorded everything)
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 
     import gymnasium
 
-    from algorithms.evaluation.episodes import Policy
-    from algorithms.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.policy import Policy
 
 DATA_FORMAT = "hdf5"  # Minari's other formats flatten the rewards of an episode, which breaks vectors
 
@@ -53,7 +54,7 @@ def record_dataset(
     one that comes only at some steps, such as "end" and "success" at the last, is empty, False or 0 at the others.
 
     Args:
-        policy: an agent or a function, as :func:`algorithms.evaluation.evaluate` takes it.
+        policy: an agent or a function, as :func:`mo_deepdrive.evaluation.evaluate` takes it.
         env_id: the environment, with one vehicle; also ``module:id``.
         dataset_id: ``namespace/name-v0``, as Minari takes it; it must not exist.
         episodes: how many.

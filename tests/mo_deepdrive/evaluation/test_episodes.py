@@ -12,10 +12,11 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 
-import algorithms.evaluation
+import mo_deepdrive.evaluation
 from algorithms import A2C, MOA2C
-from algorithms.common.env_adapter import EnvAdapter, make_env
-from algorithms.evaluation.episodes import Evaluation, evaluate
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.agents import diversified
 
@@ -516,21 +517,21 @@ def test_arguments_of_an_environment_that_exists_are_refused() -> None:
 @pytest.mark.slow
 def test_a_function_is_evaluated_without_torch(run_python: Callable[[str], str]) -> None:
     loaded = run_python(
-        "import sys, algorithms.evaluation\n"
+        "import sys, mo_deepdrive.evaluation\n"
         "assert not {'torch', 'numpy', 'gymnasium'} & set(sys.modules)\n"
-        "from algorithms.evaluation import Evaluation, evaluate\n"
+        "from mo_deepdrive.evaluation import Evaluation, evaluate\n"
         "import numpy as np\n"
         "policy = lambda observations, accrued, discounts: np.zeros(len(observations), dtype=int)\n"
         f"assert isinstance(evaluate(policy, '{ONE_WAYPOINT}', episodes=2), Evaluation)\n"
-        "print([name for name in ('torch', 'algorithms.evaluation.estimates', 'minari') if name in sys.modules])"
+        "print([name for name in ('torch', 'mo_deepdrive.evaluation.evaluation', 'minari') if name in sys.modules])"
     )
     assert loaded == "[]\n"
 
 
 def test_the_names_of_the_package_are_listed() -> None:
-    assert {"Evaluation", "evaluate", "record_dataset"} <= set(dir(algorithms.evaluation))
+    assert {"Evaluation", "evaluate", "record_dataset"} <= set(dir(mo_deepdrive.evaluation))
     with pytest.raises(AttributeError, match="has no attribute 'evaluat'"):
-        algorithms.evaluation.evaluat  # noqa: B018  (the access itself raises)
+        mo_deepdrive.evaluation.evaluat  # noqa: B018  (the access itself raises)
 
 
 @pytest.mark.slow
@@ -539,7 +540,7 @@ def test_without_minari_the_error_names_the_extra(run_python: Callable[[str], st
         "import sys\n"
         "sys.modules['minari'] = None\n"
         "try:\n"
-        "    from algorithms.evaluation import record_dataset\n"
+        "    from mo_deepdrive.evaluation import record_dataset\n"
         "except ImportError as error:\n"
         "    print(error)\n"
     )

@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mo_deepdrive.evaluation.policy import Policy, check_same_task
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import torch
     from numpy.typing import NDArray
 
-    from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.common.env_adapter import EnvAdapter
-    from algorithms.evaluation.episodes import Policy
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.utilities import Utility
 
 
@@ -114,15 +116,3 @@ class Population:
 def _gamma_of(policy: Policy, vehicle: int) -> float:
     """The discount of the accrued reward that a policy observes of a vehicle."""
     return float(np.broadcast_to(policy.gamma, policy.env.vehicles)[vehicle])
-
-
-def check_same_task(found: EnvAdapter, expected: EnvAdapter) -> None:
-    """Check that policies of one environment can act in another.
-
-    Raises:
-        ValueError: if id, observations, actions or objectives differ.
-    """
-    for what in ("name", "vehicles", "observation_size", "actions", "continuous", "objectives", "cost_sign"):
-        mine, other = getattr(expected, what), getattr(found, what)
-        if mine != other:
-            raise ValueError(f"a policy for {what} = {other!r} cannot drive where {what} = {mine!r}")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from algorithms.evaluation.front import Front
-from algorithms.evaluation.fronts_file import FrontsFile
+from algorithms.common.fronts_file import FrontsFile
+from mo_deepdrive.evaluation.front import Front
 
 if TYPE_CHECKING:
     from pathlib import Path

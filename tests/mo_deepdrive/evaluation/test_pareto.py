@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from algorithms.common.pareto import (
+from mo_deepdrive.evaluation.front import indicators
+from mo_deepdrive.evaluation.pareto import (
     additive_epsilon,
     crowding_distances,
     evenly_spaced_weights,
@@ -22,7 +23,6 @@ from algorithms.common.pareto import (
     igd_plus,
     non_dominated,
 )
-from algorithms.evaluation.front import indicators
 
 if TYPE_CHECKING:
     from collections.abc import Callable

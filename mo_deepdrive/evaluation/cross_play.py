@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.evaluation.episodes import evaluate
-from algorithms.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by, vehicle_prefix
-from algorithms.evaluation.statistics import Estimate, mean, rate
-from algorithms.evaluation.team import Team
+from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.metrics import COLLISION, SUCCESS, UTILITY_ESR, end_by, vehicle_prefix
+from mo_deepdrive.evaluation.statistics import Estimate, mean, rate
+from mo_deepdrive.evaluation.team import Team
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from algorithms.evaluation.episodes import Policy, UtilityLike
-    from algorithms.evaluation.splits import Split
+    from mo_deepdrive.evaluation.episodes import UtilityLike
+    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.evaluation.splits import Split
 
 ROLES = 2  # vehicles
 ARRIVALS, COLLISIONS = SUCCESS, end_by(COLLISION)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.evaluation import metrics
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.evaluation import metrics
+from mo_deepdrive.evaluation.metrics import (
     APPROX_KL,
     RENAMED,
     end_rates,

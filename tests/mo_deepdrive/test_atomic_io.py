@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.common.atomic_io import atomic_write, open_lock, read_json_object
+from mo_deepdrive.atomic_io import atomic_write, open_lock, read_json_object
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -66,7 +66,7 @@ def test_a_file_size_limit_leaves_the_old_file(tmp_path: Path, run_python: Calla
     atomic_write(path, b"old")
     said = run_python(
         "import resource\n"
-        "from algorithms.common.atomic_io import atomic_write\n"
+        "from mo_deepdrive.atomic_io import atomic_write\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try:\n"
         f"    atomic_write({str(path)!r}, b'x' * 100_000)\n"

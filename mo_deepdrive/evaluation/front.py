@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.common.atomic_io import atomic_write, csv_bytes, write_json
-from algorithms.common.pareto import (
-    WEIGHTS,
-    additive_epsilon,
-    evenly_spaced_weights,
-    expected_utility,
-    finite_points,
-    hypervolume,
-    igd_plus,
-    non_dominated,
-    one_per_objective,
-)
-from algorithms.evaluation.metrics import (
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, write_json
+from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
     DISCOUNTED_RETURN,
@@ -33,7 +22,18 @@ from algorithms.evaluation.metrics import (
     RETURN,
     SUCCESS,
 )
-from algorithms.evaluation.statistics import MIN_SAMPLES, bootstrap
+from mo_deepdrive.evaluation.pareto import (
+    WEIGHTS,
+    additive_epsilon,
+    evenly_spaced_weights,
+    expected_utility,
+    finite_points,
+    hypervolume,
+    igd_plus,
+    non_dominated,
+    one_per_objective,
+)
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import ArrayLike, NDArray
 
-    from algorithms.evaluation.episodes import Evaluation
+    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"
 CONDITION = "condition/"  # prefix of columns of front.csv

@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from algorithms.common.accrued_reward import AccruedReward
-    from algorithms.common.env_adapter import EnvAdapter
+    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+    from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 
     PolicyFunction = Callable[[NDArray[Any], NDArray[np.float32], NDArray[np.float32]], Any]
 
 
 class FunctionPolicy:
-    """A function behind the interface of agents (:class:`algorithms.evaluation.episodes.Policy`).
+    """A function behind the interface of agents (:class:`mo_deepdrive.evaluation.policy.Policy`).
 
     Args:
         function: called as ``function(observations, accrued, discounts)`` with the observations of N episodes as the

@@ -1,6 +1,6 @@
 """What is measured: metrics, evaluation, statistics, fronts.
 
-``from algorithms.evaluation import evaluate`` imports what it names; the package itself imports nothing.
+``from mo_deepdrive.evaluation import evaluate`` imports what it names; the package itself imports nothing.
 """
 
 from __future__ import annotations
@@ -9,16 +9,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from algorithms.evaluation.episodes import Evaluation, evaluate
-    from algorithms.evaluation.minari_dataset import record_dataset
+    from mo_deepdrive.evaluation.episodes import evaluate
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.minari_dataset import record_dataset
 
 __all__ = ["Evaluation", "evaluate", "record_dataset"]
 
 # The module of every name that can be imported from here.
 _MODULES = {
-    "Evaluation": "algorithms.evaluation.episodes",
-    "evaluate": "algorithms.evaluation.episodes",
-    "record_dataset": "algorithms.evaluation.minari_dataset",
+    "Evaluation": "mo_deepdrive.evaluation.evaluation",
+    "evaluate": "mo_deepdrive.evaluation.episodes",
+    "record_dataset": "mo_deepdrive.evaluation.minari_dataset",
 }
 
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from algorithms.evaluation.episodes import Evaluation
-from algorithms.evaluation.front import Front
+from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.front import Front
 
 if TYPE_CHECKING:
     from collections.abc import Callable

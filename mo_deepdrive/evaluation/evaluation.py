@@ -1,0 +1,182 @@
+"""The episodes of one policy, their metrics, and every metric's 95% interval over the episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mo_deepdrive.evaluation.metrics import (
+    ARRIVED,
+    COLLISION,
+    COMFORT,
+    DISCOUNTED_UTILITY_ESR,
+    DISCOUNTED_UTILITY_SER,
+    LENGTH,
+    OUR_ENDS,
+    SUCCESS,
+    USUAL_FAILURES,
+    UTILITY_ESR,
+    UTILITY_SER,
+    WORST_OFF_UTILITY_ESR,
+    discounted_return_of,
+    end_by,
+    end_rates,
+    joint_objectives,
+    maximum_of,
+    mean_of,
+    return_of,
+    summarise,
+    vehicle_prefix,
+)
+from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.utilities import Utility
+
+
+@dataclass
+class Evaluation:
+    """E episodes of one policy with V vehicles.
+
+    Attributes:
+        objectives: names of the d components.
+        utilities: one per vehicle; empty if no utility is known.
+        returns: (E, V, d) undiscounted vector returns.
+        discounted: (E, V, d) vector returns discounted with the evaluation's gamma.
+        lengths: (E, V) decisions.
+        succeeded: (E, V) whether the goal was reached.
+        ends: (E, V) why the episode ended; None where the environment does not say.
+        largest: (E, V, d) largest magnitude of each objective in one decision.
+    """
+
+    objectives: tuple[str, ...]
+    utilities: tuple[Utility, ...]
+    returns: NDArray[np.float64]
+    discounted: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    succeeded: NDArray[np.bool_]
+    ends: NDArray[Any]
+    largest: NDArray[np.float64]
+
+    def episode_utilities(self, v: int = 0) -> NDArray[np.float64]:
+        """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
+        return np.asarray(self.utilities[v](self.returns[:, v]))
+
+    def worst_off_utilities(self) -> NDArray[np.float64]:
+        """(E,) the least utility of an undiscounted return among the vehicles, in every episode."""
+        return np.asarray(np.min([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0))
+
+    @property
+    def joint_objectives(self) -> tuple[str, ...]:
+        """Names of the V d components of joint returns: those of the first vehicle, of the second one, and so on."""
+        return joint_objectives(self.objectives, self.returns.shape[1])
+
+    @property
+    def joint_returns(self) -> NDArray[np.float64]:
+        """(E, V d) undiscounted returns of all vehicles."""
+        return self.returns.reshape(len(self.returns), -1)
+
+    @property
+    def joint_discounted(self) -> NDArray[np.float64]:
+        """(E, V d) discounted returns of all vehicles."""
+        return self.discounted.reshape(len(self.discounted), -1)
+
+    @property
+    def joint_lengths(self) -> NDArray[np.int64]:
+        """(E,) decisions until the last vehicle was through."""
+        return np.asarray(self.lengths.max(axis=1))
+
+    @property
+    def joint_succeeded(self) -> NDArray[np.bool_]:
+        """(E,) whether all vehicles reached their goals."""
+        return np.asarray(self.succeeded.all(axis=1))
+
+    def end_rates(self, v: int = 0) -> dict[str, float]:
+        """Share of the episodes of vehicle ``v`` per reason of their end."""
+        return end_rates(self.ends[:, v])
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Every metric with its 95% interval (:func:`estimate_metrics`)."""
+        return estimate_metrics(self)
+
+    def metrics(self) -> dict[str, float]:
+        """Every metric by name (:mod:`mo_deepdrive.evaluation.metrics`).
+
+        With several vehicles the names begin with ``vehicle_0/`` and so on, and ``success`` is the share of episodes in
+        which all of them arrived.
+        """
+        metrics: dict[str, float] = {}
+        vehicles = self.returns.shape[1]
+        if vehicles > 1:
+            metrics[SUCCESS] = float(self.joint_succeeded.mean())
+            if self.utilities:
+                metrics[WORST_OFF_UTILITY_ESR] = float(self.worst_off_utilities().mean())
+        for v in range(vehicles):
+            summary = summarise(
+                self.objectives,
+                self.returns[:, v],
+                self.lengths[:, v],
+                self.succeeded[:, v],
+                utility=self.utilities[v] if self.utilities else None,
+                discounted=self.discounted[:, v],
+                ends=self.ends[:, v],
+                largest=self.largest[:, v],
+            )
+            metrics |= {vehicle_prefix(v, vehicles) + name: value for name, value in summary.items()}
+        return metrics
+
+
+def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
+    """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
+
+    With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
+    any collided.
+
+    Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
+    decision have none.
+    """
+    estimates: dict[str, Estimate] = {}
+    vehicles = evaluation.returns.shape[1]
+    if vehicles > 1:
+        estimates[SUCCESS] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
+        estimates[end_by(COLLISION)] = rate(np.array([COLLISION in ends for ends in evaluation.ends.tolist()]))
+        if evaluation.utilities:
+            estimates[WORST_OFF_UTILITY_ESR] = mean(evaluation.worst_off_utilities())
+    for v in range(vehicles):
+        prefix = vehicle_prefix(v, vehicles)
+        estimates |= {prefix + name: value for name, value in _estimate_vehicle(evaluation, v).items()}
+    return estimates
+
+
+def _estimate_vehicle(evaluation: Evaluation, v: int) -> dict[str, Estimate]:
+    returns, discounted = evaluation.returns[:, v], evaluation.discounted[:, v]
+    lengths, ends = evaluation.lengths[:, v], evaluation.ends[:, v]
+    estimates: dict[str, Estimate] = {}
+    if evaluation.utilities:
+        utility = evaluation.utilities[v]
+        estimates = {
+            UTILITY_ESR: mean(np.asarray(utility(returns))),
+            UTILITY_SER: utility_of_mean(returns, utility),
+            DISCOUNTED_UTILITY_ESR: mean(np.asarray(utility(discounted))),
+            DISCOUNTED_UTILITY_SER: utility_of_mean(discounted, utility),
+        }
+    known = {str(end) for end in ends if end is not None}
+    if known or evaluation.succeeded[:, v].any():
+        estimates[SUCCESS] = rate(evaluation.succeeded[:, v])
+    if known:
+        usual = USUAL_FAILURES if known <= OUR_ENDS else ()
+        reasons = (*usual, *sorted(known - {ARRIVED, *usual}))
+        estimates |= {end_by(reason): rate(np.array([str(end) == reason for end in ends])) for reason in reasons}
+    estimates[LENGTH] = mean(lengths.astype(np.float64))
+    for i, objective in enumerate(evaluation.objectives):
+        estimates[return_of(objective)] = mean(returns[:, i])
+        estimates[discounted_return_of(objective)] = mean(discounted[:, i])
+    for i, objective in enumerate(evaluation.objectives):
+        if objective in COMFORT:
+            estimates[mean_of(objective)] = mean(np.abs(returns[:, i]) / np.maximum(lengths, 1))
+            estimates[maximum_of(objective)] = Estimate(float(evaluation.largest[:, v, i].max()))
+    return estimates
