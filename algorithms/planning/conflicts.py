@@ -1,9 +1,8 @@
 """Which objectives conflict: rank correlations of the returns over a population of drivers.
 
-The population is the same in every scenario: random drivers that see the waypoints and their own motion alone. A driver
-waits, speeds up to a target speed and coasts, steers towards the next waypoint, at first off to a side, and slows down
-before it arrives. So a part of them collides and a part arrives, quickly or calmly. In LeftTurn there is a second
-population, fixed rules that see the traffic (:mod:`algorithms.driving.left_turn_rules`).
+The population is the same in every scenario: random driving rules, which see the waypoints and their own motion alone
+(:mod:`algorithms.planning.driving_rules`). In LeftTurn there is a second one, fixed rules that see the traffic
+(:mod:`algorithms.driving.left_turn_rules`).
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ import scipy
 from matplotlib.figure import Figure
 
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
+from algorithms.planning.driving_rules import follow_rules, random_rules
 from algorithms.reporting.style import DIM, DPI, INK, STYLE, TITLE_SIZE
-from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE, action_table
+from mo_deepdrive.actions import action_table
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import OUR_ENVS, evaluate, evaluate_each
 from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.metrics import name_and_unit
 from mo_deepdrive.evaluation.statistics import Estimate, estimate
-from mo_deepdrive.observation import OWN
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -39,56 +38,23 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-COLUMN = {entry.name: column for column, entry in enumerate(OWN)}
-YAW_PER_STEER = 8.4  # steady yaw rate (rad/s) per rad of steer and m/s
 ARRIVALS = 0.25  # share of episodes in which a driver has to arrive to count
 LEAST_DRIVERS = 10  # that a correlation needs
 GAMMA = 0.99  # of the discount that tells the time
 
-DRIVER = np.dtype(
-    [
-        ("wait", np.float64),  # s before it starts
-        ("target_speed", np.float64),  # m/s
-        ("speed_slack", np.float64),  # share of the target speed that may be lost before it speeds up again
-        ("gain", np.float64),  # yaw rate (rad/s) per rad of direction error
-        ("dead_zone", np.float64),  # direction error (rad) below which the wheel is straight
-        ("detour", np.float64),  # rad by which it heads to a side at first, right is positive
-        ("detour_time", np.float64),  # s of driving for which it does
-        ("brake_distance", np.float64),  # m to the destination below which it slows down
-    ]
-)
 
+class RuleDrivers:
+    """N driving rules as one policy of N episodes.
 
-def random_drivers(n: int, rng: np.random.Generator) -> NDArray[Any]:
-    """``n`` random drivers (n,) of DRIVER."""
-    drivers = np.zeros(n, dtype=DRIVER)
-
-    def log_uniform(low: float, high: float) -> Floats:
-        return np.asarray(np.exp(rng.uniform(np.log(low), np.log(high), n)))
-
-    drivers["wait"] = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(0.0, 20.0, n))
-    drivers["target_speed"] = log_uniform(1.0, 10.0)
-    drivers["speed_slack"] = rng.uniform(0.02, 0.5, n)
-    drivers["gain"] = log_uniform(0.5, 4.0)
-    drivers["dead_zone"] = np.where(rng.random(n) < 0.5, 0.0, log_uniform(0.001, 0.1))
-    drivers["detour"] = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(-1.2, 1.2, n))
-    drivers["detour_time"] = rng.uniform(0.0, 8.0, n)
-    drivers["brake_distance"] = np.where(rng.random(n) < 0.5, 0.0, rng.uniform(0.0, 8.0, n))
-    return drivers
-
-
-class RandomDrivers:
-    """N random drivers as one policy of N episodes.
-
-    A second vehicle is driven by the same driver, but does not wait.
+    A second vehicle is driven by the same rule, but does not wait.
 
     Args:
-        drivers: (N,) of DRIVER.
+        rules: (N,) of RULE.
         decision: seconds of a decision.
     """
 
-    def __init__(self, drivers: NDArray[Any], decision: float = 0.1):
-        self.drivers = drivers
+    def __init__(self, rules: NDArray[Any], decision: float = 0.1):
+        self.rules = rules
         self.decision = decision
         self.table = action_table("discrete")
 
@@ -96,30 +62,20 @@ class RandomDrivers:
         self, observations: NDArray[Any], _accrued: NDArray[Any], discounts: NDArray[Any]
     ) -> NDArray[np.int64]:
         """Actions (N,) or (N, V) for observations (N, size) or (N, V, size)."""
-        seen = observations.astype(np.float64)
-        drivers = self.drivers.reshape((-1,) + (1,) * (seen.ndim - 2))
-        time = np.log(discounts) / np.log(GAMMA) * self.decision
-        time[(slice(None), *([0] * (seen.ndim - 2)))] -= self.drivers["wait"]
-        detour = np.where(time < drivers["detour_time"], drivers["detour"], 0.0)
-        error = -(seen[..., COLUMN["next_angle"]] - detour)
-        speed = np.abs(seen[..., COLUMN["speed"]])
-        steer = np.where(
-            np.abs(error) < drivers["dead_zone"],
-            0.0,
-            drivers["gain"] * error / (YAW_PER_STEER * np.maximum(speed, 0.3)),
+        shape = observations.shape[:-1]
+        rules = np.array(np.broadcast_to(self.rules.reshape((-1,) + (1,) * (len(shape) - 1)), shape))
+        if len(shape) == 2:
+            rules["wait"][:, 1:] = 0.0
+        times = np.log(discounts) / np.log(GAMMA) * self.decision
+        actions = np.zeros((*shape, 1), dtype=np.int64)
+        follow_rules(
+            observations.reshape(-1, observations.shape[-1]),
+            rules.ravel().view(np.recarray),
+            np.broadcast_to(times, shape).ravel(),
+            self.table,
+            actions.reshape(-1, 1),
         )
-        pushes = seen[..., COLUMN["throttle"]] > 0.0
-        target = np.where(time < 0.0, 0.0, drivers["target_speed"])
-        close = (seen[..., COLUMN["after_distance"]] < drivers["brake_distance"]) & (speed > 1.0)
-        faster = speed < target * np.where(pushes, 1.0, 1.0 - drivers["speed_slack"])
-        change = np.where(close, DECREASE, np.where(faster, INCREASE, np.where(pushes, DECREASE, MAINTAIN)))
-        offered = (
-            self.table[:, DECAY] * seen[..., COLUMN["steer"], None]
-            + self.table[:, OFFSET]
-            + self.table[:, CURL] / np.maximum(speed, 1.0)[..., None] ** 2
-        )
-        fits = self.table[:, SPEED_CHANGE] == change[..., None]
-        return np.asarray(np.where(fits, np.abs(offered - steer[..., None]), np.inf).argmin(axis=-1))
+        return actions[..., 0]
 
 
 @dataclass(frozen=True)
@@ -150,12 +106,12 @@ def find_conflicts(scenario: str, *, drivers: int, episodes: int, seed: int, rng
         seed: of the first episode of each.
         rng_seed: of the population.
     """
-    population = random_drivers(drivers, np.random.default_rng(rng_seed))
+    population = random_rules(drivers, np.random.default_rng(rng_seed))
     env = make_env(SCENARIOS[scenario].id, OUR_ENVS)
     adapter = EnvAdapter(env)
     try:
         evaluations = evaluate_each(
-            lambda rows: FunctionPolicy(RandomDrivers(population[rows]), adapter, gamma=GAMMA),
+            lambda rows: FunctionPolicy(RuleDrivers(population[rows]), adapter, gamma=GAMMA),
             drivers,
             env,
             episodes=episodes,

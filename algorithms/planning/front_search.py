@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from algorithms.planning.archive import epsilon_nondominated
-from algorithms.planning.driving_rules import random_rules
+from algorithms.planning.driving_rules import random_calm_rules
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import CRITERIA, EvaluatedPlans
 from algorithms.planning.subset_selection import dominated_volume, select_front
@@ -70,7 +70,7 @@ class FrontSearch:
     def evolve(self, source: int) -> None:
         """Make and evaluate one generation of plans and update the archive; ``source`` is the index of their source."""
         plan_format = self.evaluator.format
-        rules = random_rules(POPULATION, self.rng, self.evaluator.batch)
+        rules = random_calm_rules(POPULATION, self.rng)
         if self.generations < RULE_GENERATIONS:
             plans = plan_format.idle_plans(POPULATION)
         else:

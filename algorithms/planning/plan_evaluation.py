@@ -9,6 +9,7 @@ import numpy as np
 
 from algorithms.planning.driving_rules import RULE, follow_rule
 from algorithms.planning.plans import CRITERIA, FULL_SCALE, EvaluatedPlans, PlanFormat, Plans
+from mo_deepdrive import observation
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.reference_fronts import front_config
@@ -32,6 +33,8 @@ def simulate_plans(
     motion: NDArray[Any],
     cars: NDArray[Any],
     path: NDArray[Any],
+    sight: NDArray[Any],
+    seen: NDArray[Any],
     controls: NDArray[Any],
     discrete: NDArray[Any],
     continuous: NDArray[Any],
@@ -50,6 +53,8 @@ def simulate_plans(
         motion: scratch, from make_scratch.
         cars: scratch, from traffic.make_scratch.
         path: as motion.
+        sight: (1,) of SIGHT, scratch.
+        seen: (n, 1, size) float32, scratch for observations.
         controls: (n, 1, 3) scratch.
         discrete: (1, 1) integers, scratch.
         continuous: (1, 1, 3) scratch.
@@ -59,10 +64,11 @@ def simulate_plans(
     """
     for i in range(len(worlds)):
         vehicle = worlds[i, 0]
-        via_reached = False
+        decision = params[0].dt * params[0].physics_steps
         for t in range(plans.shape[1]):
             if t >= rules[i].first_decision:
-                via_reached = follow_rule(vehicle, rules[i], via_reached, table, plans[i, t])
+                observation.write(worlds, i, i + 1, 0, params[0], sight, seen)
+                follow_rule(seen[i, 0], rules[i], t * decision, table, plans[i, t])
             if len(table):
                 discrete[0, 0] = plans[i, t, 0]
                 decode_discrete(worlds[i : i + 1], discrete, table, controls[i : i + 1])
@@ -100,7 +106,8 @@ class PlanEvaluator:
         self.format = PlanFormat(action_type, config.max_decisions)
         self.simulated_decisions = 0
         motion, path = make_scratch(1, config.physics_steps)
-        self._scratch = (motion, traffic.make_scratch(0), path)
+        self._scratch = (motion, traffic.make_scratch(0), path, np.zeros(1, dtype=observation.SIGHT))
+        self._observed = len(observation.layout(self.batch.scenario))
         self._weights = np.array([criterion.gamma ** np.arange(config.max_decisions) for criterion in CRITERIA])
         params = self.batch.params[0]
         # (criteria, decisions) the time until after each decision, discounted.
@@ -128,6 +135,7 @@ class PlanEvaluator:
             self.format.table,
             self.batch.params,
             *self._scratch,
+            np.zeros((n, 1, self._observed), dtype=np.float32),
             np.zeros((n, 1, 3)),
             np.zeros((1, 1), dtype=np.int64),
             np.zeros((1, 1, 3)),

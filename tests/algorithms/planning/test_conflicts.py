@@ -11,14 +11,14 @@ import scipy
 
 from algorithms.planning.conflicts import (
     Conflicts,
-    RandomDrivers,
+    RuleDrivers,
     correlations,
     find_conflicts,
     find_rule_conflicts,
     plot_conflicts,
-    random_drivers,
     write_conflicts,
 )
+from algorithms.planning.driving_rules import random_rules
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,14 +44,14 @@ def test_a_correlation_is_spearmans_with_an_interval_around_it() -> None:
 @pytest.mark.parametrize("vehicles", [1, 2])
 def test_a_driver_acts_in_a_batch_as_it_does_alone(vehicles: int) -> None:
     rng = np.random.default_rng(1)
-    drivers = random_drivers(20, rng)
+    drivers = random_rules(20, rng)
     observations = rng.normal(size=(20, vehicles, 15) if vehicles > 1 else (20, 15)).astype(np.float32)
     discounts = np.full((20, vehicles) if vehicles > 1 else 20, 0.99**50)
-    together = RandomDrivers(drivers)(observations, observations, discounts)
+    together = RuleDrivers(drivers)(observations, observations, discounts)
     assert together.shape == discounts.shape
     for i in range(20):
         rows = slice(i, i + 1)
-        alone = RandomDrivers(drivers[rows])(observations[rows], observations[rows], discounts[rows])
+        alone = RuleDrivers(drivers[rows])(observations[rows], observations[rows], discounts[rows])
         np.testing.assert_array_equal(alone[0], together[i])
 
 

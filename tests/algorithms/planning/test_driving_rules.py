@@ -2,39 +2,62 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import pytest
 
-from algorithms.planning.driving_rules import RULE, follow_rule, random_rules
+from algorithms.planning.driving_rules import (
+    AFTER_DISTANCE,
+    NEXT_ANGLE,
+    RULE,
+    follow_rule,
+    random_calm_rules,
+    random_rules,
+)
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import FULL_SCALE
+from mo_deepdrive.actions import INCREASE, MAINTAIN, action_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
 @pytest.mark.parametrize("action_type", ["discrete", "discrete-16", "continuous"])
-def test_some_random_rules_arrive(scenario: str, action_type: str) -> None:
+@pytest.mark.parametrize("draw", [random_rules, random_calm_rules])
+def test_some_random_rules_arrive(scenario: str, action_type: str, draw: Callable[..., NDArray[Any]]) -> None:
     evaluator = PlanEvaluator(scenario, action_type)
-    rules = random_rules(256, np.random.default_rng(0), evaluator.batch)
+    rules = draw(256, np.random.default_rng(0))
     evaluated = evaluator.evaluate(evaluator.format.idle_plans(256), 0, rules)
     destination = evaluator.batch.objectives.index("destination")
     assert (evaluated.returns[1][:, destination] == 1.0).any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("side", "sign"), [(-1.0, 1.0), (1.0, -1.0)])
-def test_a_rule_steers_towards_the_point_on_the_way(side: float, sign: float) -> None:
+@pytest.mark.parametrize("action_type", ["discrete", "continuous"])
+@pytest.mark.parametrize(("detour", "time", "sign"), [(-1.0, 3.0, -1), (1.0, 3.0, 1), (1.0, 9.0, 0), (1.0, 1.0, 1)])
+def test_a_rule_waits_heads_to_a_side_and_then_towards_the_waypoint(
+    action_type: str, detour: float, time: float, sign: int
+) -> None:
     """A positive steer turns to the left."""
-    evaluator = PlanEvaluator("one_waypoint", "continuous")
-    vehicle = evaluator.batch.state[0, 0]
-    rules = np.zeros(1, dtype=RULE)
+    rules = np.zeros(1, dtype=RULE).view(np.recarray)
+    rules["wait"], rules["detour"], rules["detour_time"] = 2.0, detour, 5.0
     rules["gain"], rules["max_steer"], rules["target_speed"], rules["throttle"] = 1.0, 0.1, 3.0, 1.0
-    rules["via_radius"] = 1.0
-    ahead = np.array([-vehicle["sin_heading"], vehicle["cos_heading"]])
-    right = np.array([vehicle["cos_heading"], vehicle["sin_heading"]])
-    rules["via_x"], rules["via_y"] = (vehicle["front_x"], vehicle["front_y"]) + 5.0 * ahead + 5.0 * side * right
-    action = np.zeros(3, dtype=np.int16)
-    assert not follow_rule(vehicle, rules.view(np.recarray)[0], False, evaluator.format.table, action)
-    assert action[0] * sign > 0
-    assert action[1] > 0
-    assert action[2] == -FULL_SCALE
+    seen = np.zeros(15, dtype=np.float32)
+    seen[NEXT_ANGLE], seen[AFTER_DISTANCE] = 0.0, 30.0
+    if action_type == "discrete":
+        table = action_table(action_type)
+        action = np.zeros(1, dtype=np.int16)
+        follow_rule(seen, rules[0], time, table, action)
+        _, steer, curl, change = table[action[0]]
+        assert np.sign(steer + curl) == sign
+        assert change == (INCREASE if time > 2.0 else MAINTAIN)
+    else:
+        action = np.zeros(3, dtype=np.int16)
+        follow_rule(seen, rules[0], time, np.zeros((0, 4)), action)
+        assert np.sign(action[0]) == sign
+        assert (action[1] > 0) == (time > 2.0)
+        assert action[2] == -FULL_SCALE

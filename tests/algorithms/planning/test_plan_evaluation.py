@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from algorithms.planning.driving_rules import random_rules
+from algorithms.planning.driving_rules import random_calm_rules
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import CRITERIA
 from mo_deepdrive.action_sequences import discounted_sum
@@ -17,7 +17,7 @@ from mo_deepdrive.reference_fronts import front_config
 @pytest.mark.parametrize("action_type", ["discrete", "continuous"])
 def test_returns_are_those_of_a_replay(scenario: str, action_type: str) -> None:
     evaluator = PlanEvaluator(scenario, action_type)
-    rules = random_rules(8, np.random.default_rng(1), evaluator.batch)
+    rules = random_calm_rules(8, np.random.default_rng(1))
     evaluated = evaluator.evaluate(evaluator.format.idle_plans(8), 3, rules)
     sequences = [evaluator.format.to_sequence(plan) for plan in evaluated.plans]
     for returns, criterion in zip(evaluated.returns, CRITERIA, strict=True):
@@ -33,7 +33,7 @@ def test_plans_idle_after_the_end_and_follow_a_rule_from_its_first_decision_on()
     evaluator = PlanEvaluator("one_waypoint", "discrete")
     plans = evaluator.format.idle_plans(64)
     plans[:] = 3  # full throttle
-    rules = random_rules(64, np.random.default_rng(2), evaluator.batch)
+    rules = random_calm_rules(64, np.random.default_rng(2))
     rules["first_decision"] = 5
     evaluated = evaluator.evaluate(plans, 0, rules)
     assert (evaluated.plans[:, :5] == 3).all()
