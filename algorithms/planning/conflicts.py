@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.planning.driving_rules import follow_rules, random_rules
-from algorithms.reporting.style import DIM, DPI, INK, STYLE, TITLE_SIZE
+from algorithms.reporting.style import DPI, INK, STYLE, surround
 from mo_deepdrive.actions import action_table
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -199,9 +199,7 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
         OSError: if the file cannot be written.
     """
     with matplotlib.rc_context({**STYLE, "axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
-        figure = Figure(figsize=(3.9 * len(conflicts), 4.6))
-        figure.text(0.01, 0.985, "Which objectives conflict", fontsize=TITLE_SIZE, fontweight="bold", va="top")
-        figure.text(0.01, 0.925, note, color=DIM, va="top")
+        figure = Figure(figsize=(3.9 * len(conflicts), 4.0))
         for axis, each in zip(np.atleast_1d(figure.subplots(1, len(conflicts))), conflicts, strict=True):
             d = len(each.objectives)
             matrix = np.full((d, d), np.nan)
@@ -218,5 +216,5 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
             axis.set(xlim=(-0.5, d - 1.5), ylim=(d - 0.5, 0.5))
             axis.tick_params(length=0)
             axis.set_title(f"{each.population}: {each.drivers} drivers")
-        figure.tight_layout(rect=(0, 0, 1, 0.88))
+        surround(figure, "Which objectives conflict", [note])
         figure.savefig(path, dpi=DPI)

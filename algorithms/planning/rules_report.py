@@ -258,7 +258,7 @@ def plot_scores(path: Path, scores: Sequence[DriverScores], note: str) -> None:
     learnt = [each for each in scores if each.algorithm and each.driver.endswith(SHOWN)]
     colours = algorithm_colours(each.algorithm for each in learnt)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(13.5, 3.3))
+        figure = Figure(figsize=(13.5, 2.6))
         axes = figure.subplots(1, len(panels))
         for axis, (title, lines) in zip(axes, panels, strict=True):
             axis.set_title(title)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from algorithms.reporting.front_view import FrontView, place_labels
-from algorithms.reporting.style import DIM, INK, NOTE_SIZE, TITLE_SIZE
+from algorithms.reporting.style import DIM, INK, surround
 from mo_deepdrive.evaluation.metrics import label, without_vehicle
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
@@ -39,21 +37,10 @@ def make_figure(
         notes: sentences below the title; empty ones are left out.
         handles: of the legend.
     """
-    title = textwrap.wrap(f"{view.title}: {heading}" if view.title else heading.capitalize(), int(width / 0.115))
-    note = textwrap.wrap("; ".join(filter(None, notes)), int(width / 0.073))
-    head, foot = 0.20 + 0.24 * len(title) + 0.18 * len(note), 0.32 if handles else 0.06
-    whole = height + head + foot
-    figure = Figure(figsize=(width, whole))  # without pyplot, which may need a display
+    figure = Figure(figsize=(width, height))  # without pyplot, which may need a display
     FigureCanvasAgg(figure)
-    left, top = 0.12 / width, 1 - 0.12 / whole
-    below = top - 0.24 * len(title) / whole
-    figure.text(left, top, "\n".join(title), fontsize=TITLE_SIZE, fontweight="bold", va="top", linespacing=1.2)
-    figure.text(left, below, "\n".join(note), fontsize=NOTE_SIZE, color=DIM, va="top", linespacing=1.25)
-    if handles:
-        corner = (0.06 / width, 0.0)
-        figure.legend(handles=handles, loc="lower left", bbox_to_anchor=corner, ncols=len(handles), frameon=False)
-    rect = (0.008, foot / whole, 0.984, height / whole)
-    figure.set_layout_engine(ConstrainedLayoutEngine(rect=rect, w_pad=0.06, h_pad=0.06))
+    title = f"{view.title}: {heading}" if view.title else heading.capitalize()
+    surround(figure, title, ["; ".join(filter(None, notes))], handles)
     return figure
 
 

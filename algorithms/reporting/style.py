@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 import zlib
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
     from matplotlib.lines import Line2D
+    from matplotlib.text import Text
 
 # The colours of Okabe and Ito, which are safe for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
@@ -40,7 +41,6 @@ MINIMUM_SPAN = 0.1  # of an axis, as a share of the quantity's magnitude: smalle
 DPI = 160  # of figures
 LARGE_DPI = 100  # of figures with hundreds of cells
 VIDEO_DPI = 100  # of captions of videos
-LINE = 0.19  # in, height of a line of text
 TITLE_SIZE, NOTE_SIZE = 13, 9.5  # points
 
 STYLE: dict[Any, Any] = {
@@ -115,29 +115,48 @@ def widened(low: float, high: float, scale: float) -> tuple[float, float]:
     return low - missing / 2, high + missing / 2
 
 
-def text_width(text: str) -> float:
-    """The approximate width of ``text`` in inches, at the usual font size."""
-    return 0.078 * len(text)
-
-
-def surround(figure: Figure, heading: str, notes: Sequence[str], handles: Sequence[Line2D]) -> None:
-    """Put title and notes above the panels and the legend below; additional lines make the figure taller.
+def surround(figure: Figure, heading: str, notes: Sequence[str] = (), handles: Sequence[Line2D] = ()) -> None:
+    """Put title and notes above the panels and the legend below them, by which the figure grows.
 
     Args:
-        figure: with its panels.
-        heading: the title, one line.
-        notes: lines below it.
+        figure: of the size of its panels; its layout becomes a constrained one.
+        heading: the title.
+        notes: below it, each on lines of its own; empty ones are left out.
         handles: of the legend.
     """
-    widths = np.array([text_width(str(handle.get_label())) + 0.62 for handle in handles])
-    columns = len(handles)
-    while columns > 1 and sum(part.max() for part in np.array_split(widths, columns)) > figure.get_figwidth():
-        columns -= 1
-    lines = -(-len(handles) // columns)
-    height = figure.get_figheight() + LINE * (lines - 1 + len(notes) - 1)
-    figure.set_figheight(height)
-    figure.text(0.012, 1 - 0.12 / height, heading, fontsize=TITLE_SIZE, fontweight="bold", va="top")
-    figure.text(0.012, 1 - 0.40 / height, "\n".join(notes), fontsize=NOTE_SIZE, color=DIM, va="top")
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.006, 0.0), ncols=columns, frameon=False)
-    above, below = 0.62 + LINE * (len(notes) - 1), 0.34 + LINE * (lines - 1)
-    figure.tight_layout(rect=(0, below / height, 1, 1 - above / height), h_pad=1.4, w_pad=1.6)
+    from matplotlib.text import Annotation  # not at the top: tables need no matplotlib
+
+    figure.set_layout_engine("constrained", h_pad=0.06, w_pad=0.06, hspace=0.04, wspace=0.02)
+    width = 0.98 * figure.bbox.width
+    title = figure.suptitle(heading, x=0.01, ha="left", fontsize=TITLE_SIZE, fontweight="bold")
+    title.set_text(_wrapped(title, width))
+    small: dict[str, Any] = {"fontsize": NOTE_SIZE, "color": DIM, "va": "bottom", "annotation_clip": False}
+    note = Annotation("", (0.0, 0.0), xycoords=title, **small)
+    figure.add_artist(note)
+    lines = []
+    for text in filter(None, notes):
+        note.set_text(text)
+        lines += _wrapped(note, width).split("\n")
+    note.set_text("\n".join(lines))
+    title.set_text(title.get_text() + "\n" * len(lines))  # the notes are below the title, which makes room for them
+    added = title.get_window_extent().height
+    if handles:
+        columns = len(handles)
+
+        def draw_legend() -> Legend:
+            return figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
+
+        legend = draw_legend()
+        while columns > 1 and legend.get_window_extent().width > width:
+            legend.remove()
+            columns -= 1
+            legend = draw_legend()
+        added += legend.get_window_extent().height
+    figure.set_figheight(figure.get_figheight() + added / figure.dpi)
+
+
+def _wrapped(text: Text, width: float) -> str:
+    """What ``text`` says, in lines of at most ``width`` pixels."""
+    words = text.get_text()
+    drawn = text.get_window_extent().width
+    return words if drawn <= width else "\n".join(textwrap.wrap(words, int(0.95 * len(words) * width / drawn)))

@@ -15,17 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
-from algorithms.reporting.style import (
-    DIM,
-    DPI,
-    INK,
-    LINE,
-    STYLE,
-    TITLE_SIZE,
-    algorithm_colours,
-    text_width,
-    widened,
-)
+from algorithms.reporting.style import DIM, DPI, INK, STYLE, algorithm_colours, surround, widened
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean
 
 if TYPE_CHECKING:
@@ -35,8 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-# In inches: a panel, the margin left of the first, the gap between two, and the space above and below a row.
-PANEL_WIDTH, PANEL_HEIGHT, LEFT, GAP, HEAD, FOOT, SLANTED_FOOT = 3.1, 2.1, 0.95, 0.22, 0.62, 0.42, 1.05
+PANEL = (3.3, 3.2)  # in, width and height with its labels
+PANEL_LETTERS = 46  # that fit side by side below a panel, and lines of them, if they are slanted
+PANEL_LINES = 16
 MAX_COLUMNS = 4
 MAX_VALUES = 12  # of a numeric key that get a mean each; with more, neighbours share one
 BINS = 8  # means of a numeric key with more values
@@ -90,43 +81,27 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         limits = score_limits(each.values, [effect for _, effect in effects])
         count = -(-len(effects) // MAX_COLUMNS)
         size = -(-len(effects) // count)
-        for first in range(0, len(effects), size):
-            rows.append((each, effects[first : first + size], limits))
-    heads = [HEAD if r == 0 or rows[r - 1][0] is not row[0] else 0.3 for r, row in enumerate(rows)]
-    feet = [SLANTED_FOOT if any(effect.slanted for _, effect in effects) else FOOT for _, effects, _ in rows]
-    widest = max(len(effects) for _, effects, _ in rows)
-    texts = [1.3 * text_width(text) for text in [title, *(each.title for each in scores)]]  # larger, and bold
-    width = max(LEFT + widest * (PANEL_WIDTH + GAP), max(*texts, *map(text_width, notes)) + 0.3)
-    above = 0.42 + LINE * len(notes) + (0.3 if len(colours) > 1 else 0.0)
-    height = above + sum(heads) + sum(feet) + PANEL_HEIGHT * len(rows)
+        rows += [(each, effects[first : first + size], limits) for first in range(0, len(effects), size)]
+    columns = max(len(effects) for _, effects, _ in rows)
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figure = Figure(figsize=(width, height))
-
-        def write(y: float, text: str, **style: Any) -> None:
-            figure.text(0.12 / width, y / height, text, va="top", **style)
-
-        write(height - 0.12, title, fontsize=TITLE_SIZE, fontweight="bold")
-        write(height - 0.40, "\n".join(notes), color=DIM)
-        y = height - above
-        if len(colours) > 1:
-            handles = [
-                Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
-            ]
-            corner = (0.04 / width, (y - 0.06) / height)
-            figure.legend(handles=handles, loc="lower left", bbox_to_anchor=corner, ncols=len(handles), frameon=False)
-        for (each, effects, limits), head, foot in zip(rows, heads, feet, strict=True):
-            if head == HEAD:
-                write(y - 0.1, each.title, fontsize=11, fontweight="bold")
-            y -= head + PANEL_HEIGHT
-            for k, (key, effect) in enumerate(effects):
-                left = LEFT + k * (PANEL_WIDTH + GAP)
-                axis = figure.add_axes((left / width, y / height, PANEL_WIDTH / width, PANEL_HEIGHT / height))
+        figure = Figure(figsize=(PANEL[0] * max(columns, 2), PANEL[1] * len(rows)))
+        parts: Any = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
+        for r, (part, (each, effects, limits)) in enumerate(zip(parts, rows, strict=True)):
+            if r == 0 or rows[r - 1][0] is not each:
+                part.suptitle(each.title, x=0.01, ha="left", fontsize=11, fontweight="bold")
+            for k, axis in enumerate(part.subplots(1, columns, squeeze=False, sharey=True)[0]):
+                if k >= len(effects):
+                    axis.set_visible(False)
+                    continue
+                key, effect = effects[k]
                 _draw_effect(axis, effect, each.values, [colours[name] for name in each.algorithms], limits)
                 axis.set_title(key)
-                axis.tick_params(left=k == 0, labelleft=k == 0)
                 if k == 0:
                     axis.set_ylabel(each.score)
-            y -= foot
+        handles = [
+            Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
+        ]
+        surround(figure, title, notes, handles if len(handles) > 1 else ())
         figure.savefig(path, dpi=DPI)
 
 
@@ -168,7 +143,7 @@ def effect_of_words(words: Sequence[str], scores: NDArray[np.float64]) -> KeyEff
     ticks = {float(i): text for i, text in enumerate(labels)}
     slanted = len(_thinned(ticks, len(known))) < len(known)
     if slanted:
-        every = math.ceil(len(known) * LINE / PANEL_WIDTH)
+        every = math.ceil(len(known) / PANEL_LINES)
         ticks = {position: text for position, text in ticks.items() if position % every == 0}
     means = [mean(scores[part]) for part in parts]
     return KeyEffect(positions, parts, means, (-0.5, len(known) - 0.5), ticks, slanted, 0.12, "")
@@ -285,8 +260,8 @@ def _thinned(ticks: Mapping[float, str], extent: float) -> dict[float, str]:
     kept: dict[float, str] = {}
     end = -np.inf
     for position, text in ticks.items():
-        middle, half = position / extent * PANEL_WIDTH, text_width(text) / 2
+        middle, half = position / extent * PANEL_LETTERS, len(text) / 2
         if middle - half > end:
             kept[position] = text
-            end = middle + half + 0.06
+            end = middle + half + 1
     return kept

@@ -85,7 +85,7 @@ def draw_curves(number: int, plan: Plan, results: ReproductionResults, path: Pat
     if not panels:
         return False
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(max(4.7 * len(tasks), MIN_WIDTH), 3.1 * len(protocols) + 1.0))
+        figure = Figure(figsize=(max(4.7 * len(tasks), MIN_WIDTH), 2.9 * len(protocols)))
         axes = figure.subplots(len(protocols), len(tasks), squeeze=False)
         for row, protocol in zip(axes, protocols, strict=True):
             for axis, task in zip(row, tasks, strict=True):

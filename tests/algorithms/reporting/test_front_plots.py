@@ -37,7 +37,7 @@ def _warnings_are_errors() -> Iterator[None]:
 
 
 def texts(figure: Figure) -> list[str]:
-    return [text.get_text() for text in figure.findobj(matplotlib.text.Text) if text.get_text()]
+    return [text.get_text().strip() for text in figure.findobj(matplotlib.text.Text) if text.get_text()]
 
 
 def test_one_objective_is_refused() -> None:
