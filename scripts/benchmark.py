@@ -1,7 +1,6 @@
 """Measure speed and memory.
 
     python scripts/benchmark.py --quick --output benchmark.csv
-    python scripts/benchmark.py --sweep
     python scripts/benchmark.py --against main --output pairs.csv
     python scripts/benchmark.py --threads 2 --output threads.csv
     python scripts/benchmark.py --device cuda --output gpu.csv
@@ -9,10 +8,6 @@
 Everything is measured in one run, each speed as the best of several repetitions, so that ratios are reliable on a
 machine with other load. Other packages are measured where they are installed (``pip install highway-env`` for
 mo-highway-fast-v0; the extra ``[peers]`` for morl-baselines' PCN).
-
---sweep measures only the time and memory that scripts/sweep.py needs to list 10,000 runs (with --quick 1,000) and to
-show their status, and that scripts/table.py and scripts/plot.py need to summarise a sweep of 1,000 runs (with --quick
-100), each with 1,000 logged rows of 40 metrics; its synthetic runs take 0.8 GB of the temporary directory.
 
 --against compares the working tree with a commit, in pairs of measurements of CPU time. --threads and --device compare
 training on several threads, or with the networks on a GPU, with training on one thread of the CPU, in pairs of
@@ -22,34 +17,29 @@ measurements of time on the clock: docs/benchmark.md.
 from __future__ import annotations
 
 import contextlib
-import csv
 import io
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
-from itertools import islice, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium
 import mo_gymnasium
 import numpy as np
 import paired_benchmark
-import polars as pl
 from gymnasium.vector import AutoresetMode
-from result_file import check_folder
+from paired_benchmark import ONE_CORE, training
+from result_file import check_folder, write_results
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 import mo_deepdrive
-from algorithms import ALGORITHMS
 from algorithms.common.threads import set_threads
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import check_device, load_experiment
@@ -57,43 +47,15 @@ from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
-from algorithms.sweeps.collection import FOLDER as COLLECTED
-from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
 from algorithms.sweeps.runner import available_cores
-from mo_deepdrive.atomic_io import write_json
-from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.evaluation.front import EVALUATION_FILE
-from mo_deepdrive.evaluation.metrics import (
-    COMFORT,
-    GREEDY,
-    LENGTH,
-    STEP,
-    STEPS_PER_SECOND,
-    STOCHASTIC,
-    SUCCESS,
-    TRAIN,
-    UTILITY_ESR,
-    UTILITY_SER,
-    discounted_return_of,
-    evaluation_prefix,
-    maximum_of,
-    mean_of,
-    return_of,
-)
 from mo_deepdrive.evaluation.pareto import hypervolume
-from mo_deepdrive.utilities import make_utility
+from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
     from collections.abc import Callable, Mapping, Sequence
 
-IDS = {
-    "OneWaypoint": "mo-deepdrive-one-waypoint-v0",
-    "StaticObstacle": "mo-deepdrive-static-obstacle-v0",
-    "Intersection": "mo-deepdrive-intersection-v0",
-    "LeftTurn": "mo-deepdrive-left-turn-v0",
-}
-LINEAR = {"OneWaypoint": "one_waypoint_linear", "Intersection": "intersection_linear"}
+IDS = {scenario.title: scenario.id for scenario in SCENARIOS.values()}
 OTHERS = ("minecart-v0", "mo-highway-fast-v0")
 STEPS_PER_REPETITION = 100
 PAIRS = 10
@@ -128,50 +90,21 @@ print(resident() - before, resident())
 """
 
 
-# Runs a script, then prints its peak memory (MB).
-WITH_PEAK = r"""
-import re, runpy, sys
-sys.argv = {command}
-try:
-    runpy.run_path(sys.argv[0], run_name="__main__")
-except SystemExit as error:
-    if error.code:
-        raise
-status = open("/proc/self/status").read()
-print(int(re.search(r"VmHWM:\s+(\d+)", status).group(1)) / 1000, file=sys.stderr)
-"""
-
-# Of the synthetic sweep: hyperparameters that vary between its cells, and metrics of its runs.
-GRID: dict[str, list[Any]] = {
-    "learning_rate": [1e-4, 3e-4, 1e-3, 3e-3, 1e-2],
-    "steps": [8, 16, 32, 64],
-    "entropy_start": [0.001, 0.003, 0.01, 0.03, 0.1],
-    "observe_discount": [True, False],
-}
-SYNTHETIC_OBJECTIVES = ("distance", "destination", "g_force", "jerk")
-SYNTHETIC_METRICS = (
-    *(UTILITY_ESR, UTILITY_SER, SUCCESS, LENGTH),
-    *(kind(objective) for objective in COMFORT for kind in (mean_of, maximum_of)),
-    *(return_of(objective) for objective in SYNTHETIC_OBJECTIVES),
-    *(discounted_return_of(objective) for objective in SYNTHETIC_OBJECTIVES),
-)
-
-
 @dataclass
 class Measurement:
     """One measurement.
 
     Attributes:
-        name: what was measured.
+        measurement: what was measured.
         value: in ``unit``.
         unit: of the value.
-        target: the value to be reached, as text.
+        goal: the value to be reached, as text.
     """
 
-    name: str
-    value: float
+    measurement: str
+    value: Annotated[float, ".6g"]
     unit: str
-    target: str = ""
+    goal: str = ""
 
 
 def best(run: Callable[[], int], repetitions: int) -> float:
@@ -261,16 +194,6 @@ def parallel_rate(repetitions: int, steps: int) -> float:
     return best(run, repetitions)
 
 
-def training_rate(algorithm: str, title: str, hidden: list[int], total: int) -> float:
-    """Environment steps per second of training end to end, with 256 environments x 16 steps per update."""
-    env = make_env(IDS[title], 256)
-    utility = make_utility(LINEAR[title], env.unwrapped.objectives)  # type: ignore[attr-defined]
-    agent = ALGORITHMS[algorithm](env, utility, seed=0, steps=16, hidden=hidden)
-    rates: list[float] = []
-    agent.train(total, log=lambda _, metrics: rates.append(metrics[STEPS_PER_SECOND]), log_interval=50)
-    return rates[-1]
-
-
 def our_pcn() -> tuple[float, float]:
     """Seconds of training PCN on Deep Sea Treasure with its YAML file, and the hypervolume of its front."""
     experiment = load_experiment(DEEP_SEA / "pcn.yaml")
@@ -336,78 +259,7 @@ def memory_megabytes(scenario: str) -> tuple[float, float]:
     return float(growth), float(total)
 
 
-def make_sweep(sweep: Path, runs: int, rows: int) -> None:
-    """Write a finished sweep of synthetic numbers, in cells of five seeds.
-
-    Args:
-        sweep: its directory.
-        runs: number of runs, a multiple of 5.
-        rows: number of rows logged by each run, with 40 metrics.
-    """
-    rng = np.random.default_rng(0)
-    base = load_experiment(CONFIGS / "one_waypoint" / "mo_a2c_linear.yaml").to_dict()
-    names = [evaluation_prefix(policy) + name for policy in (GREEDY, STOCHASTIC) for name in SYNTHETIC_METRICS]
-    names += [TRAIN + name for name in SYNTHETIC_METRICS[:8]]
-    steps = pl.DataFrame({STEP: np.arange(rows) * 8192})
-    manifest: list[ManifestRow] = []
-    for values, seed in product(islice(product(*GRID.values()), runs // 5), range(5)):
-        chosen = dict(zip(GRID, values, strict=True))
-        run = f"{len(manifest):012x}"
-        config = {**base, "algorithm": {**base["algorithm"], **chosen}, "training": {**base["training"], "seed": seed}}
-        cell = {f"algorithm.{key}": value for key, value in chosen.items()}
-        manifest.append(ManifestRow(run, f"{RUNS}/mo_a2c-seed{seed}-{run}", cell, seed, None, config))
-        directory = sweep / manifest[-1].directory
-        directory.mkdir(parents=True)
-        score = 5.0 - abs(np.log10(chosen["learning_rate"]) + 2.5) + 0.3 * rng.standard_normal()
-        learnt = score * (1.0 - np.exp(-np.linspace(0.0, 5.0, rows)))[:, None]
-        metrics = pl.DataFrame(learnt + 0.5 * rng.standard_normal((rows, len(names))), schema=names)
-        steps.hstack(metrics).write_csv(directory / "metrics.csv")
-        estimates = {name: {"value": score, "low": score - 0.1, "high": score + 0.1} for name in SYNTHETIC_METRICS}
-        write_json(directory / EVALUATION_FILE, {"policies": {GREEDY: estimates, STOCHASTIC: estimates}})
-        write_json(directory / "status.json", {"state": "finished", "step": rows * 8192})
-    write_manifest(sweep, manifest)
-
-
-def summary_rows(runs: int, rows: int) -> list[Measurement]:
-    """Time and memory of the scripts that summarise a sweep; Linux only, since it reads /proc."""
-    scripts = Path(__file__).resolve().parent
-    measured = []
-    with tempfile.TemporaryDirectory() as folder:
-        sweep = Path(folder) / "sweep"
-        make_sweep(sweep, runs, rows)
-        for script, output in (("table.py", "table.csv"), ("plot.py", "curves.png")):
-            shutil.rmtree(sweep / COLLECTED, ignore_errors=True)
-            for when in ("first time", "again"):
-                command = [str(scripts / script), str(sweep), "--output", str(Path(folder) / output)]
-                measured += script_rows(f"{script}, {runs:,} x {rows:,} rows, {when}", command, "< 30", "< 1000")
-    return measured
-
-
-def listing_rows(runs: int) -> list[Measurement]:
-    """Time and memory of writing the manifest of a sweep and of --status; ``runs`` is a multiple of 1,000."""
-    script = str(Path(__file__).resolve().parent / "sweep.py")
-    measured = []
-    with tempfile.TemporaryDirectory() as folder:
-        grid = {**GRID, "gamma": [0.9 + 0.001 * number for number in range(runs // 1000)]}
-        file, output = Path(folder) / "sweep.yaml", str(Path(folder) / "sweep")
-        settings = {"grid": {f"algorithm.{key}": values for key, values in grid.items()}, "seeds": 5}
-        file.write_text(dump({"config": str(CONFIGS / "one_waypoint" / "mo_a2c_linear.yaml"), **settings}))
-        for option, limit in (("--on=manifest", "< 15"), ("--status", "< 5")):
-            command = [script, "--config", str(file), "--output", output, option]
-            measured += script_rows(f"sweep.py {option}, {runs:,} runs", command, limit)
-    return measured
-
-
-def script_rows(what: str, command: list[str], seconds: str, megabytes: str = "") -> list[Measurement]:
-    """Time and peak memory of a script; the last arguments are its goals."""
-    code = WITH_PEAK.replace("{command}", repr(command))
-    started = time.perf_counter()
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    taken, peak = time.perf_counter() - started, float(done.stderr.split()[-1])
-    return [Measurement(what, taken, "s", seconds), Measurement(f"{what}, peak memory", peak, "MB", megabytes)]
-
-
-def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads: bool) -> list[Measurement]:
+def measure(repetitions: int, updates: int, with_threads: bool) -> list[Measurement]:
     """All measurements."""
     rows: list[Measurement] = []
     targets = {"OneWaypoint": "4.0 M", "StaticObstacle": "3.0 M", "Intersection": "1.5 M", "LeftTurn": "1.2 M"}
@@ -433,11 +285,11 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
             rows.append(Measurement(f"OneWaypoint / {peer}, single", ours / rate_of_peer, "x"))
     rows.append(Measurement("Intersection, parallel_env", parallel_rate(repetitions, 5000), "joint steps/s", "25 k"))
     for algorithm, target in (("a2c", "400 k"), ("mo_a2c", "300 k"), ("mo_ppo", "")):
-        rate = training_rate(algorithm, "OneWaypoint", [64, 32], training_steps)
+        rate = training(algorithm, IDS["OneWaypoint"], [64, 32], updates, {}, ONE_CORE)
         rows.append(Measurement(f"{algorithm} training, 256 x 16, 1 thread", rate, "steps/s", target))
     for algorithm, target in (("a2c", "150 k"), ("mo_a2c", ""), ("mo_ppo", "")):
         for hidden in ([64, 32], [128, 64]):
-            rate = training_rate(algorithm, "Intersection", hidden, training_steps // 2)
+            rate = training(algorithm, IDS["Intersection"], hidden, updates // 2, {}, ONE_CORE)
             what = f"independent {algorithm} training, {hidden}, 256 x 16, 1 thread"
             rows.append(Measurement(what, rate, "joint steps/s", target))
     rows += deep_sea_rows()
@@ -448,7 +300,7 @@ def measure(repetitions: int, training_steps: int, sweep_runs: int, with_threads
         growth, total = memory_megabytes(scenario)
         rows.append(Measurement(f"{scenario}, 4096 environments, growth of resident memory", growth, "MB"))
         rows.append(Measurement(f"{scenario}, 4096 environments, resident memory of the process", total, "MB", "< 300"))
-    return rows + listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
+    return rows
 
 
 def compare_trees(commit: str, names: Sequence[str], pairs: int, output: Path | None) -> None:
@@ -484,8 +336,7 @@ def print_comparison(
     for row in rows:
         table.add_row(*row.cells())
     Console().print(table)
-    if output is not None:
-        paired_benchmark.write_rows(output, rows, {**about, "machine": machine})
+    write_results(output, rows, {**about, "machine": machine})
 
 
 def chosen_place(threads: int | None, device: str | None) -> paired_benchmark.Place:
@@ -526,7 +377,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = make_parser(__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
-    parser.add_argument("--sweep", action="store_true", help="measure only the summary of a sweep")
     parser.add_argument("--output", type=Path, help="also write the table as CSV")
     parser.add_argument("--against", metavar="COMMIT", help="compare the working tree with this commit")
     parser.add_argument("--threads", type=int, help="compare training on so many threads with training on one")
@@ -550,20 +400,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         parser.error(f"--only and --pairs are for {COMPARISONS}")
     set_threads(1)
     repetitions = 3 if arguments.quick else 15
-    training_steps, sweep_runs = (400_000, 100) if arguments.quick else (3_000_000, 1000)
-    if arguments.sweep:
-        rows = listing_rows(10 * sweep_runs) + summary_rows(sweep_runs, 1000)
-    else:
-        rows = measure(repetitions, training_steps, sweep_runs, with_threads=available_cores() > 1)
+    rows = measure(repetitions, 100 if arguments.quick else 750, with_threads=available_cores() > 1)
     table = Table("measurement", "value", "unit", "goal")
     for row in rows:
-        table.add_row(row.name, f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}", row.unit, row.target)
+        value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.2f}"
+        table.add_row(row.measurement, value, row.unit, row.goal)
     Console().print(table)
-    if arguments.output is not None:
-        with arguments.output.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(["measurement", "value", "unit", "goal"])
-            writer.writerows([row.name, f"{row.value:.6g}", row.unit, row.target] for row in rows)
+    write_results(arguments.output, rows)
 
 
 if __name__ == "__main__":

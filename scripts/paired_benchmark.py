@@ -10,7 +10,6 @@ DEVICE``. Compilation and the first updates are excluded.
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import os
@@ -21,13 +20,13 @@ import sys
 import tarfile
 import tempfile
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 from scipy.stats import quantile_test
@@ -410,11 +409,11 @@ class Row:
 
     measurement: str
     unit: str
-    old: float | None = None
-    new: float | None = None
-    speedup: float | None = None
-    low: float | None = None
-    high: float | None = None
+    old: Annotated[float | None, ".6g"] = None
+    new: Annotated[float | None, ".6g"] = None
+    speedup: Annotated[float | None, ".6g"] = None
+    low: Annotated[float | None, ".6g"] = None
+    high: Annotated[float | None, ".6g"] = None
     pairs: int = 0
     problem: str = ""
 
@@ -470,16 +469,6 @@ def compare(
             if pair >= 0:
                 values.append(value)
     return [result.row() for result in results.values()]
-
-
-def write_rows(path: Path, rows: Sequence[Row], about: Mapping[str, Any]) -> None:
-    """Write the table as CSV; ``about`` is repeated in every row."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*(each.name for each in fields(Row)), *about])
-        for row in rows:
-            cells = [f"{value:.6g}" if isinstance(value, float) else value for value in asdict(row).values()]
-            writer.writerow([*cells, *about.values()])
 
 
 def main(name: str, tree: Path, place: Place | None = None) -> None:

@@ -12,13 +12,13 @@ write_results(path, [*results, Result(0, 0.5)])
 from __future__ import annotations
 
 import csv
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 R = TypeVar("R")
@@ -27,7 +27,7 @@ R = TypeVar("R")
 def _columns(kind: type) -> dict[str, tuple[type, str]]:
     """Type and format of the fields of a dataclass."""
     hints = get_type_hints(kind, include_extras=True)
-    return {name: get_args(hint) or (hint, "") for name, hint in hints.items()}
+    return {name: get_args(hint) if get_origin(hint) is Annotated else (hint, "") for name, hint in hints.items()}
 
 
 def read_results(path: Path | None, kind: type[R]) -> list[R]:
@@ -47,13 +47,23 @@ def read_results(path: Path | None, kind: type[R]) -> list[R]:
         raise ValueError(f"{path} is not a file of this script: {type(error).__name__}: {error}") from None
 
 
-def write_results(path: Path | None, results: Sequence[Any]) -> None:
-    """Write the results, all of one dataclass, atomically; without a path nothing is written."""
+def write_results(path: Path | None, results: Sequence[Any], about: Mapping[str, Any] | None = None) -> None:
+    """Write the results, all of one dataclass, atomically; without a path nothing is written.
+
+    Args:
+        path: of the file.
+        results: one per row; the cell of None is empty.
+        about: columns with the same value in every row.
+    """
     if path is None or not results:
         return
-    columns = _columns(type(results[0])).items()
-    rows = [[format(getattr(result, name), form) for name, (_, form) in columns] for result in results]
-    atomic_write(path, csv_bytes([[name for name, _ in columns], *rows]))
+    columns, about = _columns(type(results[0])), about or {}
+
+    def cell(value: Any, form: str) -> str:
+        return "" if value is None else format(value, form)
+
+    rows = [[cell(getattr(result, name), form) for name, (_, form) in columns.items()] for result in results]
+    atomic_write(path, csv_bytes([[*columns, *about], *([*row, *map(str, about.values())] for row in rows)]))
 
 
 def check_folder(parser: ArgumentParser, path: Path | None) -> None:

@@ -14,12 +14,12 @@ from __future__ import annotations
 import contextlib
 import math
 import multiprocessing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium
 import mo_gymnasium
@@ -29,7 +29,7 @@ import torch
 from gymnasium import spaces
 from gymnasium.envs.classic_control import CartPoleEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
-from result_file import check_folder
+from result_file import check_folder, write_results
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -40,7 +40,6 @@ from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import make_experiment
 from algorithms.peers import PEERS
 from algorithms.peers.running import prepare
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.metrics import SUCCESS
@@ -332,7 +331,7 @@ class Result:
     environment: str
     seed: int
     reached: bool
-    seconds: float
+    seconds: Annotated[float, ".6g"]
     steps: int
 
 
@@ -382,20 +381,6 @@ def _text(value: float, form: str) -> str:
     return "-" if math.isnan(value) else form.format(value) if math.isfinite(value) else "not reached"
 
 
-def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Write one row per run as CSV, atomically."""
-    about = {
-        "commit": paired_benchmark.working_tree(),
-        "machine": paired_benchmark.machine(),
-        "threads": str(paired_benchmark.THREADS),
-    }
-    rows = [[*(each.name for each in fields(Result)), *about]]
-    for result in results:
-        cells = asdict(result) | {"seconds": f"{result.seconds:.6g}"}
-        rows.append([*map(str, cells.values()), *about.values()])
-    atomic_write(path, csv_bytes(rows))
-
-
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = make_parser(__doc__)
@@ -424,11 +409,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         (learner, env_id, seed, limits[env_id])
         for seed, env_id, learner in product(range(arguments.seeds), limits, arguments.only)
     ]
+    about = {"commit": paired_benchmark.working_tree(), "machine": paired_benchmark.machine()}
+    about["threads"] = str(paired_benchmark.THREADS)
     results = []
     for run in track(runs):
         results.append(race_in_new_process(run))
-        if arguments.output is not None:
-            write_results(arguments.output, results)  # after every run: all of them take hours
+        write_results(arguments.output, results, about)  # after every run: all of them take hours
     columns = ("learner", "reached", "CPU seconds to 95%", "steps to 95%", "steps/s", "steps/s, CartPole-v1")
     caption = f"{arguments.seeds} seeds: median (least to greatest); {paired_benchmark.machine()}, one thread"
     table = Table(*columns, caption=caption)

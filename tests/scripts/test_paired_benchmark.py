@@ -100,9 +100,12 @@ def test_what_a_tree_cannot_run_is_said_once(paired: ModuleType) -> None:
     assert calls.count("import") == 2, "not again in later pairs"
 
 
-def test_the_file_has_a_row_per_measurement(paired: ModuleType, tmp_path: Path) -> None:
+def test_the_file_has_a_row_per_measurement(
+    paired: ModuleType, load_script: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
     rows = [paired.Pairs("make", [1.0] * 6, [1.5] * 6).row(), paired.Pairs("import", problem="no").row()]
-    paired.write_rows(tmp_path / "pairs.csv", rows, {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1})
+    about = {"old_commit": "a", "machine": "b, 2 CPUs", "threads": 1}
+    load_script("result_file").write_results(tmp_path / "pairs.csv", rows, about)
     with (tmp_path / "pairs.csv").open(newline="") as file:
         read = list(csv.DictReader(file))
     assert [row["measurement"] for row in read] == ["make", "import"]

@@ -99,18 +99,6 @@ def test_runs_that_did_not_arrive_are_slower_than_all_others(wall_clock: ModuleT
     assert wall_clock.summary(runs, "mo_ppo")[1:] == ["0 of 0", "-", "-", "-", "-"]
 
 
-def test_every_run_is_a_row_of_the_file(wall_clock: ModuleType, tmp_path: Path) -> None:
-    wall_clock.write_results(tmp_path / "runs.csv", results(wall_clock, (True, 1.25, 4096)))
-    with (tmp_path / "runs.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["environment"], row["reached"], row["seconds"], row["steps"]) for row in rows] == [
-        (DRIVING, "True", "1.25", "4096"),
-        (CARTPOLE, "False", "2", "80000"),
-    ]
-    assert {row["threads"] for row in rows} == {"1"}
-    assert all(row["machine"] and row["commit"] for row in rows)
-
-
 def test_cartpole_pays_a_vector(wall_clock: ModuleType) -> None:
     env = wall_clock.mo_gymnasium.make(wall_clock.VECTOR_CARTPOLE)
     env.reset(seed=0)
