@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
-from mo_deepdrive import observation
 from mo_deepdrive.limits import check_state
+from mo_deepdrive.measures import make_measures
+from mo_deepdrive.observation import layout
+from mo_deepdrive.params import chosen_objectives, make_params
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation import traffic
+from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
-from mo_deepdrive.simulation.measures import make_measures
-from mo_deepdrive.simulation.params import chosen_objectives, make_params
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import ENDS, PARAMS, RUNNING, SPAWN, VEHICLE, with_room
 from mo_deepdrive.thread_pool import ThreadPool
@@ -100,7 +100,7 @@ class WorldBatch:
         self.objectives = chosen_objectives(config)
         self.params = make_params(config)
         vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars
-        size = len(observation.layout(self.scenario))
+        size = len(layout(self.scenario))
         self.state = np.zeros((worlds, vehicles), dtype=with_room(VEHICLE, obstacles, cars))
         self.state["end"] = ENDS.index("time_limit")
         self.observations = np.zeros((worlds, vehicles, size), dtype=np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mo_deepdrive.quiet_pygame import gfxdraw, pygame
-from mo_deepdrive.scenarios import MAP_CENTRE
+from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, ARRIVED, LANE_WIDTH, LENGTH, RUNNING
 
 Colour = tuple[int, ...]  # red, green, blue and possibly alpha, each 0 to 255

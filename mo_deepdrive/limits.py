@@ -12,7 +12,8 @@ import numpy as np
 
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import FAR
-from mo_deepdrive.scenarios import MAP_SIZE, SCENARIOS
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.map import MAP_SIZE
 from mo_deepdrive.simulation.state import (
     ENDS,
     GRAVITY,

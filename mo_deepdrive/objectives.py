@@ -86,8 +86,6 @@ OBJECTIVES: list[Objective] = [
     ),
 ]
 INDEX: dict[str, int] = {objective.name: index for index, objective in enumerate(OBJECTIVES)}
-# The magnitudes in the state of a vehicle, in order.
-KERNEL_NAMES: tuple[str, ...] = tuple(objective.name for objective in OBJECTIVES if objective.measure is None)
 
 
 def signs(names: tuple[str, ...]) -> NDArray[np.float64]:

@@ -19,9 +19,9 @@ from mo_deepdrive.action_sequences import decode, discounted_sum, replay
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import signs
+from mo_deepdrive.params import chosen_objectives
 from mo_deepdrive.reference_points import select_objectives
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.params import chosen_objectives
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

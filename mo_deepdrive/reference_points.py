@@ -18,8 +18,8 @@ import yaml
 from mo_deepdrive.config import ActionType, EnvConfig
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.params import chosen_objectives
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.params import chosen_objectives
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

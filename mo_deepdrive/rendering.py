@@ -22,12 +22,13 @@ from mo_deepdrive.drawing import (
     Canvas,
     Colour,
 )
-from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
+from mo_deepdrive.measures import make_measures
+from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
+from mo_deepdrive.params import chosen_objectives, make_params
 from mo_deepdrive.quiet_pygame import pygame
-from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
-from mo_deepdrive.simulation.measures import make_measures
-from mo_deepdrive.simulation.params import chosen_objectives, make_params
-from mo_deepdrive.simulation.state import ARRIVED, ENDS, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
+from mo_deepdrive.simulation.state import ARRIVED, ENDS, KERNEL_NAMES, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,22 +18,14 @@ import numpy as np
 
 from mo_deepdrive.names import check_name, nearest
 from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, MAX_VEHICLES, MAX_WAYPOINTS
+from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_ORIGIN, MAP_UNIT
+from mo_deepdrive.simulation.state import LANE_WIDTH, MAX_VEHICLES, MAX_WAYPOINTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MAX_CARS = 100  # oncoming cars; more than pass the crossing in a minute
 FARTHEST = 250.0  # m; largest coordinate of a start or waypoint, so that observations stay in their space
-
-# The original draws on a 1000 px square with a 50 px margin.
-PIXELS_PER_METRE = 405 / LENGTH / 4
-MAP_UNIT = 900 / PIXELS_PER_METRE
-MAP_ORIGIN = 50 / PIXELS_PER_METRE
-MAP_CENTRE = MAP_ORIGIN + MAP_UNIT / 2
-MAP_SIZE = 1000 / PIXELS_PER_METRE
-
-HALF_LANE = LANE_WIDTH / 2
 
 
 def metres(p: float) -> float:

@@ -22,9 +22,10 @@ from algorithms.driving.left_turn_rules import (
     locate,
 )
 from mo_deepdrive.actions import CONTINUOUS, action_table
-from mo_deepdrive.observation import ABSENT_DISTANCE, SIGHT_DISTANCE, layout
+from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.geometry import HALF_WIDTH
+from mo_deepdrive.simulation.observation import ABSENT_DISTANCE, SIGHT_DISTANCE
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
 from mo_deepdrive.simulation.traffic import ENTRY
 

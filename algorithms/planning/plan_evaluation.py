@@ -9,11 +9,11 @@ import numpy as np
 
 from algorithms.planning.driving_rules import RULE, follow_rule
 from algorithms.planning.plans import CRITERIA, FULL_SCALE, EvaluatedPlans, PlanFormat, Plans
-from mo_deepdrive import observation
 from mo_deepdrive.actions import decode_continuous, decode_discrete
 from mo_deepdrive.batch import WorldBatch
+from mo_deepdrive.observation import layout
 from mo_deepdrive.reference_fronts import front_config
-from mo_deepdrive.simulation import traffic
+from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import step_worlds
 from mo_deepdrive.simulation.state import RUNNING
@@ -107,7 +107,7 @@ class PlanEvaluator:
         self.simulated_decisions = 0
         motion, path = make_scratch(1, config.physics_steps)
         self._scratch = (motion, traffic.make_scratch(0), path, np.zeros(1, dtype=observation.SIGHT))
-        self._observed = len(observation.layout(self.batch.scenario))
+        self._observed = len(layout(self.batch.scenario))
         self._weights = np.array([criterion.gamma ** np.arange(config.max_decisions) for criterion in CRITERIA])
         params = self.batch.params[0]
         # (criteria, decisions) the time until after each decision, discounted.

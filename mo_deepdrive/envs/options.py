@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.names import nearest
+from mo_deepdrive.params import cars_in_traffic
 from mo_deepdrive.scenarios import FARTHEST, SCENARIOS, Scenario
-from mo_deepdrive.simulation.params import cars_in_traffic
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import SPAWN, with_room
 from mo_deepdrive.simulation.traffic import DESIRED_SPEEDS, HEADWAYS, YIELDINGS

@@ -10,8 +10,8 @@ from gymnasium import spaces
 from mo_deepdrive import actions, observation
 from mo_deepdrive.limits import limits, objective_bound
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
+from mo_deepdrive.params import chosen_objectives
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.params import chosen_objectives
 
 if TYPE_CHECKING:
     from mo_deepdrive.config import EnvConfig

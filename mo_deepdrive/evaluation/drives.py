@@ -12,7 +12,8 @@ from gymnasium.vector import AutoresetMode
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import find_spec
-from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE, SCENARIOS
+from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.state import ENDS
 
 if TYPE_CHECKING:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mo_deepdrive import observation
-from mo_deepdrive.objectives import INDEX
-from mo_deepdrive.simulation import progress, traffic
+from mo_deepdrive.simulation import observation, progress, traffic
 from mo_deepdrive.simulation.collision import hits_any_car, hits_any_obstacle, vehicles_collide
 from mo_deepdrive.simulation.dynamics import drive
 from mo_deepdrive.simulation.jit import jit
@@ -26,6 +24,7 @@ from mo_deepdrive.simulation.state import (
     COLLISION,
     HARMFUL_G_FORCE,
     HARMFUL_JERK,
+    KERNEL_NAMES,
     LANE_TOLERANCE,
     OFF_LANE,
     OTHER_VEHICLE,
@@ -41,12 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Indices of the objectives within vehicle.objectives.
-DISTANCE = INDEX["distance"]
-DESTINATION = INDEX["destination"]
-G_FORCE = INDEX["g_force"]
-CRASH = INDEX["collision"]
-JERK = INDEX["jerk"]
-LANE_VIOLATION = INDEX["lane_violation"]
+DISTANCE, DESTINATION, G_FORCE, CRASH, JERK, LANE_VIOLATION = range(len(KERNEL_NAMES))
 
 
 @jit

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mo_deepdrive.scenarios import HALF_LANE, MAP_UNIT
 from mo_deepdrive.simulation import geometry, progress, traffic
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.map import HALF_LANE, MAP_UNIT
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, MAX_WAYPOINTS, RUNNING, Record, Records
 
 if TYPE_CHECKING:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from mo_deepdrive.simulation import geometry
 from mo_deepdrive.simulation.geometry import HALF_LENGTH
 from mo_deepdrive.simulation.jit import jit
+from mo_deepdrive.simulation.map import HALF_LANE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, Record
-
-HALF_LANE = LANE_WIDTH / 2
 
 
 @jit

@@ -12,11 +12,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mo_deepdrive.objectives import KERNEL_NAMES
-
 # Types of arguments: a record of one of the dtypes in this module, or an array of them (NumPy's stubs know no fields).
 Record: TypeAlias = Any
 Records: TypeAlias = NDArray[Any]
+
+# The magnitudes that the kernel measures, in the order of ``objectives`` in the state of a vehicle.
+KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
 
 MAX_VEHICLES = 2
 MAX_WAYPOINTS = 3

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mo_deepdrive.scenarios import HALF_LANE, MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH, boxes_overlap
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import in_lanes
+from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.state import GRAVITY, LANE_WIDTH, LENGTH, MAX_ACCELERATION, RUNNING, Record, Records
 
 if TYPE_CHECKING:

@@ -236,7 +236,7 @@ def test_the_reference_has_every_public_constant() -> None:
     text = "".join(reference.pages().values())
     for name in ("SCENARIOS", "OBJECTIVES", "ALGORITHMS", "SPLITS"):
         assert f".. py:data:: {name}\n" in text
-    lines = reference.constants("mo_deepdrive.observation")["ABSENT_DISTANCE"]
+    lines = reference.constants("mo_deepdrive.simulation.observation")["ABSENT_DISTANCE"]
     assert "   :value: 100.0" in lines
     assert "   A vehicle that has left the road is observed straight ahead, at rest, at this distance (m)." in lines
 

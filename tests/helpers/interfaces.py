@@ -17,8 +17,9 @@ import numpy as np
 
 import mo_deepdrive
 from mo_deepdrive.actions import CONTINUOUS, DISCRETE, SPEED_CHANGES
-from mo_deepdrive.observation import ABSENT_DISTANCE, layout
+from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.observation import ABSENT_DISTANCE
 from mo_deepdrive.simulation.state import STEER_RANGE
 
 ACTION_TYPES = ("discrete", "discrete-16", "continuous")

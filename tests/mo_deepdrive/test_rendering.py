@@ -16,7 +16,7 @@ from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.drawing import TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
-from mo_deepdrive.scenarios import MAP_SIZE
+from mo_deepdrive.simulation.map import MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from mo_deepdrive.evaluation.drives import READINGS
 from mo_deepdrive.evaluation.metrics import name_and_unit
 from mo_deepdrive.evaluation.statistics import rate
-from mo_deepdrive.scenarios import MAP_CENTRE
+from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import ARRIVAL_RADIUS, LANE_WIDTH, LENGTH, WIDTH
 
 if TYPE_CHECKING:

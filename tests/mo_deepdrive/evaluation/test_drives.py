@@ -13,7 +13,7 @@ from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.evaluation.drives import READINGS, PlanDriver, PoliciesDriver, is_drivable, record_scenes
 from mo_deepdrive.evaluation.front import Front
-from mo_deepdrive.scenarios import MAP_CENTRE, MAP_SIZE
+from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 LEFT_TURN = "mo-deepdrive-left-turn-v0"

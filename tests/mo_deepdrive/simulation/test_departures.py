@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.objectives import KERNEL_NAMES, OBJECTIVES
+from mo_deepdrive.objectives import OBJECTIVES
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.state import KERNEL_NAMES
 
 IDLE = 0
 FORWARD = 3  # decay steer, increase speed

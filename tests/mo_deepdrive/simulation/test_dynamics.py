@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from llvmlite.binding import get_host_cpu_features
 
 from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.observation import SIGHT, look
+from mo_deepdrive.params import make_params
 from mo_deepdrive.simulation.dynamics import drive, make_scratch
 from mo_deepdrive.simulation.lanes import LANES
-from mo_deepdrive.simulation.params import make_params
+from mo_deepdrive.simulation.observation import SIGHT, look
 from mo_deepdrive.simulation.state import ENDS, VEHICLE
 from mo_deepdrive.simulation.trigonometry import LARGEST, angle_of, sine_cosine
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mo_deepdrive.config import EnvConfig
+from mo_deepdrive.params import make_params
 from mo_deepdrive.simulation.kernel import ending, lane_excess
-from mo_deepdrive.simulation.params import make_params
 from mo_deepdrive.simulation.state import CIRCLING_LIMIT, ENDS, VEHICLE
 
 # The field that reaches its limit, the limit, the direction beyond it, and the end.

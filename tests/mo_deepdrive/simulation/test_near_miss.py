@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.scenarios import MAP_CENTRE
 from mo_deepdrive.simulation.geometry import boxes_overlap, time_to_collision
+from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.near_miss import CONFLICT_TIME
 from mo_deepdrive.simulation.state import LENGTH, WIDTH
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.params import chosen_objectives, make_params, reward_signs
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.params import chosen_objectives, make_params, reward_signs
 from mo_deepdrive.simulation.state import VEHICLE, Records, with_room
 
 if TYPE_CHECKING:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mo_deepdrive.names import nearest
-from mo_deepdrive.objectives import INDEX, KERNEL_NAMES, OBJECTIVES, signs
-from mo_deepdrive.scenarios import MAP_CENTRE, SCENARIOS, Scenario
+from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
+from mo_deepdrive.scenarios import SCENARIOS, Scenario
+from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
+    KERNEL_NAMES,
     PARAMS,
     SPEED_FRICTION,
     YAW_FRICTION,
