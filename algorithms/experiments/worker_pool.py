@@ -14,7 +14,8 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection
 from typing import TYPE_CHECKING, Any
 
-from algorithms.experiments.interrupts import DiskFull, Stopped
+from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verdict
+from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.jobs import Job, JobFailed, JobOutcome, describe, perform
 from algorithms.experiments.run_directory import InUse
 
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from algorithms.experiments.dashboard import Dashboard
 
 POLL = 0.25  # s between checks for finished jobs
-BUSY = 2.0  # s after which a run that another process holds is tried again
-DIED = "its worker process died (out of memory, or killed)"
 
 
 def _perform(packed: dict[str, Any]) -> JobOutcome:
@@ -140,7 +139,7 @@ def perform_all(
         jobs: the runs; finished ones are skipped.
         workers: number of processes.
         dashboard: shows the progress.
-        retries: how often a run is repeated if its worker dies or cannot write; other errors are not retried.
+        retries: as in :func:`algorithms.experiments.failures.verdict`.
         stop: called several times a second; True saves the running jobs and returns.
 
     Returns:
@@ -166,28 +165,25 @@ def perform_all(
             if not pool.busy:
                 time.sleep(POLL)
             for job, error in pool.ended(POLL):
-                if isinstance(error, DiskFull):
+                if error is None:
+                    continue
+                attempts[job.path] += 1
+                if isinstance(error, BrokenProcessPool):
+                    times = f", {attempts[job.path]} times" if attempts[job.path] > 1 else ""
+                    error = WorkerDied(DIED + times)
+                outcome = verdict(error, attempts[job.path], retries)
+                if outcome == "stop":
                     raise error
-                if isinstance(error, InUse):
+                if outcome == "wait":
+                    attempts[job.path] -= 1
                     busy.append((time.monotonic() + BUSY, job))
-                elif isinstance(error, (BrokenProcessPool, Stopped, OSError)) and attempts[job.path] < retries:
-                    attempts[job.path] += 1
+                elif outcome == "retry":
                     queue.append(job)
-                elif error is not None:
-                    died = isinstance(error, BrokenProcessPool)
-                    failed[job] = _worker_died(job, attempts[job.path] + 1) if died else describe(error)
+                else:
+                    failed[job] = record(job, error)
                     dashboard.failed(job, failed[job])
             dashboard.update()
     finally:
         pool.close()
         dashboard.update(now=True)
     return failed
-
-
-def _worker_died(job: Job, attempts: int) -> str:
-    """Write to a run's directory that its worker died; returns the reason."""
-    reason = DIED + (f", {attempts} times" if attempts > 1 else "")
-    with contextlib.suppress(ValueError, OSError):  # it may have died before the directory existed
-        run = job.open(device="cpu")  # this machine may not have the run's device
-        run.set_status("failed", run.status.get("step", 0), reason)
-    return reason

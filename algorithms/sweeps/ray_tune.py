@@ -20,10 +20,10 @@ from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
+from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.experiments.interrupts import DiskFull, Stopped
-from algorithms.experiments.jobs import Job, describe, perform
+from algorithms.experiments.jobs import Job, JobFailed, describe, perform
 from algorithms.experiments.run_directory import InUse, read_status
-from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.reporting.seed_tables import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
@@ -105,15 +105,17 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
                     final = {f"final/{name}": value for name, value in final_metrics(job.path).items()}
                     reports.put({**final, "done": True})
                     return
-                except InUse:
+                except InUse as error:
+                    if verdict(error, 1, 1) != "wait":
+                        raise
                     stop.wait(BUSY)
             reports.put({"done": True, "stopped": True})
-        except DiskFull as error:
-            reports.put({"done": True, "error": describe(error), "disk_full": True})
-        except (Stopped, OSError) as error:
-            reports.put(RuntimeError(describe(error)))
-        except Exception as error:  # a retry would fail in the same way
-            reports.put({"done": True, "error": describe(error)})
+        except Exception as error:
+            outcome = verdict(error, 1, 1)  # Tune counts the attempts
+            if outcome == "retry":
+                reports.put(RuntimeError(describe(error)))
+            else:
+                reports.put({"done": True, "error": describe(error), "disk_full": outcome == "stop"})
 
 
 def _logged_evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
@@ -174,19 +176,19 @@ class _ProgressCallback(_NotPickled, tune.Callback):  # type: ignore[misc]  # Ra
 
     def on_trial_result(self, *_arguments: Any, trial: Any, result: TuneReport, **_info: Any) -> None:
         if "error" in result:
-            self._record(trial, result["error"])
-        if "disk_full" in result:
+            self._record(trial, JobFailed(result["error"]))
+        if result.get("disk_full"):
             self.disk_full = result["error"]
 
     def on_trial_error(self, *_arguments: Any, trial: Any, **_info: Any) -> None:
         text = str(trial.get_error() or trial.get_pickled_error() or "")
         died = "ActorDiedError" in text or "ActorUnavailableError" in text or "OutOfMemoryError" in text
-        self._record(trial, DIED if died else text.strip().splitlines()[-1])
+        self._record(trial, WorkerDied(DIED) if died else JobFailed(text.strip().splitlines()[-1]))
 
-    def _record(self, trial: Any, reason: str) -> None:
+    def _record(self, trial: Any, error: JobFailed) -> None:
         job = self._jobs[trial.config["run"]["id"]]
-        self.failed[job] = reason
-        self._monitor.failed(job, reason)
+        self.failed[job] = record(job, error)
+        self._monitor.failed(job, self.failed[job])
 
 
 class _StopWhenAsked(_NotPickled, tune.Stopper):  # type: ignore[misc]  # Ray's types are not checked

@@ -21,6 +21,7 @@ from rich.console import Console
 
 from algorithms.experiments.console import WIDTH
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.failures import WorkerDied, record, verdict
 from algorithms.experiments.interrupts import Stopped
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.worker_pool import perform_all
@@ -53,7 +54,7 @@ class ArrayTask:
     Attributes:
         jobs: the runs.
         side_by_side: number of concurrent runs.
-        retries: as in :func:`algorithms.experiments.worker_pool.perform_all`.
+        retries: as in :func:`algorithms.experiments.failures.verdict`.
     """
 
     jobs: tuple[Job, ...]
@@ -262,8 +263,8 @@ def run_on_slurm(
             for job in lost:
                 if first:
                     reason = _reported_failure(job) if count_failures else None
-                else:
-                    reason = _failure_reason(job, queue, attempts[job.id], settings.retries)
+                else:  # the job has already retried what it reported
+                    reason = _reported_failure(job) or _lost(job, queue, attempts[job.id], settings.retries)
                 if reason is None:
                     attempts[job.id] += 1
                     to_submit.append(job)
@@ -290,13 +291,11 @@ def _reported_failure(job: Job) -> str | None:
     return str(status["reason"]) if status.get("state") == "failed" and "reason" in status else None
 
 
-def _failure_reason(job: Job, queue: SlurmQueue, attempts: int, retries: int) -> str | None:
-    """Why a run whose job has ended is not retried; None to retry it."""
-    reported = _reported_failure(job)
-    if reported is not None:
-        return reported  # the job has already retried it
+def _lost(job: Job, queue: SlurmQueue, attempts: int, retries: int) -> str | None:
+    """Why a run whose Slurm job ended before it did has failed; None to retry it."""
     slurm_job, state = queue.last_state(str(job.id))
-    if state == "CANCELLED" or attempts > retries:
-        log = queue.log_file(slurm_job)
-        return f"Slurm job {slurm_job} ended ({state}) before the run did" + (f"; see {log}" if log.exists() else "")
-    return None
+    log = queue.log_file(slurm_job)
+    hint = f"; see {log}" if log.exists() else ""
+    error = WorkerDied(f"Slurm job {slurm_job} ended ({state}) before the run did{hint}")
+    retried = state != "CANCELLED" and verdict(error, attempts, retries) == "retry"
+    return None if retried else record(job, error)

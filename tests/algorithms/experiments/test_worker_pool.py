@@ -13,10 +13,11 @@ import pytest
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.failures import DIED
 from algorithms.experiments.interrupts import DiskFull
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
-from algorithms.experiments.worker_pool import DIED, perform_all
+from algorithms.experiments.worker_pool import perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
 from tests.helpers.sweep_files import eventually
 
