@@ -26,6 +26,7 @@ from algorithms.common.checkpoints import (
     strip_prefix,
     write_checkpoint,
 )
+from algorithms.common.hyperparameters import a_twentieth
 from algorithms.common.rollout import Episodes
 from algorithms.common.threads import limited_threads
 from mo_deepdrive.config import Settings, parse
@@ -58,7 +59,6 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.utilities import Utility
 
-EVALUATION_INTERVALS = 20
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
 
 Log = Callable[[int, dict[str, float]], None]
@@ -316,7 +316,7 @@ class Agent(ABC):
         ):
             if value is not None and value < least:
                 raise ValueError(f"{name} = {value} must be at least {least}")
-        interval = max(1, total_timesteps // EVALUATION_INTERVALS) if eval_interval is None else eval_interval
+        interval = a_twentieth(total_timesteps) if eval_interval is None else eval_interval
         plan = None
         if eval_env is not None:
             plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)

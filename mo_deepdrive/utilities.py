@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -104,14 +104,18 @@ class ComfortBudget:
         prices: per unit of other costs.
     """
 
+    GAINS: ClassVar[dict[str, float]] = {"distance": 0.1, "destination": 10.0}
+    EXCESS_PRICES: ClassVar[dict[str, float]] = {"g_force": 2.0, "jerk": 0.05}
+
     g_force: float
     jerk: float
     prices: Mapping[str, float] = field(default_factory=dict)
 
     def utility(self, m: dict[str, Any]) -> Any:
         """0.1 d + 10 r - 2 max(0, G - g_force) - 0.05 max(0, J - jerk) - prices of other costs."""
-        value = 0.1 * m["distance"] + 10.0 * m["destination"]
-        value = value - 2.0 * _excess(m["g_force"], self.g_force) - 0.05 * _excess(m["jerk"], self.jerk)
+        value = sum(gain * m[objective] for objective, gain in self.GAINS.items())
+        for objective, price in self.EXCESS_PRICES.items():
+            value = value - price * _excess(m[objective], getattr(self, objective))
         for objective, price in self.prices.items():
             value = value - price * m[objective]
         return value

@@ -36,6 +36,11 @@ Activation = Literal["relu", "tanh", "elu", "gelu", "silu", "leaky_relu"]
 DottedPath = Annotated[str, Field(pattern=r"^[^:]+:[^:]+$")]
 
 
+def a_twentieth(total_timesteps: int) -> int:
+    """The default of environment steps between evaluations, and between checkpoints, of a training."""
+    return max(1, total_timesteps // 20)
+
+
 class NetworkSettings(Settings):
     """Hyperparameters of networks, the base of every Config whose algorithm uses :mod:`algorithms.common.networks`.
 

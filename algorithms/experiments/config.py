@@ -9,7 +9,7 @@ import mo_gymnasium  # noqa: F401  (registers its ids)
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer
 
 import mo_deepdrive
-from algorithms.common.hyperparameters import GuideSettings
+from algorithms.common.hyperparameters import GuideSettings, a_twentieth
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
@@ -251,14 +251,14 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         reference = attempt(lambda: _reference_point(experiment, arguments))
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
-    twentieth = max(1, experiment.training.total_timesteps // 20)
+    default = a_twentieth(experiment.training.total_timesteps)
     evaluation, logging = experiment.evaluation, experiment.logging
     return experiment.model_copy(
         update={
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "algorithm": algorithm,
-            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or twentieth, **reference}),
-            "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or twentieth}),
+            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **reference}),
+            "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
     )
 

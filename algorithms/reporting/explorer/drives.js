@@ -1,7 +1,6 @@
 // Drives as the simulator recorded them: every picture is a recorded decision, nothing is computed in between.
 
 const SVG = "http://www.w3.org/2000/svg";
-const READINGS = ["x", "y", "heading", "speed", "g_force", "jerk"];
 
 /** A stored drive with its readings as numbers: each is the sum of the stored differences up to it. */
 function decodeDrive(stored, resolution) {
@@ -10,7 +9,7 @@ function decodeDrive(stored, resolution) {
     return differences.map((difference) => (difference === null ? null : (total += difference) * resolution[name]));
   };
   const drive = { end: stored.end, decisions: stored.x.length - 1 };
-  for (const name of READINGS) drive[name] = sums(stored[name], name);
+  for (const name of Object.keys(resolution)) drive[name] = sums(stored[name], name);
   drive.cars = (stored.cars ?? []).map((car) => ({ x: sums(car.x, "x"), y: sums(car.y, "y") }));
   return drive;
 }

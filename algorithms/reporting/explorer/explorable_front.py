@@ -101,6 +101,8 @@ class ExplorableFront:
                 "g_force": budget.g_force,
                 "jerk": budget.jerk,
                 "prices": dict(budget.prices),
+                "gains": budget.GAINS,
+                "excessPrices": budget.EXCESS_PRICES,
             },
             "scenes": self._scenes_to_json(),
         }

@@ -54,7 +54,7 @@ class Panels {
       text: (importance) => `weight ${weightOf(importance, objective.scale)}`,
       change: (importance) => this.explorer.update({ mode: "weights", weights: state.weights.with(i, importance) }),
     })));
-    byId("budgets").replaceChildren(...(front.budget ? ["g_force", "jerk"] : []).map((key) => {
+    byId("budgets").replaceChildren(...Object.keys(front.budget?.excessPrices ?? {}).map((key) => {
       const i = front.objectives.findIndex((objective) => objective.key === key);
       const objective = front.objectives[i];
       const most = Math.max(2 * front.budget[key], ...front.means.map((row) => row[i] * objective.sign));
@@ -85,11 +85,14 @@ class Panels {
     }));
   }
 
-  /** Of the utility with a comfort budget, what other costs than g-force and jerk count. */
-  otherPrices() {
-    const { front } = this;
-    const name = (key) => front.objectives.find((objective) => objective.key === key).name;
-    return Object.entries(front.budget?.prices ?? {}).map(([key, price]) => `, ${name(key)} ${price}`).join("");
+  /** What counts in the utility with a comfort budget. */
+  budgetRule() {
+    const { budget, objectives } = this.front;
+    const named = (prices) => Object.entries(prices)
+      .map(([key, price]) => `${objectives.find((objective) => objective.key === key).name} ${price}`);
+    return `It has the greatest expected utility. Per unit, ${named(budget.gains).join(" and ")} count; `
+      + `${named(budget.excessPrices).join(" and ")} are the costs beyond the budgets`
+      + `${named(budget.prices).map((price) => `, ${price}`).join("")}.`;
   }
 
   showChoice() {
@@ -104,8 +107,7 @@ class Panels {
     const first = this.explorer.order()[0];
     byId("why").textContent = {
       weights: "It has the greatest weighted sum of mean returns. A weight counts per unit of the return.",
-      budget: "It has the greatest expected utility: arriving counts 10, a metre 0.1; g-force and jerk beyond the "
-        + `budgets cost 2 and 0.05 per unit${this.otherPrices()}.`,
+      budget: state.mode === "budget" ? this.budgetRule() : "",
       picked: first === chosen ? "Chosen by hand; a slider chooses by preference again."
         : `Chosen by hand. Policy ${front.numbers[first]} is at least as good in every objective, so the command chooses it.`,
     }[state.mode];

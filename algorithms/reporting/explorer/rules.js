@@ -37,8 +37,9 @@ function budgetUtilities(returns, objectives, budget) {
   const utility = (episode) => {
     const m = {};
     objectives.forEach((objective, i) => (m[objective.key] = episode[i] * objective.sign));
-    let value = 0.1 * m.distance + 10 * m.destination;
-    value = value - 2 * excess(m.g_force, budget.g_force) - 0.05 * excess(m.jerk, budget.jerk);
+    let value = 0;
+    for (const [key, gain] of Object.entries(budget.gains)) value = value + gain * m[key];
+    for (const [key, price] of Object.entries(budget.excessPrices)) value = value - price * excess(m[key], budget[key]);
     for (const [key, price] of Object.entries(budget.prices)) value = value - price * m[key];
     return value;
   };

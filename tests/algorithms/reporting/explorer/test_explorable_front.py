@@ -68,7 +68,14 @@ def test_returns_and_scales_are_exact() -> None:
         ("g_force", "g", -1.0),
         ("jerk", "m/s³", -1.0),
     ]
-    assert stored["budget"] == {"name": "one_waypoint_comfort_budget", "g_force": 5.0, "jerk": 40.0, "prices": {}}
+    assert stored["budget"] == {
+        "name": "one_waypoint_comfort_budget",
+        "g_force": 5.0,
+        "jerk": 40.0,
+        "gains": {"distance": 0.1, "destination": 10.0},
+        "excessPrices": {"g_force": 2.0, "jerk": 0.05},
+        "prices": {},
+    }
 
 
 def test_readings_are_rounded_once_however_long_the_drive_is() -> None:
