@@ -59,7 +59,6 @@ from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
 from algorithms.sweeps.collection import FOLDER as COLLECTED
 from algorithms.sweeps.manifest import RUNS, ManifestRow, write_manifest
-from algorithms.sweeps.runner import available_cores
 from mo_deepdrive.atomic_io import write_json
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
@@ -81,6 +80,7 @@ from mo_deepdrive.evaluation.metrics import (
     return_of,
 )
 from mo_deepdrive.evaluation.pareto import hypervolume
+from mo_deepdrive.machine import available_cores
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
