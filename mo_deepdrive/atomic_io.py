@@ -1,45 +1,108 @@
-"""Atomic writes: after a crash or on a full disk, the previous file is still whole. Also lock files."""
+"""Files of users: whole or as they were, never through a link, on any file system."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import io
 import json
 import os
-import stat
-import tempfile
+import secrets
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-TEMPORARY = ".*.tmp"
-DEEPEST = 50  # objects and lists in each other, in a file
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+
+if os.name == "posix":
+    import fcntl
+
+TEMPORARY = ".*.tmp"
+# Errors by which a file system says that it lacks an operation, besides those of permission.
+UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOLCK, errno.ENOTTY)
+
+
+@contextlib.contextmanager
+def optional() -> Iterator[None]:
+    """Continue where a file system refuses what it need not have: permissions, locks, flushing to the disk.
+
+    Raises:
+        OSError: any other, such as that of a full disk.
+    """
+    try:
+        yield
+    except OSError as error:
+        if not isinstance(error, PermissionError) and error.errno not in UNSUPPORTED:
+            raise
+
+
+def expand_home(path: str | Path) -> Path:
+    """A path that a user has written, with ``~`` at its beginning replaced by the home directory.
+
+    Raises:
+        ValueError: if the user has none.
+    """
+    expanded = Path(os.path.expanduser(path))  # noqa: PTH111 (keeps ~name where there is no such user, as shells do)
+    if expanded.parts[:1] == ("~",):
+        raise ValueError(f"path {str(path)!r}: this user has no home directory, and HOME is not set")
+    return expanded
+
+
+def own_path(directory: Path, name: str) -> Path:
+    """The path of what is in the directory of a run or sweep, to be written or deleted.
+
+    The directory itself may be reached through a link, but no link in it may lead elsewhere.
+
+    Args:
+        directory: of the run or sweep.
+        name: relative to it; it need not exist.
+
+    Raises:
+        ValueError: if there is a link.
+    """
+    path = directory / name
+    if (place := path.resolve()) != directory.resolve() / name:
+        raise ValueError(
+            f"{str(path)!r} leads to {str(place)!r}; nothing is written or deleted through a link inside a run or sweep"
+        )
+    return path
 
 
 def atomic_write(path: str | Path, data: bytes | Iterable[bytes]) -> None:
     """Replace the contents of ``path`` by ``data``, whole or in pieces, or leave it exactly as it was.
 
     The bytes go to a temporary file in the same folder, reach the disk, and are then renamed over ``path``: a reader
-    sees the old content or the new one, never a part.
+    sees the old content or the new one, never a part. A link is replaced, not followed.
 
     Raises:
         OSError: if anything went wrong (disk full, no permission); the temporary file is gone and ``path`` untouched.
     """
     path = Path(path)
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    file = part.open("xb")  # with the permissions that the umask leaves
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with file:
             file.writelines([data] if isinstance(data, bytes) else data)
             file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(path.stat().st_mode & 0o777 if path.exists() else 0o644)
-        Path(name).replace(path)
+            flush_to_disk(file)
+        if path.is_file() and not path.is_symlink():
+            with optional():
+                part.chmod(path.stat().st_mode & 0o777)
+        part.replace(path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise
+
+
+def flush_to_disk(file: IO[Any]) -> None:
+    """Make what was written to an open file reach the disk.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    with optional():
+        os.fsync(file.fileno())
 
 
 def is_temporary(path: Path) -> bool:
@@ -52,27 +115,24 @@ def leftovers(folder: Path) -> Iterator[Path]:
     return folder.glob(TEMPORARY)
 
 
-def open_lock(path: str | Path) -> IO[bytes]:
-    """Open a lock file, to be locked and closed by the caller; it is created if it is missing, and never changed.
+def lock(file: IO[Any], *, wait: bool) -> bool:
+    """Lock an open file until it is closed, if the file system has locks.
+
+    Args:
+        file: what to lock.
+        wait: until no other process holds it.
+
+    Returns:
+        Whether it is locked.
 
     Raises:
-        ValueError: if it is a link or anything else that is not a file.
-        OSError: if it cannot be opened.
+        BlockingIOError: if another process holds it, and ``wait`` is False.
     """
-    refusal = ValueError(f"lock {str(path)!r} is not a regular file; delete it")
-    flags = os.O_RDWR | os.O_CREAT
-    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC"):  # POSIX; without O_NONBLOCK a device may block
-        flags |= getattr(os, name, 0)
-    try:
-        file = os.fdopen(os.open(path, flags, 0o666), "r+b", buffering=0)
-    except OSError as error:
-        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ESPIPE):
-            raise refusal from None
-        raise
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        file.close()
-        raise refusal
-    return file
+    if os.name == "posix":
+        with optional():
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+    return False
 
 
 def write_json(path: str | Path, value: Any) -> None:
@@ -84,28 +144,10 @@ def write_json(path: str | Path, value: Any) -> None:
     atomic_write(path, (json.dumps(value, indent=2) + "\n").encode())
 
 
-def check_depth(value: Any, deepest: int = DEEPEST) -> None:
-    """Refuse JSON from elsewhere that is nested so deeply that work on it may end in the middle.
-
-    Args:
-        value: as ``json.loads`` gives it.
-        deepest: objects and lists in each other.
-
-    Raises:
-        RecursionError: if there are more.
-    """
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if inner and not deepest:
-        raise RecursionError
-    for each in inner:
-        check_depth(each, deepest - 1)
-
-
 def read_json_object(path: str | Path) -> dict[str, Any]:
     """The JSON object in a file that describes work; empty if the file is missing, broken or holds something else."""
     try:
         value = json.loads(Path(path).read_bytes())
-        check_depth(value)
     except (OSError, ValueError, RecursionError):  # RecursionError: nested too deeply
         return {}
     return value if isinstance(value, dict) else {}

@@ -47,8 +47,8 @@ from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
 from algorithms.peers.running import prepare
-from algorithms.sweeps.runner import available_cores
 from mo_deepdrive.evaluation.pareto import hypervolume
+from mo_deepdrive.machine import available_cores
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:

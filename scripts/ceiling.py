@@ -8,8 +8,8 @@ Scenario i is the one that ``reset(seed=seed + i)`` draws. It is searched best f
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from result_file import check_folder
@@ -17,15 +17,19 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from algorithms.experiments.cli import make_parser
 from algorithms.planning.best_first_search import LETTERS
 from algorithms.planning.solvability import ScenarioOutcome, describe_geometry, solve_scenarios, write_outcomes
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.evaluation.statistics import rate
 
+if TYPE_CHECKING:
+    import argparse
+
 
 def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     """The options of this script."""
-    parser = argparse.ArgumentParser(description="The share of StaticObstacle scenarios that can be solved at all.")
+    parser = make_parser("The share of StaticObstacle scenarios that can be solved at all.")
     parser.add_argument("--scenarios", type=int, default=200, help="number of scenarios (default: %(default)s)")
     parser.add_argument(
         "--seed", type=int, default=SPLITS["test"].start, help="scenario i has seed + i (default: %(default)s)"

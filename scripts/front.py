@@ -11,27 +11,29 @@ same arguments, runs and shipped front give the same front.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from result_file import check_folder
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from algorithms.experiments.cli import add_trust_argument
+from algorithms.experiments.cli import add_trust_argument, make_parser
 from algorithms.planning.front_improvement import FrontSearchSettings, improve_front, shipped_front_file
 from algorithms.planning.plans import CRITERIA
 from mo_deepdrive.config import ActionType
 from mo_deepdrive.scenarios import SCENARIOS
 
+if TYPE_CHECKING:
+    import argparse
+
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """The options of this script."""
     open_roads = [name for name, scenario in SCENARIOS.items() if not scenario.lanes]
-    parser = argparse.ArgumentParser(description="Search for a best-known front.", allow_abbrev=False)
+    parser = make_parser("Search for a best-known front.")
     add = parser.add_argument
     add("--scenario", choices=open_roads, default="one_waypoint", help="(default: %(default)s)")
     add("--action-type", choices=get_args(ActionType), default="discrete", help="(default: %(default)s)")

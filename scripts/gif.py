@@ -8,7 +8,6 @@ Each policy acts greedily. A short episode is followed by further ones while the
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from pathlib import Path
@@ -20,7 +19,7 @@ sys.path.append(str(Path.cwd()))  # a user's own utility may be there
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.build import load_policy
-from algorithms.experiments.cli import add_trust_argument, check_file
+from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.animated_gif import Frame, write_gif
@@ -28,6 +27,7 @@ from algorithms.reporting.videos import episode_frames, make_render_env
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Iterator, Sequence
 
 POLICIES = (
@@ -42,9 +42,7 @@ HOLD = 6  # frames for which the last one of an episode is shown
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("runs", nargs="*", default=POLICIES, metavar="RUN", help="run directories or names in the zoo")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the GIF")
     parser.add_argument(

@@ -72,7 +72,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from algorithms.experiments.console import make_console
     from algorithms.reproduction.pipeline import ReproductionOptions, reproduce
     from algorithms.reproduction.plan import load_plan
-    from algorithms.sweeps.runner import available_cores
+    from mo_deepdrive.machine import available_cores
 
     try:
         check_options(given)

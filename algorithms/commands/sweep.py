@@ -5,8 +5,9 @@
     mo-deepdrive sweep --config FILE --on slurm                         # as a Slurm job array
     mo-deepdrive sweep --config FILE --on slurm --dry-run               # print the Slurm batch script
     mo-deepdrive sweep --config FILE --on manifest                      # only write the list of runs
-    mo-deepdrive sweep --config FILE --verify                           # make again what is broken
     mo-deepdrive sweep --output DIR --status                            # show the progress
+    mo-deepdrive sweep --output DIR --verify                            # name finished runs whose files are broken
+    mo-deepdrive sweep --config FILE --remake                           # make them again
 
 Run the same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints. The
 sweep's directory has manifest.jsonl, with one line per run, and the run directories; mo-deepdrive table and
@@ -41,7 +42,7 @@ BACKENDS_OF_OPTIONS = {
     "address": ("ray",),
     "dry_run": ("slurm",),
     "no_wait": ("slurm",),
-    "verify": ("local", "ray", "slurm"),
+    "remake": ("local", "ray", "slurm"),
 }
 
 
@@ -64,11 +65,14 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     instead.add_argument(
         "--verify",
         action="store_true",
-        help="check the files of finished runs against their sizes and hashes, and make again what is broken",
+        help="compare the files of finished runs with their recorded hashes, name what is broken and exit",
+    )
+    instead.add_argument(
+        "--remake", action="store_true", help="also make finished runs again whose files are broken, in their place"
     )
     options = parser.parse_args(arguments)
-    if options.config is None and not (options.status and options.output):
-        parser.error("--config is required, except for --status with --output")
+    if options.config is None and not ((options.status or options.verify) and options.output):
+        parser.error("--config is required, except for --status and --verify with --output")
     return options
 
 
@@ -94,7 +98,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     options = parse_arguments(arguments, program)
 
     from algorithms.experiments.console import make_console
-    from algorithms.sweeps.runner import Backend, SweepRunner, show_status
+    from algorithms.sweeps.runner import Backend, SweepRunner, show_broken, show_status
 
     directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
     try:
@@ -102,10 +106,12 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         if options.status:
             show_status(directory, make_console())
             return 0
+        if options.verify:
+            return show_broken(directory, make_console())
         backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
         runner = SweepRunner(load_sweep(options.config), directory, backend, make_console())
-        if options.verify:
-            return runner.verify()
+        if options.remake:
+            return runner.remake()
         return runner.print_batch_script() if options.dry_run else runner.run()
     except (ValueError, OSError) as error:
         print(as_called(f"error: {error}", program), file=sys.stderr)

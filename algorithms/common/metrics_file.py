@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, flush_to_disk
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -155,7 +155,7 @@ def sync(path: Path) -> None:
         OSError: if the file does not exist, or cannot be written.
     """
     with path.open("r+b") as file:
-        os.fsync(file.fileno())
+        flush_to_disk(file)
 
 
 def format_number(value: float) -> str:

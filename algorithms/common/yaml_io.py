@@ -1,8 +1,4 @@
-"""Reading YAML as people write it: 3e-4 is a number, and a duplicated key is an error.
-
-Files may come from others: what is nested too deeply, refers to itself or expands to more than a file of settings ever
-holds is refused before it is built, as are keys that are not strings and integers of more than 64 bits.
-"""
+"""Reading YAML as people write it: 3e-4 is a number, and a duplicated key is an error."""
 
 from __future__ import annotations
 
@@ -12,10 +8,7 @@ from typing import Any
 
 import yaml
 
-from mo_deepdrive.atomic_io import DEEPEST
-
-MOST_VALUES = 100_000  # of a file, after its aliases are expanded
-LARGEST = 2**63 - 1  # integer
+LONGEST, LONGEST_SHOWN = 2**20, 200  # characters of a file or value, and of a value in a message
 
 # YAML 1.1, which PyYAML follows, wants a dot and a signed exponent; everybody writes 3e-4 and 1e6.
 # It also reads 010 as 8 and 1:30 as 90, which nobody means.
@@ -36,11 +29,7 @@ _OF_TAGS = (ValueError, LookupError, AttributeError, TypeError)
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, with numbers as above; keys are strings, none is duplicated, and all is of a sensible size."""
-
-    def construct_document(self, node: yaml.Node) -> Any:
-        _measure(node, {})
-        return super().construct_document(node)
+    """The safe loader, with numbers as above; keys are strings, and none is duplicated."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: dict[str, int] = {}
@@ -55,36 +44,9 @@ class _Loader(yaml.SafeLoader):
             seen[key_node.value] = line
         return super().construct_mapping(node, deep)
 
-    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        value = int(super().construct_yaml_int(node))
-        if abs(value) > LARGEST:
-            raise _refused(f"the integer in line {node.start_mark.line + 1} has more than 64 bits")
-        return value
-
 
 def _refused(problem: str) -> yaml.YAMLError:
     return yaml.constructor.ConstructorError(None, None, problem)
-
-
-def _measure(node: yaml.Node, known: dict[yaml.Node, tuple[int, int]], depth: int = 0) -> tuple[int, int]:
-    """The number of values in a node with its aliases expanded, and how deep they are; ``known`` has those measured.
-
-    Raises:
-        yaml.YAMLError: if there are too many, too deep in each other or without end.
-    """
-    if node not in known:
-        inner = [] if isinstance(node, yaml.ScalarNode) else node.value
-        if isinstance(node, yaml.MappingNode):
-            inner = [each for pair in inner for each in pair]
-        # Deeper than this in itself, by an alias, is without end.
-        measured = [_measure(each, known, depth + 1) for each in inner if depth <= DEEPEST]
-        known[node] = 1 + sum(count for count, _ in measured), 1 + max((deep for _, deep in measured), default=0)
-    count, deep = known[node]
-    if count > MOST_VALUES:
-        raise _refused(f"it has more than {MOST_VALUES:,} values, with its aliases expanded")
-    if depth + deep > DEEPEST:
-        raise _refused(f"it is nested too deeply: more than {DEEPEST} mappings and lists in each other, or in itself")
-    return count, deep
 
 
 class _ArgumentLoader(_Loader):
@@ -95,7 +57,6 @@ _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag not in (INTEGER, FLOAT)]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_constructor(INTEGER, _Loader.construct_yaml_int)
 _Loader.add_implicit_resolver(INTEGER, _INTEGER, list("-+0123456789"))
 _Loader.add_implicit_resolver(FLOAT, _FLOAT, list("-+0123456789."))
 _ArgumentLoader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile("^None$"), ["N"])
@@ -115,12 +76,7 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
         raise ValueError(f"config file {str(path)!r} does not exist") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"config file {str(path)!r} cannot be read: {error}") from None
-    try:
-        values = yaml.load(text, _Loader)
-    except RecursionError:
-        raise ValueError(f"config file {str(path)!r} is nested too deeply") from None
-    except (yaml.YAMLError, *_OF_TAGS) as error:
-        raise ValueError(f"config file {str(path)!r} is not valid YAML: {_one_line(error)}") from None
+    values = _parse(text, _Loader, f"config file {str(path)!r} is not valid YAML")
     if not isinstance(values, dict):
         what = "is empty" if values is None else f"holds a {type(values).__name__}"
         raise ValueError(f"config file {str(path)!r} {what}; it must be a mapping of sections")
@@ -133,12 +89,8 @@ def read_value(text: str) -> Any:
     Raises:
         ValueError: if it is not valid YAML.
     """
-    try:
-        return yaml.load(text, _ArgumentLoader)
-    except RecursionError:
-        raise ValueError(f"a value of {len(text):,} characters is nested too deeply") from None
-    except (yaml.YAMLError, *_OF_TAGS) as error:
-        raise ValueError(f"{text!r} is not a valid value: {_one_line(error)}") from None
+    shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    return _parse(text, _ArgumentLoader, f"{shown!r} is not a valid value")
 
 
 def dump(values: dict[str, Any]) -> str:
@@ -157,6 +109,11 @@ class _Dumper(yaml.SafeDumper):
 _Dumper.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
 
 
-def _one_line(error: Exception) -> str:
-    what = "" if isinstance(error, (yaml.YAMLError, ValueError)) else f"{type(error).__name__}: "
-    return what + " ".join(str(error).split())
+def _parse(text: str, loader: type[_Loader], problem: str) -> Any:
+    if len(text) > LONGEST:
+        raise ValueError(f"{problem}: it has {len(text):,} characters, more than {LONGEST:,}")
+    try:
+        return yaml.load(text, loader)
+    except (yaml.YAMLError, RecursionError, *_OF_TAGS) as error:
+        kind = "" if isinstance(error, (yaml.YAMLError, ValueError)) else f"{type(error).__name__}: "
+        raise ValueError(f"{problem}: {kind}{' '.join(str(error).split())}") from None

@@ -14,9 +14,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.interrupts import Stopped
+from algorithms.experiments.interrupts import Moved, Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
 from algorithms.experiments.run_files import changed_files
+from mo_deepdrive.atomic_io import expand_home
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.names import nearest
 
@@ -64,6 +65,28 @@ def as_called(text: str, program: str) -> str:
     return re.sub(r"\bmo-deepdrive ([a-z]+)\b", lambda found: program.format(found[1]), text)
 
 
+class _Parser(argparse.ArgumentParser):
+    """Replaces ``~`` at the beginning of a value by the home directory, which shells do not do in ``--output=~/runs``.
+
+    A ``~`` alone, which is null in YAML, stays the value of a key of the experiment, whose option has a dot.
+    """
+
+    def parse_known_args(  # type: ignore[override]  # argparse's own types are overloads
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        given = list(sys.argv[1:] if args is None else args)  # noqa: TID251 (as argparse does)
+        return super().parse_known_args([*map(self._expanded, ["", *given], given)], namespace)
+
+    def _expanded(self, before: str, argument: str) -> str:
+        option, equals, value = argument.partition("=") if argument.startswith("-") else (before, "", argument)
+        if not value.startswith("~") or (value == "~" and option.startswith("--") and "." in option):
+            return argument
+        try:
+            return f"{option}{equals}{expand_home(value)}" if equals else str(expand_home(value))
+        except ValueError as error:
+            self.error(str(error))
+
+
 def make_parser(description: str | None, program: str = "", command: str = "") -> argparse.ArgumentParser:
     """A parser that prints ``description``, a docstring, as it is, and accepts no abbreviations.
 
@@ -72,7 +95,7 @@ def make_parser(description: str | None, program: str = "", command: str = "") -
         program: how the command is called; empty for a script.
         command: its name.
     """
-    return argparse.ArgumentParser(
+    return _Parser(
         prog=program.format(command) or None,
         description=as_called(description or "", program) if program else description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -289,7 +312,8 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str 
         print(as_called(f"error: {error}", program), file=sys.stderr)
         raise SystemExit(INVALID_INPUT) from None
     except Stopped as error:
-        print(f"error: {error}", *([hint] if hint else []), sep="\n", file=sys.stderr)
+        shown = [hint] if hint and not isinstance(error, Moved) else []
+        print(f"error: {error}", *shown, sep="\n", file=sys.stderr)
         raise SystemExit(FAILED) from None
     except KeyboardInterrupt:
         print("interrupted" + (f"; {hint}" if hint else ""), file=sys.stderr)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.experiments.interrupts import Stopped, stopped_by
+from algorithms.experiments.interrupts import Moved, Stopped, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
 from algorithms.reporting.seed_groups import INCIDENTAL
 from mo_deepdrive.atomic_io import atomic_write
@@ -159,7 +159,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
     except Exception as error:
-        with contextlib.suppress(OSError):  # the disk may be the reason; the original error is raised in any case
+        with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
             run.set_status("failed", run.status.get("step", 0), describe(error))
         raise
     finally:

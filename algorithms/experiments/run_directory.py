@@ -10,19 +10,26 @@ from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
+from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.registry import directory_name, find_trained_policy
 from algorithms.experiments.run_files import RESULTS, STATUS_FILE, record_files
-from mo_deepdrive.atomic_io import atomic_write, is_temporary, leftovers, open_lock, read_json_object, write_json
+from mo_deepdrive.atomic_io import (
+    atomic_write,
+    expand_home,
+    is_temporary,
+    leftovers,
+    lock,
+    own_path,
+    read_json_object,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
-
-if os.name == "posix":
-    import fcntl
 
 State = Literal["running", "interrupted", "failed", "trained", "pruned", "finished"]
 PACKAGES = (
@@ -54,7 +61,7 @@ STATUS: dict[str, tuple[type, ...]] = {
     "logged": (list,),
     "files": (dict,),
 }
-METRICS_FILE, FRONTS_FILE = "metrics.csv", "fronts.csv"
+METRICS_FILE, FRONTS_FILE, LOCK_FILE = "metrics.csv", "fronts.csv", ".lock"
 # Modules in front of the ids of their environments that are imported in any case.
 ALREADY_IMPORTED = ("gymnasium", "mo_deepdrive", "mo_gymnasium")
 
@@ -72,12 +79,14 @@ class Run:
         path: the directory.
         experiment: the experiment of the run.
         metrics_gap: what was missing in metrics.csv or fronts.csv when the run was resumed; None if nothing was.
+        locked: False while it is being trained on a file system without locks.
     """
 
     def __init__(self, path: Path, experiment: Experiment):
         self.path = path
         self.experiment = experiment
-        self._lock: Any = None
+        self.locked = True
+        self._lock: IO[bytes] | None = None
         self._opened = perf_counter()
         self._read_status()
 
@@ -106,7 +115,7 @@ class Run:
             ValueError: if the directory is not empty or cannot be written.
         """
         try:
-            return cls.make(experiment, Path(path))
+            return cls.make(experiment, expand_home(path))
         except OSError as error:
             raise ValueError(f"run directory {str(path)!r} cannot be written: {error}") from None
 
@@ -142,7 +151,7 @@ class Run:
         Raises:
             ValueError: if neither exists, its config.yaml is not valid, or it names code and is not trusted.
         """
-        path = Path(path)
+        path = expand_home(path)
         if not path.is_dir():
             try:
                 path = find_trained_policy(str(path))
@@ -170,24 +179,17 @@ class Run:
 
         Raises:
             InUse: if another process holds it.
-            ValueError: if the lock or another file is a link, which may lead out of the directory.
+            ValueError: if there is a link in the directory.
             OSError: if the directory cannot be written.
         """
-        if os.name != "posix":
-            return
-        self._lock = open_lock(self.path / ".lock")
+        for entry in self.path.iterdir():
+            own_path(self.path, entry.name)
+        self._lock = (self.path / LOCK_FILE).open("ab")
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.locked = lock(self._lock, wait=False)
         except BlockingIOError:
             self.unlock()
             raise InUse(f"run directory {str(self.path)!r} is in use by another process") from None
-        links = sorted(entry.name for entry in self.path.iterdir() if entry.is_symlink() and not entry.is_dir())
-        if links:
-            self.unlock()
-            raise ValueError(
-                f"run directory {str(self.path)!r} has a link, {links[0]!r}, to whose target training would write; "
-                "replace it by a file"
-            )
         for leftover in leftovers(self.path):
             leftover.unlink()
         self._read_status()  # another process may have trained in it until now
@@ -197,6 +199,25 @@ class Run:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+
+    def check_place(self) -> None:
+        """Check, before something is written, that the path still leads to the directory that was locked.
+
+        Raises:
+            Moved: if the directory was renamed or deleted, and perhaps another run was started at its path.
+            OSError: if it cannot be looked up.
+        """
+        if self._lock is None:
+            return
+        try:
+            here = os.path.samestat(os.fstat(self._lock.fileno()), (self.path / LOCK_FILE).stat())
+        except (FileNotFoundError, NotADirectoryError):
+            here = False
+        if not here:
+            raise Moved(
+                f"run directory {str(self.path)!r} was renamed, deleted or replaced while the run was training; "
+                "nothing was written to what is there now"
+            )
 
     @property
     def status(self) -> dict[str, Any]:
@@ -233,8 +254,10 @@ class Run:
         A finished run also gets the record of its files (:mod:`algorithms.experiments.run_files`).
 
         Raises:
+            Moved: as :meth:`check_place`.
             OSError: if it cannot be written, or a file cannot be recorded.
         """
+        self.check_place()
         write_json(
             self.path / STATUS_FILE,
             {
@@ -353,7 +376,7 @@ def _contents(path: Path) -> list[str]:
     entries = list(path.iterdir())  # once: another process may be renaming its files
     found = {entry.name for entry in entries}
     if "config.yaml" not in found:
-        found -= {".lock", "versions.json", STATUS_FILE, *(entry.name for entry in entries if is_temporary(entry))}
+        found -= {LOCK_FILE, "versions.json", STATUS_FILE, *(entry.name for entry in entries if is_temporary(entry))}
     return sorted(found)
 
 

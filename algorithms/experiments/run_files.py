@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 RECORDED = ("config.yaml", "checkpoint.safetensors", "metrics.csv", "evaluation.json", "front.csv", "fronts.csv")
 RESULTS = ("evaluation.json", "front.csv")  # of the final evaluation, which may be done again
 STATUS_FILE = "status.json"
-NOT_RECORDED = "its files are not recorded: it was made by an earlier version"
 
 
 def record_files(run: Path) -> dict[str, dict[str, Any]]:
@@ -31,25 +30,22 @@ def record_files(run: Path) -> dict[str, dict[str, Any]]:
     return {name: _record(run / name) for name in RECORDED if (run / name).is_file()}
 
 
-def broken_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
-    """What does not match the record of a finished run; nothing for a run that is not finished.
+def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
+    """What does not match the record of a finished run; nothing for a run that is not finished, or has no record.
 
     Args:
         run: the run's directory.
         names: check these files alone, such as those that are about to be read; None for all that are recorded.
 
     Returns:
-        One line per file that is missing or differs in size or hash, or about a broken status.json;
-        :data:`NOT_RECORDED` if there is no record.
+        One line per file that is missing or differs in size or hash, or about a broken status.json.
     """
     status = read_json_object(run / STATUS_FILE)
     if not status and (run / STATUS_FILE).exists():
         return [f"{STATUS_FILE}: cannot be read"]
-    if status.get("state") != "finished":
-        return []
     recorded = status.get("files")
-    if not isinstance(recorded, dict) or not all(isinstance(entry, dict) for entry in recorded.values()):
-        return [NOT_RECORDED]
+    if status.get("state") != "finished" or not isinstance(recorded, dict):
+        return []
     found = []
     for name, entry in recorded.items():
         if name in RECORDED and (names is None or name in names):
@@ -57,11 +53,6 @@ def broken_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
             if problem is not None:
                 found.append(f"{name}: {problem}")
     return found
-
-
-def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
-    """As :func:`broken_files`, but nothing for a run without a record."""
-    return [problem for problem in broken_files(run, names) if problem != NOT_RECORDED]
 
 
 def _record(path: Path) -> dict[str, Any]:
@@ -73,14 +64,16 @@ def _record(path: Path) -> dict[str, Any]:
     return {"size": size, "sha256": digest.hexdigest()}
 
 
-def _difference(path: Path, entry: dict[str, Any]) -> str | None:
+def _difference(path: Path, entry: Any) -> str | None:
     """How a file differs from its entry in the record; None if it does not."""
     if not path.is_file():
         return "missing"
     try:
-        size = path.stat().st_size
-        if size != entry.get("size"):
-            return f"{size} bytes, recorded {entry.get('size')}"
-        return None if _record(path) == entry else "changed since the run finished"
+        found = _record(path)
+        if found == entry:
+            return None
+        recorded = entry.get("size") if isinstance(entry, dict) else None
+        same_size = found["size"] == recorded
+        return "changed since the run finished" if same_size else f"{found['size']} bytes, recorded {recorded}"
     except OSError as error:
         return f"cannot be read: {error}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mo_deepdrive.atomic_io import expand_home
 from mo_deepdrive.names import nearest_few
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -27,7 +28,7 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
     Raises:
         ValueError: if there is neither, with the places and the nearest shipped names.
     """
-    path = Path(name)
+    path = expand_home(name)
     candidates = [path]
     if beside is not None and (other := Path(beside).parent / path).absolute() != path.absolute():
         candidates.append(other)

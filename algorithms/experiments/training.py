@@ -12,7 +12,7 @@ from algorithms.common.metrics_file import rows_until
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
-from algorithms.experiments.interrupts import Interrupts, stopped_by
+from algorithms.experiments.interrupts import Interrupts, Moved, stopped_by
 from algorithms.experiments.loggers import Logger, log_results
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.agent import Agent
+    from mo_deepdrive.evaluation.front import Front
 
 Watch = Callable[[int, Mapping[str, float]], None]
 
@@ -138,12 +139,15 @@ def train(
         ):
 
             def log(step: int, metrics: Mapping[str, float]) -> None:
+                run.check_place()
                 logger.log(step, metrics)
                 reporter.note(metrics)
                 if watch is not None:
                     watch(step, metrics)
 
             fronts = None if known_utility else FrontsFile(run.path / FRONTS_FILE, after, noted[FRONTS_FILE])
+            if not run.locked:
+                reporter.say("warning: the file system has no locks: start no other process on this run")
             if saved == 0:
                 run.metrics_gap = None  # everything is written again
             gaps = [gap for gap in (logger.gap, fronts and fronts.gap) if gap]
@@ -151,8 +155,14 @@ def train(
                 reporter.say(f"warning: {gap}; the run is continued")
                 run.add_metrics_gap(gap)
 
+            def log_front(step: int, front: Front) -> None:
+                run.check_place()
+                assert fronts is not None
+                fronts.write(step, front)
+
             def save(state: Any) -> None:
                 nonlocal saved
+                run.check_place()
                 # In this order, so that a crash cannot leave a checkpoint without its rows or their note.
                 rows = {METRICS_FILE: logger.sync(), **({} if fronts is None else {FRONTS_FILE: fronts.sync()})}
                 run.note_rows(agent.step, rows)
@@ -180,11 +190,13 @@ def train(
                 reference_point=evaluation.reference_point,
                 reference_front=reference_front,
                 log=log,
-                log_front=None if fronts is None else fronts.write,
+                log_front=None if fronts is None else log_front,
                 log_interval=logging.interval,
                 after_update=after_update,
             )
             save("trained" if interrupts.received is None else "interrupted")
+    except Moved as error:
+        raise Moved(f"training stopped at step {agent.step:,}: {error}; resume it from where it is now") from None
     except OSError as error:
         _set_failed(run, saved, str(error))
         rest = (
@@ -200,7 +212,7 @@ def train(
 
 
 def _set_failed(run: Run, step: int, reason: str) -> None:
-    with contextlib.suppress(OSError):  # the disk may be the reason; the original error is raised in any case
+    with contextlib.suppress(OSError, Moved):  # these may be the reason; the original error is raised in any case
         run.set_status("failed", step, reason)
 
 
@@ -218,6 +230,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     video = run.path / "video.mp4" if figures else None
     try:
+        run.check_place()
         report_agent(
             agent,
             run.experiment,

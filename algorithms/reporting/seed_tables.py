@@ -158,12 +158,12 @@ def final_metrics(run: Path) -> dict[str, float]:
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:
-    """The run directories among and below ``paths``.
+    """The run directories among and below ``paths``, each once; links to runs and folders are followed.
 
     Raises:
         ValueError: if a path holds none.
     """
-    runs: list[Path] = []
+    runs: dict[Path, Path] = {}
     for path in paths:
         found = sorted(_runs_below(path))
         if not found:
@@ -171,12 +171,19 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
                 f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
                 "a manifest.jsonl"
             )
-        runs += found
-    return runs
+        for run in found:
+            runs.setdefault(run.resolve(), run)
+    return list(runs.values())
 
 
 def _runs_below(path: Path) -> Iterator[Path]:
-    for folder, folders, files in os.walk(path):
+    top, seen = path.resolve(), set()
+    for folder, folders, files in os.walk(path, followlinks=True):
+        place = Path(folder).resolve()
+        if place in seen or place in top.parents:  # a link to what is walked anyway, or back to a folder around it
+            folders.clear()
+            continue
+        seen.add(place)
         if "config.yaml" in files:
             folders.clear()  # W&B writes a config.yaml of its own below a run
             yield Path(folder)

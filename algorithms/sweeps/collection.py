@@ -20,10 +20,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
+import tempfile
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,18 +36,14 @@ from algorithms.reporting.seed_tables import final_scores
 from algorithms.reporting.style import MAX_POINTS
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
-from mo_deepdrive.atomic_io import leftovers, open_lock
+from mo_deepdrive.atomic_io import leftovers, lock, own_path
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from algorithms.common.metrics_file import Columns
-
-if os.name == "posix":
-    import fcntl
 
 FOLDER = "collected"
 MAX_NAMED = 3  # runs that a message lists by name
@@ -86,6 +83,9 @@ class Collection:
         scored: ids of the runs with scores.
         problems: final evaluations that cannot be read.
         altered: what differs from the record of a finished run's files, by id.
+        folder: of the files.
+        not_stored: why they are not in the sweep; None if they are.
+        temporary: the folder that then has them, and is deleted with this object.
     """
 
     sweep: Path
@@ -95,16 +95,19 @@ class Collection:
     scored: frozenset[str]
     problems: tuple[str, ...]
     altered: dict[str, list[str]]
+    folder: Path
+    not_stored: str | None = None
+    temporary: tempfile.TemporaryDirectory[str] | None = None
 
     @property
     def runs(self) -> pl.LazyFrame:
         """Lazy frame of ``runs.parquet``."""
-        return pl.scan_parquet(self.sweep / FOLDER / "runs.parquet", glob=False)
+        return pl.scan_parquet(self.folder / "runs.parquet", glob=False)
 
     @property
     def scores(self) -> pl.LazyFrame:
         """Lazy frame of ``scores.parquet``."""
-        return pl.scan_parquet(self.sweep / FOLDER / "scores.parquet", glob=False)
+        return pl.scan_parquet(self.folder / "scores.parquet", glob=False)
 
     @property
     def metrics(self) -> pl.LazyFrame:
@@ -118,7 +121,7 @@ class Collection:
                 f"no run of sweep {str(self.sweep)!r} has any metrics yet: "
                 f"mo-deepdrive sweep with --output {self.sweep} trains the runs"
             )
-        return pl.scan_parquet(part_files(self.sweep / FOLDER / "metrics"), glob=False)
+        return pl.scan_parquet(part_files(self.folder / "metrics"), glob=False)
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
@@ -147,12 +150,14 @@ class Collection:
     @property
     def warnings(self) -> list[str]:
         """Messages about runs whose scores count although other files differ from their record, one line each."""
-        return self._altered_runs({run: each for run, each in self.altered.items() if not _unreliable(each)})
+        altered = {run: each for run, each in self.altered.items() if not _unreliable(each)}
+        stored = [f"the collected results are not stored: {self.not_stored}"] if self.not_stored else []
+        return [*stored, *self._altered_runs(altered)]
 
     def _altered_runs(self, altered: Mapping[str, Sequence[str]]) -> list[str]:
         named = [f"{row.directory}: {'; '.join(altered[row.id])}" for row in self.rows if row.id in altered]
         many = (
-            f"{len(named)} runs differ from the record of their files, mo-deepdrive sweep --verify makes them again: "
+            f"{len(named)} runs differ from the record of their files, mo-deepdrive sweep --remake makes them again: "
         )
         return [many + _shortened(named)] if named else []
 
@@ -223,19 +228,31 @@ class Collection:
 def collect(sweep: Path) -> Collection:
     """Update ``SWEEP/collected/``; the module's docstring describes its files.
 
+    Where it cannot be written, such as on a read-only disk, the files are in a temporary folder instead.
+
     Args:
         sweep: a directory with a manifest.
 
     Raises:
-        ValueError: if there is no manifest, or it is broken or empty.
-        OSError: if something cannot be written; no file is left half written.
+        ValueError: if there is no manifest, it is broken or empty, or a link leads out of ``collected``.
+        OSError: if something cannot be read, or written anywhere.
     """
     rows = tuple(read_manifest(sweep))
     if not rows:
         raise ValueError(
             f"sweep {str(sweep)!r} is empty: its manifest has no runs; mo-deepdrive sweep writes the manifest"
         )
-    folder = sweep / FOLDER
+    folder = own_path(sweep, f"{FOLDER}/metrics").parent
+    try:
+        return _collect(sweep, rows, folder)
+    except OSError as error:
+        temporary = tempfile.TemporaryDirectory(prefix="mo-deepdrive-")
+        collection = _collect(sweep, rows, Path(temporary.name))
+        return replace(collection, not_stored=str(error), temporary=temporary)
+
+
+def _collect(sweep: Path, rows: tuple[ManifestRow, ...], folder: Path) -> Collection:
+    """As :func:`collect`, with the files in ``folder``."""
     with _locked(folder):
         status = {row.id: read_status(sweep / row.directory) for row in rows}
         states = {run: str(each.get("state", "waiting")) for run, each in status.items()}
@@ -249,7 +266,7 @@ def collect(sweep: Path) -> Collection:
         write_parquet(folder / "runs.parquet", runs)
         write_parquet(folder / "scores.parquet", scores.join(of_runs, on="run", how="left"))
     altered = {run: found for run, found in altered.items() if found}
-    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), tuple(problems), altered)
+    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), tuple(problems), altered, folder)
 
 
 def _differences(run: Path, status: Mapping[str, Any], log: LogState | None) -> list[str]:
@@ -277,9 +294,8 @@ def _unreliable(problems: Sequence[str]) -> bool:
 def _locked(folder: Path) -> Iterator[None]:
     """Create the folders, and hold a lock so that processes that collect the same sweep wait for each other."""
     (folder / "metrics").mkdir(parents=True, exist_ok=True)
-    with open_lock(folder / ".lock") as lock:
-        if os.name == "posix":
-            fcntl.flock(lock, fcntl.LOCK_EX)
+    with own_path(folder, ".lock").open("ab") as file:
+        lock(file, wait=True)
         for leftover in (*leftovers(folder), *leftovers(folder / "metrics")):
             leftover.unlink()
         yield

@@ -26,6 +26,7 @@ from algorithms.experiments.jobs import Job, JobFailed, describe, perform
 from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.reporting.seed_tables import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
+from mo_deepdrive.atomic_io import own_path
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 
 if TYPE_CHECKING:
@@ -256,7 +257,7 @@ def run_on_ray(
             ),
             run_config=tune.RunConfig(
                 name=time.strftime("%Y%m%d-%H%M%S"),
-                storage_path=str(sweep.resolve() / "ray"),
+                storage_path=str(own_path(sweep.resolve(), "ray")),
                 checkpoint_config=tune.CheckpointConfig(checkpoint_at_end=False),  # a run's directory is its checkpoint
                 failure_config=tune.FailureConfig(max_failures=settings.retries),
                 callbacks=[progress],

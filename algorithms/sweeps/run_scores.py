@@ -34,7 +34,7 @@ def read_scores(jobs: Sequence[Job], metric: str) -> dict[str, float | None]:
         if state == "finished":
             broken = changed_files(job.path, [EVALUATION_FILE])
             if broken:
-                raise ValueError(f"the search cannot use {job.path}: {broken[0]}; --verify makes it again")
+                raise ValueError(f"the search cannot use {job.path}: {broken[0]}; --remake makes it again")
             final = final_metrics(job.path)
             value = final[known_metric(metric, final)]
             scores[job.id] = value if np.isfinite(value) else None

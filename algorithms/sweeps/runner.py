@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,7 +14,8 @@ from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.run_directory import imported_paths, is_run, read_status
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
-from algorithms.sweeps.verification import verify
+from algorithms.sweeps.verification import discard, verify
+from mo_deepdrive.machine import available_cores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -85,15 +85,16 @@ class SweepRunner:
             return 128 + interrupts.received
         return 1 if self._failed else 0
 
-    def verify(self) -> int:
-        """Check the files of finished runs, then :meth:`run`, which makes again what is broken; returns its exit code.
+    def remake(self) -> int:
+        """Discard the finished runs whose files are broken, then :meth:`run`, which makes them again; its exit code.
 
         Raises:
             ValueError: if the directory has no manifest, or that of another sweep; this and other errors also as in
                 :meth:`run`.
         """
         self._check_manifest()
-        verify(self._directory, self._say)
+        for row, problems in verify(self._directory, self._say):
+            discard(self._directory, row, problems)
         return self.run()
 
     def print_batch_script(self) -> int:
@@ -255,6 +256,10 @@ def show_status(directory: Path, console: Console) -> None:
     print_line(console, summary_of(count_states(states)))
 
 
-def available_cores() -> int:
-    """The number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def show_broken(directory: Path, console: Console) -> int:
+    """Print which finished runs of the sweep in ``directory`` are broken; the exit code, 1 if there are any.
+
+    Raises:
+        ValueError: if the directory has no manifest, or a broken one.
+    """
+    return int(bool(verify(directory, lambda line: print_line(console, line))))

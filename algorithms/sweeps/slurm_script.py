@@ -34,6 +34,8 @@ from typing import TYPE_CHECKING, Any
 
 import submitit
 
+from mo_deepdrive.atomic_io import own_path
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -66,8 +68,12 @@ class _ScriptWriter(TaskExecutor):
 
 
 def slurm_folder(sweep: Path) -> Path:
-    """Where the logs of the jobs and the ids of submitted jobs are."""
-    return sweep.resolve() / "slurm"
+    """Where the logs of the jobs and the ids of submitted jobs are.
+
+    Raises:
+        ValueError: if a link leads out of the sweep.
+    """
+    return own_path(sweep.resolve(), "slurm")
 
 
 def sbatch_options(settings: SweepSettings, name: str) -> dict[str, Any]:

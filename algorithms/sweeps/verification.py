@@ -1,62 +1,72 @@
-"""Check the finished runs of a sweep against the record of their files, and have those that differ made again."""
+"""Compare the finished runs of a sweep with the records of their files, and discard those that differ."""
 
 from __future__ import annotations
 
-from itertools import count
+import shutil
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.run_directory import read_status
-from algorithms.experiments.run_files import NOT_RECORDED, RESULTS, broken_files
+from algorithms.experiments.run_files import RESULTS, changed_files
 from algorithms.sweeps.manifest import iterate_manifest
+from mo_deepdrive.atomic_io import own_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
-    from algorithms.experiments.jobs import Job
-
-FOLDER = "broken"
+    from algorithms.sweeps.manifest import ManifestRow
 
 
-def verify(sweep: Path, say: Callable[[str], None]) -> None:
-    """Check all files of the finished runs of a sweep, so that training it makes again what is broken.
-
-    A run of which only the final evaluation is broken is evaluated again from its checkpoint. Any other is moved to
-    ``SWEEP/broken/NAME-N`` and trained anew. Runs of earlier versions, which have no record, are kept.
+def verify(sweep: Path, say: Callable[[str], None]) -> list[tuple[ManifestRow, list[str]]]:
+    """Check all files of the finished runs of a sweep.
 
     Args:
         sweep: its directory.
-        say: called with a line about each broken run, and with a summary.
+        say: called with a line about each run that is broken, and with a summary.
+
+    Returns:
+        The broken runs, each with what is broken.
 
     Raises:
         ValueError: if the directory has no manifest.
-        OSError: if a run cannot be moved or changed.
     """
-    finished = broken = unknown = 0
+    finished = unknown = 0
+    broken = []
     for row in iterate_manifest(sweep):
         run = sweep / row.directory
-        if read_status(run).get("state") != "finished":
+        status = read_status(run)
+        if status.get("state") != "finished":
             continue
         finished += 1
-        problems = broken_files(run)
-        if problems == [NOT_RECORDED]:
-            unknown += 1
-        elif problems:
-            broken += 1
-            say(f"{run}: {'; '.join(problems)}: {_discard(row.job(sweep), sweep / FOLDER, problems)}")
-    recorded = "" if unknown == 0 else f", {unknown} cannot be checked because an earlier version made them"
-    say(f"{finished} finished runs: {broken} broken{recorded}")
+        unknown += "files" not in status
+        problems = changed_files(run)
+        if problems:
+            broken.append((row, problems))
+            say(f"{run}: {'; '.join(problems)}")
+    missing = f", {unknown} without a record of their files" if unknown else ""
+    say(f"{finished} finished runs: {len(broken)} broken{missing}")
+    return broken
 
 
-def _discard(job: Job, folder: Path, problems: Sequence[str]) -> str:
-    """Make a broken run one that is not finished; returns what will be done with it."""
-    if {problem.partition(":")[0] for problem in problems} <= set(RESULTS):
-        opened = job.open(device="cpu")  # this machine may not have the run's device
-        opened.lock()
-        opened.set_status("trained", opened.status.get("step", 0))
-        opened.unlock()
-        return "evaluated again"
-    folder.mkdir(exist_ok=True)
-    target = next(path for number in count(1) if not (path := folder / f"{job.path.name}-{number}").exists())
-    job.path.rename(target)
-    return f"moved to {target}, made again"
+def discard(sweep: Path, row: ManifestRow, problems: list[str]) -> None:
+    """Make a broken run one that is not finished, so that training the sweep makes it again.
+
+    A run of which only the final evaluation is broken is evaluated again from its checkpoint; any other is deleted.
+
+    Args:
+        sweep: the directory of the sweep.
+        row: of the run.
+        problems: what is broken, from :func:`verify`.
+
+    Raises:
+        ValueError: if a link leads out of the sweep, or another process uses the run.
+        OSError: if it cannot be changed or deleted.
+    """
+    directory = own_path(sweep, row.directory)
+    if not {problem.partition(":")[0] for problem in problems} <= set(RESULTS):
+        shutil.rmtree(directory)
+        return
+    run = row.job(sweep).open(device="cpu")  # this machine may not have the run's device
+    run.lock()
+    run.set_status("trained", run.status.get("step", 0))
+    run.unlock()

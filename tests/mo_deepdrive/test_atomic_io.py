@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mo_deepdrive.atomic_io import atomic_write, open_lock, read_json_object
+from mo_deepdrive.atomic_io import atomic_write, expand_home, lock, own_path, read_json_object
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+if os.name == "posix":
+    import fcntl
 
 
 def test_an_atomic_write_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -88,23 +91,62 @@ def test_a_write_replaces_a_link_and_not_its_target(tmp_path: Path) -> None:
     assert link.read_bytes() == b"new"
 
 
-def test_a_lock_is_created_and_its_content_is_kept(tmp_path: Path) -> None:
-    lock = tmp_path / ".lock"
-    open_lock(lock).close()
-    lock.write_text("mine")
-    open_lock(lock).close()
-    assert lock.read_text() == "mine"
+REFUSALS = [PermissionError(), OSError(errno.EPERM, ""), OSError(errno.ENOTSUP, ""), OSError(errno.ENOSYS, "")]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
-@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("target")])
-def test_a_lock_that_is_no_file_is_refused(tmp_path: Path, make: Callable[[Path], None]) -> None:
-    (tmp_path / "target").write_text("mine")
-    lock = tmp_path / ".lock"
-    make(lock)
-    with pytest.raises(ValueError, match=r"lock '.*\.lock' is not a regular file; delete it"):
-        open_lock(lock)
-    assert (tmp_path / "target").read_text() == "mine"
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions and locks")
+@pytest.mark.parametrize("error", REFUSALS, ids=repr)
+def test_files_are_written_on_a_file_system_that_has_only_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError
+) -> None:
+    def refuse(*_arguments: Any, **_options: Any) -> None:
+        raise error
+
+    for module, name in ((os, "chmod"), (os, "fchmod"), (os, "fsync"), (os, "utime"), (os, "link"), (fcntl, "flock")):
+        monkeypatch.setattr(module, name, refuse)
+    path = tmp_path / "file"
+    for data in (b"old", b"new"):
+        atomic_write(path, data)
+    assert path.read_bytes() == b"new"
+    with path.open("ab") as file:
+        assert not lock(file, wait=False)
+        assert not lock(file, wait=True)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
+@pytest.mark.parametrize(("umask", "mode"), [(0o002, 0o664), (0o077, 0o600)])
+def test_a_new_file_has_the_permissions_that_the_umask_leaves(tmp_path: Path, umask: int, mode: int) -> None:
+    before = os.umask(umask)
+    try:
+        atomic_write(tmp_path / "file", b"new")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "file").stat().st_mode & 0o777 == mode
+
+
+def test_no_link_in_a_directory_is_followed_but_one_to_it_is(tmp_path: Path) -> None:
+    (tmp_path / "run" / "inner").mkdir(parents=True)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "run")
+    for name in ("new", "inner/new", "inner"):
+        assert own_path(tmp_path / "link", name) == tmp_path / "link" / name
+    (tmp_path / "run" / "out").symlink_to(tmp_path / "elsewhere")
+    for name in ("out", "out/new"):
+        with pytest.raises(ValueError, match=f"out.*leads to '{tmp_path}/elsewhere.*through a link inside a run or"):
+            own_path(tmp_path / "run", name)
+
+
+def test_a_tilde_is_the_home_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert [expand_home(path) for path in ("~", "~/a", "a/~", "b~")] == [
+        tmp_path,
+        tmp_path / "a",
+        Path("a/~"),
+        Path("b~"),
+    ]
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # an account that has none
+    with pytest.raises(ValueError, match=r"path '~/a': this user has no home directory, and HOME is not set"):
+        expand_home("~/a")
 
 
 @pytest.mark.parametrize("content", [None, b"", b"[]", b"3", b'{"a"', b"\xff", b"[" * 100_000])

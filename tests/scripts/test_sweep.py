@@ -176,7 +176,7 @@ def test_markup_in_the_name_of_a_directory_is_shown_literally(
         (["--no-wait", "--on", "manifest"], "--no-wait is for --on slurm, not manifest"),
         (["--status"], "is not a sweep: it has no manifest.jsonl"),
         (["--verify"], "is not a sweep: it has no manifest.jsonl"),
-        (["--verify", "--on", "manifest"], "--verify is for --on local and ray and slurm, not manifest"),
+        (["--remake", "--on", "manifest"], "--remake is for --on local and ray and slurm, not manifest"),
     ],
 )
 def test_an_option_of_another_backend_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
@@ -194,14 +194,14 @@ def test_the_directory_is_enough_to_show_the_progress(
     assert capfd.readouterr() == ("4 done, 0 running, 0 failed, 0 waiting of 4\n", "")
 
 
-@pytest.mark.parametrize("options", [[], ["--status"], ["--output", "sweep"], ["--output", "sweep", "--verify"]])
+@pytest.mark.parametrize("options", [[], ["--status"], ["--output", "sweep"], ["--output", "sweep", "--remake"]])
 def test_a_sweep_needs_its_file_for_all_else(
     script: ModuleType, capfd: pytest.CaptureFixture[str], options: list[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         script.main(options)
     assert ended.value.code == 2
-    assert "--config is required, except for --status with --output" in capfd.readouterr().err
+    assert "--config is required, except for --status and --verify with --output" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(("backend", "module"), [("ray", "ray"), ("slurm", "submitit")])
@@ -346,32 +346,30 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
 }
 
 
-def test_verify_makes_again_what_is_broken(call: Call, tmp_path: Path, whole: Path) -> None:
+def test_broken_runs_are_named_and_made_again(call: Call, tmp_path: Path, whole: Path) -> None:
     file = write_sweep(tmp_path, seeds=2)
     sweep = tmp_path / "sweep"
     shutil.copytree(whole, sweep)
     before = times(sweep)
-    code, out, _ = call(file, "--output", sweep, "--verify")
-    assert (code, out.splitlines()[0]) == (0, "4 finished runs: 0 broken")
-    assert times(sweep) == before
+    assert call(file, "--output", sweep, "--verify")[:2] == (0, "4 finished runs: 0 broken\n")
     for run, damage in zip(runs(sweep), DAMAGES.values(), strict=True):
         damage(run)
+    before = times(sweep)
     code, out, _ = call(file, "--output", sweep, "--verify")
-    assert code == 0
+    assert code == 1
     lines = out.splitlines()
     for run, line, problem in zip(runs(sweep), lines, DAMAGES, strict=False):
         assert line.startswith(f"{run}: {problem}")
-        assert line.endswith(f": moved to {sweep / 'broken' / run.name}-1, made again")
-    assert lines[4:6] == ["4 finished runs: 4 broken", f"4 runs, 0 of them done, in {sweep}"]
-    assert_same_sweep(sweep, whole)
-    assert not (sweep / "broken" / f"{runs(sweep)[0].name}-1" / "checkpoint.safetensors").exists()
-    cut(runs(sweep)[0] / "checkpoint.safetensors", 1)
-    assert f"moved to {sweep / 'broken' / runs(sweep)[0].name}-2" in call(file, "--output", sweep, "--verify")[1]
+    assert lines[4:] == ["4 finished runs: 4 broken"]
+    assert times(sweep) == before
+    code, out, _ = call(file, "--output", sweep, "--remake")
+    assert code == 0
+    assert out.splitlines()[5] == f"4 runs, 0 of them done, in {sweep}"
     assert_same_sweep(sweep, whole)
 
 
 @pytest.mark.parametrize("damage", [lambda run: score(run, 999.0), lambda run: (run / "evaluation.json").unlink()])
-def test_verify_evaluates_a_run_again_whose_final_evaluation_alone_is_broken(
+def test_a_run_is_evaluated_again_whose_final_evaluation_alone_is_broken(
     call: Call, tmp_path: Path, whole: Path, damage: Callable[[Path], None]
 ) -> None:
     file = write_sweep(tmp_path, seeds=2)
@@ -379,23 +377,22 @@ def test_verify_evaluates_a_run_again_whose_final_evaluation_alone_is_broken(
     shutil.copytree(whole, sweep)
     damage(runs(sweep)[1])
     made = (runs(sweep)[1] / "versions.json").stat().st_mtime_ns
-    code, out, _ = call(file, "--output", sweep, "--verify")
-    assert code == 0
-    assert out.splitlines()[0].endswith(": evaluated again")
+    assert call(file, "--output", sweep, "--remake")[0] == 0
     assert_same_sweep(sweep, whole)
     assert (runs(sweep)[1] / "versions.json").stat().st_mtime_ns == made
-    assert not (sweep / "broken").exists()
 
 
-def test_verify_keeps_runs_of_earlier_versions(call: Call, tmp_path: Path, whole: Path) -> None:
+def test_a_broken_run_is_not_deleted_through_a_link(call: Call, tmp_path: Path, whole: Path) -> None:
     file = write_sweep(tmp_path, seeds=2)
     sweep = tmp_path / "sweep"
     shutil.copytree(whole, sweep)
-    path = runs(sweep)[2] / "status.json"
-    path.write_text(json.dumps({key: value for key, value in status(runs(sweep)[2]).items() if key != "files"}))
-    code, out, _ = call(file, "--output", sweep, "--verify")
-    message = "4 finished runs: 0 broken, 1 cannot be checked because an earlier version made them"
-    assert (code, out.splitlines()[0]) == (0, message)
+    (sweep / "runs").rename(tmp_path / "mine")
+    (sweep / "runs").symlink_to(tmp_path / "mine")
+    (runs(sweep)[0] / "checkpoint.safetensors").unlink()
+    code, _, error = call(file, "--output", sweep, "--remake")
+    assert (code, len(error.splitlines())) == (2, 1)
+    assert "nothing is written or deleted through a link inside a run or sweep" in error
+    assert len(list((tmp_path / "mine").iterdir())) == 4
 
 
 def test_a_search_refuses_a_changed_evaluation(call: Call, tmp_path: Path) -> None:
@@ -409,8 +406,8 @@ def test_a_search_refuses_a_changed_evaluation(call: Call, tmp_path: Path) -> No
     assert code == 2
     name = run.relative_to(tmp_path)
     assert f"error: the search cannot use {name}: evaluation.json: " in error
-    assert error.endswith("; --verify makes it again\n")
-    assert call(file, "--output", "sweep", "--verify")[0] == 0
+    assert error.endswith("; --remake makes it again\n")
+    assert call(file, "--output", "sweep", "--remake")[0] == 0
     assert_same_sweep(tmp_path / "sweep", tmp_path / "copy")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from pathlib import Path
@@ -12,8 +13,9 @@ import pytest
 
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import Experiment, make_experiment
+from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.run_directory import Run, default_directory, imported_paths, read_status, versions
-from algorithms.experiments.run_files import broken_files
+from algorithms.experiments.run_files import changed_files
 from mo_deepdrive.atomic_io import write_json
 
 if TYPE_CHECKING:
@@ -153,24 +155,54 @@ def test_a_run_can_be_opened_on_another_device(tmp_path: Path) -> None:
     assert Run.open(tmp_path, device="cpu").experiment.training.device == "cpu"
 
 
-@pytest.mark.skipif(os.name != "posix", reason="runs are locked on POSIX systems")
-@pytest.mark.parametrize("name", [".lock", "curves.png"])
+@pytest.mark.parametrize("name", [".lock", "metrics.csv", "checkpoint.safetensors", "tensorboard", "train.log"])
 def test_a_run_with_a_link_is_not_locked_and_the_target_is_kept(
     tmp_path: Path, experiment: Experiment, name: str
 ) -> None:
     run = Run.create(experiment, tmp_path / "run")
     run.unlock()
     target = tmp_path / "target"
-    target.write_text("mine")
+    target.mkdir()
     (run.path / name).unlink(missing_ok=True)
     (run.path / name).symlink_to(target)
-    (run.path / "tensorboard").symlink_to(tmp_path)  # folders may be elsewhere
-    with pytest.raises(ValueError, match=name.replace(".", r"\.")):
-        run.lock()
-    assert target.read_text() == "mine"
+    (tmp_path / "link").symlink_to(run.path)
+    linked = Run.open(tmp_path / "link")
+    with pytest.raises(ValueError, match=rf"{name}' leads to '.*target'; nothing is written or deleted through a link"):
+        linked.lock()
+    assert list(target.iterdir()) == []
     (run.path / name).unlink()
-    run.lock()
+    linked.lock()
+    linked.unlock()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX locks")
+def test_a_file_system_without_locks_is_noted(
+    tmp_path: Path, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    run = Run.create(experiment, tmp_path / "run")
+    run.set_status("running", 1)
+    assert not run.locked
     run.unlock()
+
+
+def test_a_run_whose_directory_was_replaced_writes_nothing_to_the_other_one(
+    tmp_path: Path, experiment: Experiment
+) -> None:
+    run = Run.create(experiment, tmp_path / "run")
+    run.path.rename(tmp_path / "renamed")
+    with pytest.raises(Moved, match="was renamed, deleted or replaced while the run was training"):
+        run.set_status("running", 1)
+    other = Run.create(experiment, tmp_path / "run")
+    before = {path: path.read_bytes() for path in other.path.iterdir()}
+    with pytest.raises(Moved):
+        run.set_status("running", 2)
+    assert {path: path.read_bytes() for path in other.path.iterdir()} == before
+    for each in (run, other):
+        each.unlock()
 
 
 OWN: dict[str, Any] = {"name": "own_code:utility"}
@@ -288,4 +320,4 @@ def test_a_final_evaluation_that_is_written_again_is_recorded_again(tmp_path: Pa
     for name in ("evaluation.json", "metrics.csv"):
         (run.path / name).write_text("new")
     run.record_results()
-    assert broken_files(run.path) == ["metrics.csv: changed since the run finished"]
+    assert changed_files(run.path) == ["metrics.csv: changed since the run finished"]

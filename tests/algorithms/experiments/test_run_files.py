@@ -12,7 +12,7 @@ import pytest
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import perform
 from algorithms.experiments.run_directory import Run
-from algorithms.experiments.run_files import NOT_RECORDED, RECORDED, broken_files, record_files
+from algorithms.experiments.run_files import RECORDED, changed_files, record_files
 from mo_deepdrive.atomic_io import write_json
 from tests.helpers.short_runs import VALUES, job
 
@@ -38,9 +38,9 @@ def test_sizes_and_hashes_of_existing_files_are_recorded(tmp_path: Path) -> None
     assert record_files(tmp_path) == {"metrics.csv": {"size": 5, "sha256": hashlib.sha256(b"step\n").hexdigest()}}
 
 
-def test_an_intact_run_has_no_broken_files(finished: Path) -> None:
+def test_an_intact_run_has_no_changed_files(finished: Path) -> None:
     assert set(json.loads((finished / "status.json").read_text())["files"]) == set(RECORDED)
-    assert broken_files(finished) == []
+    assert changed_files(finished) == []
 
 
 def test_missing_cut_and_edited_files_are_named(finished: Path) -> None:
@@ -48,27 +48,32 @@ def test_missing_cut_and_edited_files_are_named(finished: Path) -> None:
     os.truncate(finished / "metrics.csv", 8)
     edited = finished / "evaluation.json"
     edited.write_bytes(edited.read_bytes().replace(b"evaluation", b"EVALUATION", 1))
-    assert broken_files(finished) == [
+    assert changed_files(finished) == [
         "checkpoint.safetensors: missing",
         "metrics.csv: 8 bytes, recorded 110",
         "evaluation.json: changed since the run finished",
     ]
-    assert broken_files(finished, ["evaluation.json", "front.csv"]) == [
+    assert changed_files(finished, ["evaluation.json", "front.csv"]) == [
         "evaluation.json: changed since the run finished"
     ]
-    assert broken_files(finished, ["front.csv"]) == []
+    assert changed_files(finished, ["front.csv"]) == []
 
 
 def test_a_run_that_is_not_finished_has_no_record(finished: Path) -> None:
     Run.open(finished).set_status("running", 0)
     (finished / "metrics.csv").unlink()
-    assert broken_files(finished) == []
+    assert changed_files(finished) == []
 
 
-@pytest.mark.parametrize("files", [None, [], {"metrics.csv": 3}])
-def test_a_finished_run_without_a_record_says_so(finished: Path, files: object) -> None:
-    write_json(finished / "status.json", {"state": "finished", **({} if files is None else {"files": files})})
-    assert broken_files(finished) == [NOT_RECORDED]
+@pytest.mark.parametrize(
+    ("record", "problems"),
+    [({}, []), ({"files": []}, []), ({"files": {"metrics.csv": 3}}, ["metrics.csv: 110 bytes, recorded None"])],
+)
+def test_a_record_that_is_missing_or_broken_is_no_error(
+    finished: Path, record: dict[str, object], problems: list[str]
+) -> None:
+    write_json(finished / "status.json", {"state": "finished", **record})
+    assert changed_files(finished) == problems
 
 
 def test_training_records_its_files_when_it_finishes(tmp_path: Path) -> None:
@@ -76,4 +81,4 @@ def test_training_records_its_files_when_it_finishes(tmp_path: Path) -> None:
     assert perform(wanted) == "trained"
     recorded = json.loads((wanted.path / "status.json").read_text())["files"]
     assert list(recorded) == ["config.yaml", "checkpoint.safetensors", "metrics.csv", "evaluation.json"]
-    assert broken_files(wanted.path) == []
+    assert changed_files(wanted.path) == []

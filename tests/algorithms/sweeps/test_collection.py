@@ -274,7 +274,7 @@ def test_runs_whose_scores_or_metrics_have_changed_are_left_out(tmp_path: Path, 
     (folders[3] / "checkpoint.safetensors").unlink()
     for _ in range(2):  # also when nothing is read again
         collection = collect(tmp_path)
-        advice = "runs differ from the record of their files, mo-deepdrive sweep --verify makes them again: "
+        advice = "runs differ from the record of their files, mo-deepdrive sweep --remake makes them again: "
         assert collection.remarks == [
             f"3 {advice}{rows[0].directory}: evaluation.json: changed since the run finished, "
             f"{rows[1].directory}: metrics.csv: changed since the run finished, "

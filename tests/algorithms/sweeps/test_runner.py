@@ -113,7 +113,7 @@ def test_the_directory_of_another_sweep_is_refused_and_left_as_it_is(tmp_path: P
     )
     for backend in ("local", "manifest"):
         runner = MadeUpRuns(sweep, other, name=backend)
-        for start in (runner.run, runner.verify, runner.print_batch_script):
+        for start in (runner.run, runner.remake, runner.print_batch_script):
             with pytest.raises(ValueError, match=message):
                 start()
     assert runner.batches == []
@@ -215,14 +215,14 @@ def test_failed_points_of_a_cell_are_repeated_whatever_batch_the_other_cells_hav
 
 
 @pytest.mark.parametrize("search", [None, SEARCH])
-def test_the_manifest_of_another_sweep_is_not_verified(tmp_path: Path, search: dict[str, Any] | None) -> None:
+def test_the_manifest_of_another_sweep_is_not_remade(tmp_path: Path, search: dict[str, Any] | None) -> None:
     MadeUpRuns(tmp_path / "sweep", write_sweep(tmp_path, grid={RATE: [0.1, 0.2]})).run()
     before = (tmp_path / "sweep" / "manifest.jsonl").read_bytes()
     broken = tmp_path / "sweep" / read_manifest(tmp_path / "sweep")[0].directory
     (broken / "status.json").write_text(json.dumps({"state": "finished", "files": {"config.yaml": {}}}))
     file = write_sweep(tmp_path, **({"grid": {RATE: [0.3]}} if search is None else {"search": search}))
     with pytest.raises(ValueError, match=r"^'.*sweep' has another sweep: none of its 2 runs, such as "):
-        MadeUpRuns(tmp_path / "sweep", file).verify()
+        MadeUpRuns(tmp_path / "sweep", file).remake()
     assert (tmp_path / "sweep" / "manifest.jsonl").read_bytes() == before
     assert broken.is_dir()
 
@@ -244,7 +244,7 @@ def test_a_manifest_that_names_code_is_not_opened(
     (tmp_path / "sweep" / last["directory"] / "status.json").write_text(json.dumps(status))
     again = MadeUpRuns(tmp_path / "sweep", file)
     message = "has algorithm.name = 'evil:Algorithm', code that this sweep does not name; choose another"
-    for start in (again.verify,) if search is None else (again.verify, again.run):
+    for start in (again.remake,) if search is None else (again.remake, again.run):
         with pytest.raises(ValueError, match=message):
             start()
     assert not (tmp_path / "imported").exists()

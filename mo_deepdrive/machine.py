@@ -1,0 +1,103 @@
+"""The cores and the memory that this process may use, in a container as well."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path("/")
+CGROUPS = "sys/fs/cgroup"
+KIB, GIB = 2**10, 2**30
+CACHES = ("active_file", "inactive_file")  # in a cgroup's memory.stat: what the kernel takes back when it needs memory
+
+
+def available_cores(root: Path = ROOT) -> int:
+    """The number of cores that this process may use: those of its affinity mask, or fewer by its container's quota.
+
+    Args:
+        root: of the file system.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quotas: list[float] = [cores]
+    for folder in _control_groups(root, "cpu"):
+        # Version 2: "QUOTA PERIOD" in one file, "max" for no quota; version 1: two files, -1 for no quota.
+        quota, period = [*_words(folder / "cpu.max"), "", ""][:2]
+        if not quota:
+            quota, period = ("".join(_words(folder / f"cpu.cfs_{name}_us")) for name in ("quota", "period"))
+        if quota.isdecimal() and period.isdecimal() and int(period):
+            quotas.append(int(quota) / int(period))
+    return max(1, math.floor(min(quotas)))
+
+
+def available_memory(root: Path = ROOT) -> float:
+    """Bytes that this process can still use, of the machine (with swap) and of its container; infinite if unknown.
+
+    Args:
+        root: of the file system.
+    """
+    machine = _table(root / "proc/meminfo")
+    swap = KIB * machine.get("SwapFree", 0)
+    free = [KIB * machine["MemAvailable"] + swap] if "MemAvailable" in machine else []
+    for folder in _control_groups(root, "memory"):
+        for limit, usage in (("max", "current"), ("limit_in_bytes", "usage_in_bytes")):
+            most, used = ("".join(_words(folder / f"memory.{name}")) for name in (limit, usage))
+            if most.isdecimal() and used.isdecimal():
+                found = _table(folder / "memory.stat")  # version 1 has the sums over the groups below as total_...
+                caches = sum(found.get(f"total_{name}", found.get(name, 0)) for name in CACHES)
+                free.append(int(most) - int(used) + caches + swap)
+    return max(0, min(free)) if free else math.inf
+
+
+def check_memory(what: str, needed: float) -> None:
+    """Refuse what cannot fit into memory, before it is allocated.
+
+    Args:
+        what: the argument and its value.
+        needed: bytes that it takes at the least.
+
+    Raises:
+        ValueError: with both numbers, if there is less than that.
+    """
+    available = available_memory()
+    if needed > available:
+        raise ValueError(
+            f"{what} takes at least {needed / GIB:,.1f} GiB of memory; {available / GIB:,.1f} GiB are available"
+        )
+
+
+def _control_groups(root: Path, controller: str) -> Iterator[Path]:
+    """The folders of this process's control groups and of those around them, of either version."""
+    for line in _text(root / "proc/self/cgroup").splitlines():
+        _, controllers, group = line.split(":", 2)
+        if controllers and controller not in controllers.split(","):
+            continue
+        top = root / CGROUPS / controllers  # version 2 has none there
+        if not top.is_dir():
+            top = root / CGROUPS / controller
+        folder = top / group.lstrip("/")
+        while folder != top:
+            yield folder
+            folder = folder.parent
+        yield top  # in a container, the group is often mounted here
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text()
+    except OSError:  # there is no such file on other systems, or for the other version
+        return ""
+
+
+def _words(path: Path) -> list[str]:
+    return _text(path).split()
+
+
+def _table(path: Path) -> dict[str, int]:
+    """The numbers in lines of the form ``NAME NUMBER`` or ``NAME: NUMBER UNIT``."""
+    rows = [line.replace(":", " ").split() for line in _text(path).splitlines()]
+    return {row[0]: int(row[1]) for row in rows if len(row) > 1 and row[1].isdecimal()}
