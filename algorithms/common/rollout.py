@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.faults import check_vehicles
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
@@ -350,8 +351,23 @@ class Collector:
             self.observations = step.observations
         return self.collected()
 
+    def check_finite(self) -> None:
+        """Refuse a rollout whose rewards or their accrued sums are not finite.
+
+        Raises:
+            NotFinite: naming the environment, the vehicle and the objective.
+        """
+        names, env = self.env.objectives, self.env.name
+        check_vehicles("reward", self.buffers.rewards, env, names)
+        check_vehicles("accrued reward", self.buffers.accrued, env, names)
+
     def collected(self) -> tuple[Rollout, Episodes]:
-        """What the buffers have after T steps."""
+        """What the buffers have after T steps.
+
+        Raises:
+            NotFinite: as :meth:`check_finite`.
+        """
+        self.check_finite()
         buffers = self.buffers
         terminated, truncated, acted = torch.from_numpy(buffers.flags)
         rollout = Rollout(
