@@ -124,8 +124,9 @@ class A2CLearner(Learner):
             return {}
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
-        self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm, losses)
-        return {name: float(loss) for name, loss in losses.items() if name != "total"}
+        total = losses.pop("total")
+        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
+        return {name: float(loss) for name, loss in losses.items()}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
         """L of eq. 4 as "total", and its parts, over the samples in which the vehicle acted."""

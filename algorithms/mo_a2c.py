@@ -187,8 +187,9 @@ class MOA2CLearner(Learner):
             return {}
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
-        self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm, losses)
-        return {name: float(loss) for name, loss in losses.items() if name != "total"}
+        total = losses.pop("total")
+        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
+        return {name: float(loss) for name, loss in losses.items()}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
         """L of eq. 6 as "total", and its parts."""

@@ -195,11 +195,12 @@ class MOCACLearner(Learner):
             return {}
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
-        self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm, losses)
+        total = losses.pop("total")
+        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
         with torch.no_grad():
             for slow, weight in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
                 slow.lerp_(weight, self.config.tau)
-        return {name: float(loss) for name, loss in losses.items() if name != "total"}
+        return {name: float(loss) for name, loss in losses.items()}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
         """L of eq. 6 as "total", and its parts."""

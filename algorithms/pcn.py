@@ -61,7 +61,7 @@ from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
-from mo_deepdrive.faults import NotFinite
+from mo_deepdrive.faults import check_numbers
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -194,14 +194,9 @@ class PCN(FrontAgent):
     def _standardise(self) -> None:
         """Shift and scale inputs to mean 0 and standard deviation 1 in the buffer; constant ones keep their scale."""
         rows = self.buffer.decisions()
-        for name, values in (("means", rows.mean(axis=0)), ("standard deviations", rows.std(axis=0))):
-            if not np.isfinite(values).all():
-                raise NotFinite(
-                    f"the {name} of observations and returns in the warm-up = {values.tolist()}; they must be finite "
-                    "in single precision"
-                )
         # A rare value is at most ten scales away, however small its share in the deviation.
         deviation = np.maximum(rows.std(axis=0), np.ptp(rows, axis=0) / 10.0)
+        check_numbers({"largest deviation of observations and returns in the warm-up": deviation.max()})
         varies = deviation > 1e-6 * self._inputs[1]
         self._inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self._inputs[1])]).astype(np.float32)
 

@@ -11,12 +11,17 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
+# Magnitude of a reward or an observation: sums of the squares of larger ones, as in errors and deviations, may be
+# infinite in single precision.
+LARGEST = 1e15
+
+
 class Fault(ValueError):
     """What an environment, a utility or a learner produced cannot be used; the message, one line, says where."""
 
 
 class NotFinite(Fault):
-    """A number is NaN, infinite or too large for single precision."""
+    """A number is NaN or infinite, or so large that what is computed from it in single precision would be."""
 
 
 class EndlessEpisode(Fault):
@@ -35,7 +40,7 @@ def check_numbers(numbers: Mapping[str, Any]) -> None:
 
 
 def check_vehicles(what: str, values: Any, env: str, names: Sequence[str] = ()) -> None:
-    """Refuse numbers of the vehicles of N environments of which one is not finite.
+    """Refuse numbers of the vehicles of N environments that are not finite or beyond LARGEST.
 
     Args:
         what: the values, for the message.
@@ -46,12 +51,12 @@ def check_vehicles(what: str, values: Any, env: str, names: Sequence[str] = ()) 
     Raises:
         NotFinite: naming the environment, the vehicle and the component of the first one.
     """
-    wrong = ~np.isfinite(values)
-    if wrong.any():
-        *_, n, v, k = np.argwhere(wrong)[0].tolist()
+    fine = np.abs(values) <= LARGEST
+    if not fine.all():
+        *_, n, v, k = np.argwhere(~fine)[0].tolist()
         vehicle = f", vehicle {v}" if values.shape[-2] > 1 else ""
         component = repr(names[k]) if names else f"component {k}"
         raise NotFinite(
-            f"{env}, environment {n}{vehicle}: {what} {component} = {values[wrong][0]}; it must be finite in single "
-            "precision"
+            f"{env}, environment {n}{vehicle}: {what} {component} = {values[~fine][0]:g}; it must be a number between "
+            f"{-LARGEST:g} and {LARGEST:g}"
         )

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
-from mo_deepdrive.faults import check_vehicles
+from mo_deepdrive.faults import NotFinite, check_vehicles
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
@@ -318,7 +318,11 @@ class Collector:
         self.returns[:] = 0.0
 
     def collect(self, act: Act) -> tuple[Rollout, Episodes]:
-        """Run all environments for T steps; the rollout's tensors are overwritten by the next call."""
+        """Run all environments for T steps; the rollout's tensors are overwritten by the next call.
+
+        Raises:
+            NotFinite: for observations, actions, rewards or accrued rewards that are not finite.
+        """
         past, buffers = self.accrued_reward, self.buffers
         for t in range(self.steps + 1):
             buffers.observations[t] = self.observations
@@ -326,7 +330,11 @@ class Collector:
             buffers.discounts[t] = past.discounts
             if t == self.steps:
                 break
-            actions = act(self.observations, past)
+            try:
+                actions = act(self.observations, past)
+            except NotFinite:
+                self.check_finite()  # the cause, if accrued rewards are too large
+                raise
             step = self.env.step(actions)
             self.actions[t] = actions
             buffers.rewards[t] = step.rewards * buffers.shares
