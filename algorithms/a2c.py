@@ -124,8 +124,9 @@ class A2CLearner(Learner):
             return {}
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
-        self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)
-        return {name: float(loss) for name, loss in losses.items() if name != "total"}
+        total = losses.pop("total")
+        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
+        return {name: float(loss) for name, loss in losses.items()}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
         """L of eq. 4 as "total", and its parts, over the samples in which the vehicle acted."""
@@ -148,7 +149,7 @@ class A2CLearner(Learner):
         value_loss = squared_error(outputs, (targets / config.value_scale).unsqueeze(-1), weights)
         entropy = weighted_sum(weights, entropies)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
+        return {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy, "total": total}
 
     @torch.no_grad()
     def next_values(self, rollout: VehicleRollout, critic_inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

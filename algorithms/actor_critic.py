@@ -138,7 +138,6 @@ class ActorCritic(Agent):
     learner: ClassVar[type[Learner]]
     trains_with_partners = True
     trains_with_guides = True
-    finite: ClassVar[tuple[str, ...]] = ("collector.", "expected_return")
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -46,8 +47,10 @@ from mo_deepdrive.evaluation.metrics import (
     vehicle_prefix,
 )
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
+from mo_deepdrive.faults import Fault, check_numbers
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from gymnasium.vector import VectorEnv
@@ -100,8 +103,8 @@ class Agent(ABC):
     - :meth:`get_state` and :meth:`set_state`: what determines the rest of the run, as named tensors. The names of an
       optimiser's contain "optimiser.". ``step``, ``updates`` and ``episodes`` are saved here.
 
-    It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity`,
-    :attr:`varying_shapes` and :attr:`finite`. It may use the attributes below and
+    It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
+    :attr:`varying_shapes`. It may use the attributes below and
 
     - :class:`algorithms.common.rollout.Collector`: T steps of all environments as one rollout, and the episodes that
       ended; its state is part of the agent's unless every update resets it.
@@ -127,8 +130,6 @@ class Agent(ABC):
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
-        finite: parts of the names of tensors whose numbers must be finite in a checkpoint; weights are not among them
-            in this package, because a run that has diverged can be resumed.
         config: the hyperparameters.
         env: the training environment in the trainers' shapes.
         utilities: one per vehicle; empty where none is known.
@@ -150,7 +151,6 @@ class Agent(ABC):
     trains_with_partners: ClassVar[bool] = False
     trains_with_guides: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
-    finite: ClassVar[tuple[str, ...]] = ()
     config: Any
 
     def __init_subclass__(cls, **options: Any):
@@ -218,7 +218,7 @@ class Agent(ABC):
 
     @abstractmethod
     def update(self, progress: float) -> dict[str, float]:
-        """Act and learn once, and return the losses by name.
+        """Act and learn once, and return the losses by name, which must be finite.
 
         Adds the environment steps that it took to ``step``, 1 to ``updates``, and to ``episodes`` those that ended.
 
@@ -228,7 +228,10 @@ class Agent(ABC):
 
     @abstractmethod
     def get_state(self) -> dict[str, torch.Tensor]:
-        """What determines the rest of the run, as named tensors: networks, optimisers, generators, running episodes."""
+        """What determines the rest of the run, as named tensors: networks, optimisers, generators, running episodes.
+
+        Every number must be finite.
+        """
 
     @abstractmethod
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
@@ -307,6 +310,8 @@ class Agent(ABC):
 
         Raises:
             ValueError: for negative steps, or intervals below 1.
+            NotFinite: in the update or evaluation in which something is not finite, with where it comes from.
+            EndlessEpisode: as :func:`mo_deepdrive.evaluation.evaluate`.
             RuntimeError: if an update takes no steps.
         """
         for name, value, least in (
@@ -321,12 +326,15 @@ class Agent(ABC):
         if eval_env is not None:
             plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)
         if self.step == 0:
-            self.begin()
+            with self._located("before the first update"):
+                self.begin()
             self._log_evaluation(plan, log, log_front)
         started, first = perf_counter(), self.step
         while self.step < total_timesteps:
             before = self.step
-            metrics = self.update(before / total_timesteps)
+            with self._located(f"in the update after step {before:,}"):
+                metrics = self.update(before / total_timesteps)
+                check_numbers(metrics)
             if self.step <= before:
                 raise RuntimeError(f"{type(self).__name__}.update must add the environment steps that it takes to step")
             last = self.step >= total_timesteps
@@ -345,11 +353,20 @@ class Agent(ABC):
     def _log_evaluation(self, plan: EvaluationPlan | None, log: Log | None, log_front: LogFront | None) -> None:
         if plan is None or (log is None and log_front is None):
             return
-        metrics, front = self.evaluate(plan)
+        with self._located(f"in the evaluation at step {self.step:,}"):
+            metrics, front = self.evaluate(plan)
         if log is not None:
             log(self.step, metrics)
         if log_front is not None and front is not None:
             log_front(self.step, front)
+
+    @contextmanager
+    def _located(self, when: str) -> Iterator[None]:
+        """Say in a fault when it happened."""
+        try:
+            yield
+        except Fault as error:
+            raise type(error)(f"{when}: {error}") from error
 
     def _training_metrics(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call, which are then forgotten."""
@@ -372,7 +389,11 @@ class Agent(ABC):
     # ----------------------------------------------------------------------------------------------------- checkpoints
 
     def save(self, path: str | Path) -> None:
-        """Write the complete training state to one safetensors file, atomically."""
+        """Write the complete training state to one safetensors file, atomically.
+
+        Raises:
+            NotFinite: if a number is not finite; a file of before is left as it was.
+        """
         episodes = Episodes.join(self.episodes, len(self.env.objectives))
         unlogged = {f"{EPISODES}{name}": torch.from_numpy(array) for name, array in vars(episodes).items()}
         write_checkpoint(path, {**self.get_state(), **unlogged}, {**self.identity(), **self._counts()})
@@ -382,6 +403,7 @@ class Agent(ABC):
 
         Raises:
             ValueError: if there is no policy yet.
+            NotFinite: as :meth:`save`.
         """
         write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
 
@@ -402,8 +424,7 @@ class Agent(ABC):
         may_differ = ("num_envs", PARTNERS, GUIDES) if policy_only else ()
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
-        varying, finite = (EPISODES, *self.varying_shapes), (EPISODES, *self.finite)
-        tensors = check_tensors(path, tensors, expected, varying, finite, whole=not policy_only)
+        tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
         counts = self.step, self.updates
         before = {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
         try:

@@ -355,8 +355,8 @@ class ConditionedLearner(TrainedNetworks):
         value_loss = squared_error(values, samples.targets)
         entropy = mean(entropies)
         loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
         losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
         return losses, log_prob.detach() - samples.log_prob
 
 
@@ -382,7 +382,6 @@ class ConditionedMOPPO(FrontAgent):
     name = "conditioned_mo_ppo"
     Config = ConditionedMOPPOConfig
     trains_with_guides = True
-    finite = ("collector.", "ideal", "preferences")
 
     def __init__(
         self,

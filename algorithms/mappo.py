@@ -294,8 +294,8 @@ class MAPPOLearner(Learner):
         value_loss = squared_error(values, (team.targets / config.value_scale).unsqueeze(-1))
         entropy = mean(entropies)
         loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
         losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
         return losses, log_prob.detach() - own.log_prob
 
 
@@ -306,7 +306,6 @@ class MAPPO(ActorCritic):
     Config = MAPPOConfig
     learner = MAPPOLearner
     trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
-    finite = (*ActorCritic.finite, "team.")
 
     def __init__(self, env: VectorEnv, utility: UtilityLike | Sequence[UtilityLike], **options: Any):
         super().__init__(env, utility, **options)

@@ -271,8 +271,8 @@ class MOPPOLearner(Learner):
         value_loss = squared_error(values, samples.targets / self.value_scales)
         entropy = mean(entropies)
         loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
         losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
         return losses, log_prob.detach() - samples.log_prob
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:

@@ -195,11 +195,12 @@ class MOCACLearner(Learner):
             return {}
         with self.optimiser.recording():
             losses = self.losses(rollout, entropy_coefficient)
-        self.optimiser.minimise(losses["total"], learning_rate, self.config.max_grad_norm)
+        total = losses.pop("total")
+        self.optimiser.minimise(total, learning_rate, self.config.max_grad_norm, losses)
         with torch.no_grad():
             for slow, weight in zip(self.target_critic.parameters(), self.critic.parameters(), strict=True):
                 slow.lerp_(weight, self.config.tau)
-        return {name: float(loss) for name, loss in losses.items() if name != "total"}
+        return {name: float(loss) for name, loss in losses.items()}
 
     def losses(self, rollout: VehicleRollout, entropy_coefficient: float) -> dict[str, Loss]:
         """L of eq. 6 as "total", and its parts."""
@@ -224,7 +225,7 @@ class MOCACLearner(Learner):
         policy_loss = -weighted_sum(weights * advantages, log_prob)
         entropy = weighted_sum(weights, entropies)
         total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return {"total": total, POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy}
+        return {POLICY_LOSS: policy_loss, VALUE_LOSS: value_loss, ENTROPY: entropy, "total": total}
 
     def ends(self, rollout: VehicleRollout, critic_inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """The states S_e of eq. 5 behind which something may follow: their numbers, and what the critic sees there.

@@ -42,7 +42,8 @@ from pydantic import Field
 from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.checkpoints import GENERATOR, all_finite, restore_generator, strip_prefix
+from algorithms.common.actors import check_outputs
+from algorithms.common.checkpoints import GENERATOR, restore_generator, strip_prefix
 from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from algorithms.common.hyperparameters import (
     FinalLearningRate,
@@ -60,6 +61,7 @@ from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
+from mo_deepdrive.faults import check_numbers
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -141,7 +143,6 @@ class PCN(FrontAgent):
     name = "pcn"
     Config = PCNConfig
     varying_shapes = ("optimiser.", "store.", "attained.")
-    finite = ("store.", "attained.", "bounds", "inputs")
 
     def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
         super().__init__(env, seed=seed, device=device, **hyperparameters)
@@ -195,6 +196,7 @@ class PCN(FrontAgent):
         rows = self.buffer.decisions()
         # A rare value is at most ten scales away, however small its share in the deviation.
         deviation = np.maximum(rows.std(axis=0), np.ptp(rows, axis=0) / 10.0)
+        check_numbers({"largest deviation of observations and returns in the warm-up": deviation.max()})
         varies = deviation > 1e-6 * self._inputs[1]
         self._inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self._inputs[1])]).astype(np.float32)
 
@@ -236,7 +238,7 @@ class PCN(FrontAgent):
         observations = env.reset(self.env_seed + n * self.updates)
         over = np.zeros(n, dtype=np.bool_)
         steps: list[tuple[NDArray[Any], ...]] = []
-        while not over.all():
+        for _ in env.decisions():
             previous = steps[-1][1][:, None] if steps else None
             if policy is None:
                 actions = self._random_actions(previous)
@@ -250,6 +252,8 @@ class PCN(FrontAgent):
             steps.append((observations[:, 0], actions[:, 0], step.rewards[:, 0], ended, step.succeeded[:, 0]))
             accrued_reward.add(step.rewards, self.accrued_discount)
             over |= ended
+            if over.all():
+                break
             observations = step.observations
 
         seen, taken, rewards, ended, succeeded = (np.stack(column, axis=1) for column in zip(*steps, strict=True))
@@ -301,7 +305,7 @@ class PCN(FrontAgent):
             if self.env.continuous
             else nn.functional.cross_entropy(outputs, targets)
         )
-        self.optimiser.minimise(loss, learning_rate)
+        self.optimiser.minimise(loss, learning_rate, parts={metrics.POLICY_LOSS: float(loss.detach())})
         return loss.detach()
 
     def _scaled(
@@ -330,6 +334,7 @@ class PCN(FrontAgent):
             generator: samples actions; None acts greedily.
         """
         outputs = self.network.respond(*self._scaled(observations, desired, horizon))
+        check_outputs(outputs)
         if self.env.continuous:
             actions: NDArray[np.float32] = np.tanh(outputs)
             if generator is not None:
@@ -496,14 +501,11 @@ class PCN(FrontAgent):
 
         Raises:
             ValueError: if a part of the best episodes or of the buffer is missing, has the wrong shape or type, or has
-                values that no episode has; for weights that are not finite where actions are continuous.
+                values that no episode has.
         """
         attained = strip_prefix(state, "attained.")
         self._attained = self._read_attained(attained) if attained else None
-        weights = strip_prefix(state, "network.")
-        if self.env.continuous and not all_finite(weights):
-            raise ValueError("the network has weights that are not finite")
-        self.network.load_state_dict(weights)
+        self.network.load_state_dict(strip_prefix(state, "network."))
         low, high = state["bounds"].numpy()
         self.bounds = low, high
         if self._standardises:

@@ -206,8 +206,8 @@ class PPOLearner(Learner):
         value_loss = squared_error(values, (samples.targets / config.value_scale).unsqueeze(-1))
         entropy = mean(entropies)
         loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm)
         losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
+        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
         return losses, log_prob.detach() - samples.log_prob
 
 

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
@@ -48,13 +49,30 @@ class Utility:
 
         Raises:
             ValueError: if the length of the last axis is not d.
+            NotFinite: naming the utility and the return, if a utility is not finite.
         """
         if returns.ndim == 0 or returns.shape[-1] != len(self.objectives):
             raise ValueError(
                 f"utility {self.name!r} takes {len(self.objectives)} objectives {self.objectives}; "
                 f"the returns have {returns.shape[-1] if returns.ndim else 'no axis'}"
             )
-        return self._function(_real(returns))
+        values = self._function(_real(returns))
+        self._check_finite(returns, values)
+        return values
+
+    def _check_finite(self, returns: Any, values: Any) -> None:
+        try:
+            wrong = ~np.isfinite(_array(values))
+        except TypeError:  # not numbers, as check_utility says
+            return
+        if wrong.shape == returns.shape[:-1] and wrong.any():
+            at = tuple(np.argwhere(wrong)[0])
+            given = dict(zip(self.objectives, _array(returns)[at].tolist(), strict=True))
+            raise NotFinite(f"utility {self.name!r} = {_array(values)[at]} for the return {given}; it must be finite")
+
+
+def _array(values: Any) -> Any:
+    return values.detach().cpu().numpy() if hasattr(values, "detach") else np.asarray(values)
 
 
 def _real(returns: Any) -> Any:
@@ -374,8 +392,8 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         zeros: ``numpy.zeros`` or ``torch.zeros``, which makes the returns.
 
     Raises:
-        ValueError: naming the utility and the shape, if the call fails or does not give one number per return, or for
-            returns of 0 none that is a number.
+        ValueError: naming the utility and the shape, if the call fails or does not give one number per return.
+        NotFinite: for returns of 0, as at the first decision.
     """
     d = len(utility.objectives)
     for shape in ((d,), (2, d), (3, 2, d)):
@@ -384,6 +402,8 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         given = f"returns of shape {shape} as {library}"
         try:
             values = utility(returns)
+        except NotFinite:
+            raise
         except Exception as error:
             message = " ".join(str(error).split())
             raise ValueError(f"utility {utility.name!r} fails on {given}: {type(error).__name__}: {message}") from error
@@ -394,10 +414,6 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         found = tuple(np.shape(values)) if library == "numpy" else tuple(values.shape)
         if found != shape[:-1]:
             raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
-        if np.isnan(values).any() if library == "numpy" else values.isnan().any():
-            raise ValueError(
-                f"utility {utility.name!r} gives {values} for {given} that are 0, as at the first decision"
-            )
 
 
 def _custom(path: str, arguments: dict[str, Any]) -> Function:

@@ -83,7 +83,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         print(f"run {run.path}", flush=True)
         received = train_and_finish(run, agent, make_console(), resumed=options.resume is not None)
         if received is not None:
-            print(f"interrupted at step {agent.step:,}; {resume_with}")
+            print(f"interrupted at step {run.status.get('step', 0):,}; {resume_with}")
             return 128 + received
     print(f"finished: {run.path}")
     warn_of_changes(run.path)

@@ -17,6 +17,7 @@ from torch import nn
 from algorithms.common.networks import make_network
 from algorithms.common.perceptron import BLOCK, Perceptron, blocks, shares_rows
 from algorithms.common.tape import current_tape
+from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.simulation.jit import jit, parallel_jit
 
 if TYPE_CHECKING:
@@ -332,6 +333,29 @@ def _is_compiled(outputs: torch.Tensor) -> bool:
     return unseen and outputs.is_cpu and outputs.dtype == torch.float32
 
 
+def check_outputs(outputs: NDArray[np.float32], num_envs: int | None = None) -> None:
+    """Refuse outputs of a policy's network from which no action can be chosen.
+
+    Args:
+        outputs: (M, ...).
+        num_envs: N, where the rows are those of several steps of N environments; M if None.
+
+    Raises:
+        NotFinite: naming the environment.
+    """
+    wrong = ~np.isfinite(outputs)
+    if wrong.any():
+        row = int(np.argwhere(wrong)[0][0]) % (num_envs or len(outputs))
+        raise NotFinite(
+            f"environment {row}: an output of the policy's network = {outputs[wrong][0]}; it must be finite"
+        )
+
+
+def _checked(outputs: torch.Tensor) -> torch.Tensor:
+    check_outputs(outputs.detach().cpu().numpy())
+    return outputs
+
+
 def _transposed(outputs: torch.Tensor) -> NDArray[np.float32]:
     """(n, M), as the outputs (M, n) of a perceptron lie in memory."""
     array: NDArray[np.float32] = outputs.detach().t().contiguous().numpy()
@@ -368,7 +392,7 @@ class CategoricalActor(_Actor):
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row, by inversion: the first whose cumulative probability is above a uniform number."""
-        logits: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        logits = _checked(self.body(x.reshape(-1, x.shape[-1])))
         uniform = self.noise(len(logits), generator).squeeze(-1)
         if _is_compiled(logits):
             actions = np.empty(x.shape[:-1], np.int64)
@@ -380,8 +404,7 @@ class CategoricalActor(_Actor):
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The most probable action per row."""
-        logits: torch.Tensor = self.body(x)
-        return logits.argmax(-1)
+        return _checked(self.body(x)).argmax(-1)
 
     def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-probability of ``actions`` and entropy of the policy, each (...)."""
@@ -431,13 +454,12 @@ class GaussianActor(_Actor):
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row."""
-        mean: torch.Tensor = self.body(x)
+        mean = _checked(self.body(x))
         return mean + self.log_std.exp() * self.noise(mean[..., 0].numel(), generator).view(mean.shape)
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The mean action per row."""
-        mean: torch.Tensor = self.body(x)
-        return mean
+        return _checked(self.body(x))
 
     def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-density of ``actions`` and entropy of the policy, each (...)."""
@@ -482,7 +504,7 @@ class StateGaussianActor(_Actor):
 
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row."""
-        outputs: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
+        outputs = _checked(self.body(x.reshape(-1, x.shape[-1])))
         noise = self.noise(len(outputs), generator)
         shape = (*x.shape[:-1], self.actions)
         if _is_compiled(outputs):
@@ -494,8 +516,7 @@ class StateGaussianActor(_Actor):
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
         """The mean action per row."""
-        outputs: torch.Tensor = self.body(x)
-        return outputs[..., : self.actions]
+        return _checked(self.body(x))[..., : self.actions]
 
     def log_prob_and_entropy(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-density of ``actions`` and entropy of the policy, each (...)."""

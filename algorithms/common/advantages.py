@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
+from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
@@ -42,15 +44,34 @@ def _accumulate(advantages: NDArray[Any], decays: NDArray[Any]) -> None:
 
 
 def utility_gradient(utility: Utility, expected_return: torch.Tensor) -> torch.Tensor:
-    """Gradient of the utility at the expected return (d,): the weights (d,) of the objectives under SER."""
+    """Gradient of the utility at the expected return (d,): the weights (d,) of the objectives under SER.
+
+    Raises:
+        NotFinite: if it is not finite, as that of a root at 0.
+    """
     with torch.enable_grad():
         point = expected_return.detach().clone().requires_grad_(True)
         gradient: torch.Tensor = torch.autograd.grad(utility(point), point)[0]
+    if not gradient.isfinite().all():
+        at = dict(zip(utility.objectives, point.tolist(), strict=True))
+        raise NotFinite(
+            f"the gradient of utility {utility.name!r} = {gradient.tolist()} at the expected return {at}; it must be "
+            "finite"
+        )
     return gradient
 
 
 def normalise(advantages: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """``advantages`` with mean 0 and standard deviation 1 under ``weights``, which sum to 1; both of one shape."""
+    """``advantages`` with mean 0 and standard deviation 1 under ``weights``, which sum to 1; both of one shape.
+
+    Raises:
+        NotFinite: if the deviation is not finite.
+    """
     mean = (weights * advantages).sum()
     deviation = (weights * (advantages - mean).square()).sum().sqrt()
+    if not math.isfinite(float(deviation)):
+        raise NotFinite(
+            f"the standard deviation of the advantages = {float(deviation)} in single precision (advantages from "
+            f"{float(advantages.min()):g} to {float(advantages.max()):g})"
+        )
     return (advantages - mean) / (deviation + 1e-8)

@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_safetensors
 
 from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.faults import NotFinite
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,7 +56,14 @@ def strip_prefix(state: Mapping[str, torch.Tensor], prefix: str) -> dict[str, to
 
 
 def write_checkpoint(path: str | Path, tensors: Mapping[str, torch.Tensor], identity: Mapping[str, Any]) -> None:
-    """Write named tensors and the identity of their agent, atomically."""
+    """Write named tensors and the identity of their agent, atomically.
+
+    Raises:
+        NotFinite: naming the first tensor that is not finite; the file is as it was.
+    """
+    for name, tensor in tensors.items():
+        if (wrong := _not_finite(tensor)) is not None:
+            raise NotFinite(f"a checkpoint would have {name!r} with {wrong}; every number must be finite")
     plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     metadata = {"checkpoint": json.dumps({"format": FORMAT, **identity})}
     atomic_write(Path(path), to_safetensors(plain, metadata=metadata))
@@ -74,7 +82,7 @@ def read_checkpoint(
 
     Raises:
         ValueError: if the file is missing or broken, its identity differs or has no valid numbers of steps and updates,
-            or it holds the policy alone.
+            it holds the policy alone, or a number is not finite.
     """
     if Path(path).exists() and not Path(path).is_file():  # opening a pipe would wait for ever
         raise ValueError(f"checkpoint {path} cannot be read: it is not a file")
@@ -100,6 +108,8 @@ def read_checkpoint(
         if type(count) is not int or not 0 <= count <= MOST_STEPS:
             raise ValueError(f"checkpoint {path} has {key} = {count!r}; it must be an integer from 0 to {MOST_STEPS}")
     for name, tensor in tensors.items():
+        if (wrong := _not_finite(tensor)) is not None:
+            raise ValueError(f"checkpoint {path} has {name!r} with {wrong}; every number must be finite")
         # Counting the True of such a mask gives the sum of its bytes.
         if tensor.dtype == torch.bool and (tensor.view(torch.uint8) > 1).any():
             raise ValueError(f"checkpoint {path} has {name!r} with {int(tensor.view(torch.uint8).max())} for a bool")
@@ -115,18 +125,16 @@ def check_tensors(
     tensors: Mapping[str, torch.Tensor],
     expected: Mapping[str, torch.Tensor],
     varying: tuple[str, ...] = (),
-    finite: tuple[str, ...] = (),
     *,
     whole: bool,
 ) -> dict[str, torch.Tensor]:
-    """Check the names, shapes, types and numbers of the tensors of a checkpoint.
+    """Check the names, shapes and types of the tensors of a checkpoint.
 
     Args:
         path: the file, for messages.
         tensors: of the checkpoint.
         expected: those of the agent that reads.
         varying: parts of the names of tensors whose shapes and types are not checked.
-        finite: parts of the names of tensors whose numbers must be finite.
         whole: refuse tensors that are not expected.
 
     Returns:
@@ -152,16 +160,14 @@ def check_tensors(
     if whole and len(known) < len(tensors):
         unknown = min(tensors.keys() - known.keys())
         raise ValueError(f"checkpoint {path} has {unknown!r}, which this agent does not know")
-    for name, tensor in known.items():
-        if _has_part(name, finite) and tensor.is_floating_point() and not bool(tensor.isfinite().all()):
-            found = float(tensor[~tensor.isfinite()][0])
-            raise ValueError(f"checkpoint {path} has {name!r} with {found}; every number must be finite")
     return known
 
 
-def all_finite(tensors: Mapping[str, torch.Tensor]) -> bool:
-    """Whether every number of the tensors is finite."""
-    return all(bool(tensor.isfinite().all()) for tensor in tensors.values())
+def _not_finite(tensor: torch.Tensor) -> float | None:
+    """The first number of a tensor that is not finite; None if all are."""
+    if not tensor.is_floating_point() or bool(tensor.isfinite().all()):
+        return None
+    return float(tensor[~tensor.isfinite()][0])
 
 
 def restore_generator(generator: torch.Generator, name: str, state: torch.Tensor) -> None:

@@ -20,6 +20,7 @@ from algorithms.common.actors import (
     GaussianActor,
     StateGaussianActor,
     categorical_sample,
+    check_outputs,
     state_gaussian_sample,
 )
 from algorithms.common.perceptron import BLOCK, Perceptron, forward_rows
@@ -28,6 +29,7 @@ from algorithms.common.threads import one_blas_thread, wanted_threads
 from mo_deepdrive.actions import decode_continuous, decode_discrete, find_infinite
 from mo_deepdrive.batch import MAX_REDRAWS
 from mo_deepdrive.envs.streams import BLOCK as DRAWS_IN_BLOCK
+from mo_deepdrive.faults import check_vehicles
 from mo_deepdrive.simulation.jit import separate_jit
 from mo_deepdrive.simulation.kernel import reset_batch, step_batch
 from mo_deepdrive.simulation.state import ARRIVED
@@ -401,7 +403,8 @@ class CompiledCollection:
 
         Raises:
             ResetNeeded: before the first reset.
-            ValueError: for actions that are not finite, or if no valid scenario is found.
+            NotFinite: for rewards or outputs of a network that are not finite; nothing of the rollout may be used.
+            ValueError: if no valid scenario is found.
         """
         collector, env = self._collector, self._env
         env.check_ready()
@@ -431,7 +434,9 @@ class CompiledCollection:
         loop = self._loop
         with one_blas_thread():
             self._threads.run(lambda worlds: self._run(loop, worlds, shared), self._worlds)
+        collector.check_finite()
         for each in kept:
+            check_outputs(each.outputs.T, n)
             each.done = steps * n
         collector.observations = env.batch.observations.copy()
 
@@ -445,7 +450,8 @@ class CompiledCollection:
             elif problem == NO_VALID_SCENARIO:
                 raise ValueError(f"no valid scenario in {MAX_REDRAWS} draws")
             else:
-                env.batch.step(self._collector.actions[start])  # refuses the actions, and moves nothing
+                self._collector.check_finite()  # what the actions depend on
+                check_vehicles("action", self._collector.actions[start], self._collector.env.name)
             start, problem = loop(start, worlds, *shared, *self._kernel)
 
 

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     Gradient = tuple[torch.Tensor, NDArray[np.float32]]
 
 
+LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
+
+
 class Loss:
     """A scalar with its gradient by the outputs of networks, for which +, - and multiplication by a number are defined.
 
@@ -194,6 +197,6 @@ def policy_change(log_ratio: torch.Tensor, clip: float) -> tuple[float, float]:
         log_ratio: (M,) log rho of samples of pi_old.
         clip: epsilon.
     """
-    ratio = log_ratio.exp()
+    ratio = log_ratio.clamp(max=LARGEST_LOG_RATIO).exp()
     clipped = ((ratio - 1.0).abs() > clip).to(ratio.dtype)
     return float(clipped.mean()), float((ratio - 1.0 - log_ratio).mean())

@@ -126,9 +126,12 @@ def find_gap(name: str, rows: Sequence[Sequence[str]], after: int, noted: Mappin
         noted: from :meth:`RowTally.note`; None if it is not known.
 
     Returns:
-        A line that names the file and what is missing; None if nothing is, or nothing was noted.
+        A line that names the file and what is missing; None if nothing is. Where nothing was noted, a checkpoint beyond
+        step 0 without a row is missing all of them.
     """
-    if noted is None or RowTally(rows).note() == noted:
+    if noted is None:  # status.json was lost, too, unless an earlier version wrote it
+        return None if rows or after <= 0 else f"{name} has no rows up to step {after:,}"
+    if RowTally(rows).note() == noted:
         return None
     expected = noted.get("rows")
     if not isinstance(expected, int) or len(rows) >= expected:

@@ -11,6 +11,7 @@ import torch
 
 from algorithms.common.losses import Loss
 from algorithms.common.tape import Tape, recording
+from mo_deepdrive.faults import NotFinite, check_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -78,10 +79,32 @@ class Adam:
         with recording() as self._tape:
             yield
 
-    def minimise(self, loss: torch.Tensor | Loss, learning_rate: float, max_grad_norm: float | None = None) -> None:
-        """One step down the gradient of ``loss``, whose norm is reduced to ``max_grad_norm`` where it is larger."""
+    def minimise(
+        self,
+        loss: torch.Tensor | Loss,
+        learning_rate: float,
+        max_grad_norm: float | None = None,
+        parts: Mapping[str, float | Loss] | None = None,
+    ) -> None:
+        """One step down the gradient of ``loss``.
+
+        Args:
+            loss: a scalar.
+            learning_rate: of the step.
+            max_grad_norm: to which the norm of the gradient is reduced where it is larger.
+            parts: what the loss consists of by name, for the message of an error.
+
+        Raises:
+            NotFinite: if a part, the loss or the norm of its gradient is not finite; no parameter has changed.
+        """
+        value = float(loss.detach() if isinstance(loss, torch.Tensor) else loss)
+        if not math.isfinite(value):
+            check_numbers({**(parts or {}), "loss": value})
         self._differentiate(loss)
         norm = float(torch.linalg.vector_norm(self._gradient))
+        if not math.isfinite(norm):
+            parts_text = "".join(f", {name} = {float(part):g}" for name, part in (parts or {}).items())
+            raise NotFinite(f"the norm of the gradient = {norm} in single precision (loss = {value:g}{parts_text})")
         if max_grad_norm is not None and norm > max_grad_norm:
             self._gradient *= max_grad_norm / (norm + 1e-6)
         self.steps += 1

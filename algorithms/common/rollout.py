@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.faults import NotFinite, check_vehicles
 from mo_deepdrive.simulation.jit import jit
 
 if TYPE_CHECKING:
@@ -317,7 +318,11 @@ class Collector:
         self.returns[:] = 0.0
 
     def collect(self, act: Act) -> tuple[Rollout, Episodes]:
-        """Run all environments for T steps; the rollout's tensors are overwritten by the next call."""
+        """Run all environments for T steps; the rollout's tensors are overwritten by the next call.
+
+        Raises:
+            NotFinite: for observations, actions, rewards or accrued rewards that are not finite.
+        """
         past, buffers = self.accrued_reward, self.buffers
         for t in range(self.steps + 1):
             buffers.observations[t] = self.observations
@@ -325,7 +330,11 @@ class Collector:
             buffers.discounts[t] = past.discounts
             if t == self.steps:
                 break
-            actions = act(self.observations, past)
+            try:
+                actions = act(self.observations, past)
+            except NotFinite:
+                self.check_finite()  # the cause, if accrued rewards are too large
+                raise
             step = self.env.step(actions)
             self.actions[t] = actions
             buffers.rewards[t] = step.rewards * buffers.shares
@@ -350,8 +359,23 @@ class Collector:
             self.observations = step.observations
         return self.collected()
 
+    def check_finite(self) -> None:
+        """Refuse a rollout whose rewards or their accrued sums are not finite.
+
+        Raises:
+            NotFinite: naming the environment, the vehicle and the objective.
+        """
+        names, env = self.env.objectives, self.env.name
+        check_vehicles("reward", self.buffers.rewards, env, names)
+        check_vehicles("accrued reward", self.buffers.accrued, env, names)
+
     def collected(self) -> tuple[Rollout, Episodes]:
-        """What the buffers have after T steps."""
+        """What the buffers have after T steps.
+
+        Raises:
+            NotFinite: as :meth:`check_finite`.
+        """
+        self.check_finite()
         buffers = self.buffers
         terminated, truncated, acted = torch.from_numpy(buffers.flags)
         rollout = Rollout(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from algorithms.common.actors import CategoricalActor
-from algorithms.common.checkpoints import all_finite, restore_generator, strip_prefix
+from algorithms.common.checkpoints import restore_generator, strip_prefix
 
 if TYPE_CHECKING:
     import torch
@@ -55,12 +54,5 @@ class TrainedNetworks:
         return {f"actor.{name}": tensor for name, tensor in self.actor.state_dict().items()}
 
     def set_policy(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`.
-
-        Raises:
-            ValueError: for weights that are not finite, unless every action is valid even so (as a softmax policy's).
-        """
-        weights = strip_prefix(state, "actor.")
-        if not isinstance(self.actor, CategoricalActor) and not all_finite(weights):
-            raise ValueError(f"the actor of vehicle {self.vehicle} has weights that are not finite")
-        self.actor.load_state_dict(weights)
+        """Take the actor's weights from :meth:`get_policy` or :meth:`get_state`."""
+        self.actor.load_state_dict(strip_prefix(state, "actor."))

@@ -19,6 +19,7 @@ from algorithms.experiments.run_directory import METRICS_FILE, Run, default_dire
 from algorithms.experiments.run_files import changed_files
 from mo_deepdrive.atomic_io import expand_home
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
+from mo_deepdrive.faults import Fault
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
@@ -295,8 +296,9 @@ def named_numbers(option: str, pairs: Sequence[str], names: Sequence[str]) -> di
 def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str = INSTALLED) -> Iterator[None]:
     """End a command with a message on standard error and an exit code, instead of a traceback.
 
-    The code is 2 for the given exceptions, 1 for :class:`~algorithms.experiments.interrupts.Stopped` and 130 for
-    Ctrl-C. Other exceptions are errors of the program and are not caught.
+    The code is 2 for the given exceptions, 1 for :class:`~algorithms.experiments.interrupts.Stopped` and
+    :class:`~mo_deepdrive.faults.Fault`, and 130 for Ctrl-C. Other exceptions are errors of the program and are not
+    caught.
 
     Args:
         invalid_input: exceptions that the user's input causes in this context, such as ValueError.
@@ -308,6 +310,9 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str 
     """
     try:
         yield
+    except Fault as error:
+        print(as_called(f"error: {error}", program), file=sys.stderr)
+        raise SystemExit(FAILED) from None
     except invalid_input as error:
         print(as_called(f"error: {error}", program), file=sys.stderr)
         raise SystemExit(INVALID_INPUT) from None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import errno
 import signal
 import threading
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from types import FrameType, TracebackType
 
 
@@ -33,6 +35,11 @@ def stopped_by(error: OSError, message: str) -> Stopped:
     return (DiskFull if no_space(error) else Stopped)(message)
 
 
+# How long (s) an update or an evaluation may go on after a signal, so that its work is saved: a person waits at Ctrl-C,
+# a batch system kills some 30 s after SIGTERM.
+PATIENCE = {signal.SIGINT: 2.0, signal.SIGTERM: 10.0}
+
+
 class Interrupts:
     """Records SIGINT and SIGTERM while it is open, instead of acting on them; a second SIGINT acts at once.
 
@@ -41,20 +48,47 @@ class Interrupts:
 
     Use it as a context manager. Only the main thread receives signals; in others nothing is recorded.
 
+    Args:
+        patience: by signal, after how many seconds it acts nevertheless, as KeyboardInterrupt, unless :meth:`settle` is
+            called before; None to wait for ever.
+
     Attributes:
         received: the signal's number, 0 for a request to stop that is no signal, or None.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, patience: Mapping[signal.Signals, float] | None = None) -> None:
         self.received: int | None = None
+        self._patience = dict(patience or {})
+        self._timer: threading.Timer | None = None
+        self._overdue = False
         self._previous: dict[int, Any] = {}
 
     def _record(self, number: int, _frame: FrameType | None) -> None:
-        self.received = number
-        if number == signal.SIGINT:
-            self._restore()
+        if not self.received:
+            self.received = number
+            if number in self._patience:
+                again = signal.Signals(number)
+                self._timer = threading.Timer(self._patience[again], self._insist, [again])
+                self._timer.daemon = True
+                self._timer.start()
+        elif number == signal.SIGINT or self._overdue:
+            raise KeyboardInterrupt
+
+    def _insist(self, number: signal.Signals) -> None:
+        """Send the signal again, to the main thread, where it ends a system call, too."""
+        self._overdue = True
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
+        else:
+            _thread.interrupt_main(number)
+
+    def settle(self) -> None:
+        """What was under way has ended, and there is time to save it."""
+        if self._timer is not None:
+            self._timer.cancel()
 
     def _restore(self) -> None:
+        self.settle()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 

@@ -12,7 +12,7 @@ from algorithms.common.metrics_file import rows_until
 from algorithms.experiments.agent_report import report_agent
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
-from algorithms.experiments.interrupts import Interrupts, Moved, stopped_by
+from algorithms.experiments.interrupts import PATIENCE, Interrupts, Moved, stopped_by
 from algorithms.experiments.loggers import Logger, log_results
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
@@ -20,6 +20,7 @@ from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
 from algorithms.reporting.seed_tables import final_metrics
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.faults import Fault
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -91,7 +92,9 @@ def train(
 ) -> int | None:
     """Train ``agent`` to the end of the run's experiment, or until SIGINT or SIGTERM, and save it in either case.
 
-    Stopping and resuming do not affect what is learnt: checkpoints and evaluations depend on the step alone.
+    Stopping and resuming do not affect what is learnt: checkpoints and evaluations depend on the step alone. After a
+    signal the update, or the evaluation, goes on to its end and is saved if that takes no longer than PATIENCE and
+    there is no second SIGINT; else the run resumes from its last checkpoint.
 
     Args:
         run: its directory receives everything that is written.
@@ -106,6 +109,7 @@ def train(
 
     Raises:
         Stopped: if something could not be written; the last checkpoint is intact.
+        Fault: if something is not finite, or an episode does not end; the last checkpoint is intact.
     """
     experiment = run.experiment
     training, evaluation, logging = experiment.training, experiment.evaluation, experiment.logging
@@ -121,9 +125,10 @@ def train(
     after = (saved if saved > 0 else -1) if resumed else None
     config = {**experiment.to_dict(), "versions": run.versions}
     noted = {name: run.logged_rows(saved, name) if saved > 0 else None for name in (METRICS_FILE, FRONTS_FILE)}
+    interrupts = Interrupts(PATIENCE)
     try:
         with (
-            Interrupts() as interrupts,
+            interrupts,
             ProgressReporter(
                 training.total_timesteps, saved, console, arrivals=ours, front=not known_utility
             ) as reporter,
@@ -177,6 +182,7 @@ def train(
                     save("running")
                 if interrupts.received is None and stop is not None and stop():
                     interrupts.received = 0
+                interrupts.settle()
                 return interrupts.received is not None
 
             run.set_status("running", saved)
@@ -203,6 +209,15 @@ def train(
             f"the checkpoint of step {saved:,} is intact" if run.checkpoint.exists() else "there is no checkpoint yet"
         )
         raise stopped_by(error, f"training stopped at step {agent.step:,}: {error}; {rest}") from error
+    except Fault as error:
+        _set_failed(run, saved, str(error))
+        raise
+    except KeyboardInterrupt as error:
+        if not interrupts.received:
+            _set_failed(run, saved, f"{type(error).__name__}: {error}")
+            raise
+        with contextlib.suppress(OSError):
+            run.set_status("interrupted", saved)
     except BaseException as error:
         _set_failed(run, saved, f"{type(error).__name__}: {error}")
         raise

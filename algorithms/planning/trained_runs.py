@@ -101,11 +101,13 @@ def record_episodes(policy: Policy, env: EnvAdapter, generator: torch.Generator 
     accrued_reward = AccruedReward.begin(env.num_envs, 1, len(env.objectives))
     lengths = np.zeros(env.num_envs, dtype=np.int64)
     taken: list[NDArray[Any]] = []
-    while not lengths.all():
+    for _ in env.decisions():
         actions = policy.act(observations, accrued_reward, generator)
         taken.append(env.environment_actions(actions))
         step = env.step(actions)
         accrued_reward.add(step.rewards, policy.gamma)
         lengths[(lengths == 0) & (step.terminated | step.truncated)[:, 0]] = len(taken)
+        if lengths.all():
+            break
         observations = step.observations
     return [np.stack(taken)[:length, row] for row, length in enumerate(lengths)]

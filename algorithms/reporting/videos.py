@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -171,7 +172,7 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
     running = np.ones((1, vehicles), dtype=np.bool_)
     observations = env.reset(seed=seed)[0].reshape(1, vehicles, -1) if adapter is None else adapter.reset(seed)
     yield _frame(env)
-    while running.any():
+    for _ in itertools.count() if adapter is None else adapter.decisions():
         actions = policy.act(observations, accrued_reward, generator)
         if adapter is None:
             raw, rewards, *flags, _ = env.step(trained_on.environment_actions(actions))
@@ -183,6 +184,8 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
         accrued_reward.add(rewards, policy.gamma)
         running &= ~over
         yield _frame(env)
+        if not running.any():
+            break
 
 
 def _frame(env: VectorEnv) -> NDArray[np.uint8]:

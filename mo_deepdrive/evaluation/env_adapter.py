@@ -21,17 +21,19 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import observation
 from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
+from mo_deepdrive.faults import EndlessEpisode, check_vehicles
 from mo_deepdrive.limits import objective_bound
 from mo_deepdrive.objectives import scales as objective_scales
 from mo_deepdrive.objectives import signs as objective_signs
 from mo_deepdrive.simulation.state import ARRIVED, RUNNING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from gymnasium.envs.registration import EnvSpec
     from numpy.typing import NDArray
 
+LONGEST_EPISODE = 10_000  # decisions of other libraries' environments whose id has no max_episode_steps
 FORBIDDEN = set(" \t\n/:=")  # in names of objectives, which are parts of metrics' names and of command lines
 
 
@@ -105,6 +107,8 @@ class EnvAdapter:
         objective_bounds: (d,) largest magnitudes of a reward; infinite where they are not known.
         actions: number of discrete actions, or of continuous axes.
         continuous: whether actions are continuous.
+        max_episode_steps: decisions after which an episode that is driven to its end must have ended: the id's, or
+            LONGEST_EPISODE.
         bare: our environment, if it is neither wrapped nor of a subclass, whose own ``step`` would have to be called.
 
     Raises:
@@ -140,6 +144,7 @@ class EnvAdapter:
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
             self.costs: NDArray[np.bool_] = objective_signs(self.objectives) < 0
             self.objective_bounds = np.array([objective_bound(name, inner.config) for name in self.objectives])
+            self.max_episode_steps = config.max_decisions
             if isinstance(space, spaces.MultiDiscrete):
                 space = spaces.Discrete(int(space.nvec[0]))
         else:
@@ -155,6 +160,7 @@ class EnvAdapter:
             self.objective_scales = np.ones(d, dtype=np.float32)
             self.costs = rewards.high <= 0.0
             self.objective_bounds = np.full(d, np.inf)
+            self.max_episode_steps = (spec and spec.max_episode_steps) or LONGEST_EPISODE
         if isinstance(space, spaces.Discrete):
             self.continuous, self.actions = False, int(space.n)
             self._first_action = int(space.start)
@@ -191,10 +197,28 @@ class EnvAdapter:
         return np.asarray(scales, dtype=np.float32)
 
     def reset(self, seed: int | list[int] | None = None) -> NDArray[np.float32]:
-        """Reset every environment; the i-th is seeded with ``seed + i`` or ``seed[i]``. Observations (N, V, o)."""
+        """Reset every environment; the i-th is seeded with ``seed + i`` or ``seed[i]``. Observations (N, V, o).
+
+        Raises:
+            NotFinite: for observations that are not finite.
+        """
         raw, _ = self.vector_env.reset(seed=seed)  # type: ignore[arg-type]  # a list is fine, says its documentation
         self._was_over[:] = False
-        return self.policy_observations(raw)
+        observations = self.policy_observations(raw)
+        check_vehicles("observation", observations, self.name)
+        return observations
+
+    def decisions(self) -> Iterator[int]:
+        """Count the decisions of episodes; every loop that drives episodes to their ends takes its turns from here.
+
+        Raises:
+            EndlessEpisode: after :attr:`max_episode_steps`.
+        """
+        yield from range(self.max_episode_steps)
+        raise EndlessEpisode(
+            f"an episode of {self.name} has not ended after {self.max_episode_steps:,} decisions; limit its length by "
+            "max_episode_steps, where the id is registered or in environment.arguments (env_kwargs)"
+        )
 
     def step(self, actions: NDArray[Any]) -> Step:
         """Act in every environment.
@@ -204,10 +228,21 @@ class EnvAdapter:
 
         Raises:
             ValueError: for another shape.
+            NotFinite: for actions, rewards or observations that are not finite.
         """
         actions = np.asarray(actions)
         if actions.shape != self._action_shape:
             raise ValueError(f"actions of shape {actions.shape} must have shape {self._action_shape}")
+        if self.continuous:
+            check_vehicles("action", actions, self.name)
+        step = self._step(actions)
+        check_vehicles("reward", step.rewards, self.name, self.objectives)
+        if self.bare is None:
+            check_vehicles("observation", step.observations, self.name)
+            check_vehicles("observation", step.final, self.name)
+        return step
+
+    def _step(self, actions: NDArray[Any]) -> Step:
         if self.bare is not None:
             return self._bare_step(self.bare, actions)
         actions = self.environment_actions(actions)

@@ -72,6 +72,8 @@ def evaluate(
     Raises:
         TypeError: for an unknown environment argument, or a policy that is neither an agent nor a function.
         ValueError: for invalid arguments, an agent that was trained on another task, or actions of the wrong shape.
+        NotFinite: for observations, rewards, actions or utilities that are not finite.
+        EndlessEpisode: if an episode is longer than the id's max_episode_steps, or 10,000 decisions where it has none.
     """
     if isinstance(episodes, bool) or not isinstance(episodes, (int, np.integer)) or episodes < 1:
         raise ValueError(f"episodes = {episodes!r} must be a positive integer")
@@ -235,7 +237,7 @@ def _first_episodes(
     accrued_reward = AccruedReward.begin(n, v, d)
     factor = 1.0
     observations = adapter.reset(seeds)
-    while unfinished.any():
+    for _ in adapter.decisions():
         step = adapter.step(policy.act(observations, accrued_reward, generator))
         counted = running & step.acted
         rewards = np.where(counted[..., None], step.rewards, 0.0)
@@ -252,5 +254,7 @@ def _first_episodes(
             if step.ends is not None:
                 ends[over] = step.ends.reshape(n, v)[over]
             unfinished &= ~over
+        if not unfinished.any():
+            break
         observations = step.observations
     return returns, discounted, lengths, succeeded, ends, largest

@@ -15,6 +15,7 @@ from mo_deepdrive.evaluation.episodes import as_policy
 from mo_deepdrive.evaluation.policy import seeded_generator
 from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED
+from mo_deepdrive.faults import check_vehicles
 
 try:
     import h5py  # noqa: F401  (Minari imports it and Pillow when it has recorded everything)
@@ -97,11 +98,13 @@ def _episode(env: gymnasium.Env[Any, Any], adapter: EnvAdapter, driver: PolicyDr
     rewards: list[Any] = []
     terminations: list[bool] = []
     truncations: list[bool] = []
-    over = False
-    while not over:
-        action = driver.act(adapter.policy_observations(np.asarray(observation)[None]))[0]
+    for _ in adapter.decisions():
+        seen = adapter.policy_observations(np.asarray(observation)[None])
+        check_vehicles("observation", seen, adapter.name)
+        action = driver.act(seen)[0]
         observation, reward, terminated, truncated, info = env.step(action)
         vector = np.asarray(reward, dtype=np.float32)
+        check_vehicles("reward", vector[None, None], adapter.name, adapter.objectives)
         driver.observe(vector[None, None])
         observations.append(observation)
         actions.append(action)
@@ -109,7 +112,8 @@ def _episode(env: gymnasium.Env[Any, Any], adapter: EnvAdapter, driver: PolicyDr
         terminations.append(terminated)
         truncations.append(truncated)
         infos.append(info)
-        over = terminated or truncated
+        if terminated or truncated:
+            break
     absent = {name: np.zeros_like(value)[()] for each in infos for name, value in each.items()}
     return EpisodeBuffer(
         seed=seed,

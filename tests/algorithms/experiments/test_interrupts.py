@@ -6,6 +6,7 @@ import errno
 import os
 import signal
 import threading
+import time
 
 import pytest
 
@@ -46,6 +47,20 @@ def test_sigterm_may_be_repeated() -> None:
             signal.raise_signal(signal.SIGTERM)
             assert interrupts.received == signal.SIGTERM
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+@needs_signals
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_does_not_end_in_time_is_interrupted_unless_it_is_settled(number: signal.Signals) -> None:
+    with Interrupts({number: 0.05}) as interrupts:
+        signal.raise_signal(number)
+        with pytest.raises(KeyboardInterrupt):
+            time.sleep(30.0)
+    assert interrupts.received == number
+    with Interrupts({number: 0.05}) as interrupts:
+        signal.raise_signal(number)
+        interrupts.settle()
+        time.sleep(0.1)
 
 
 def test_outside_the_main_thread_nothing_is_recorded() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +68,42 @@ def test_missing_rows_are_noticed_when_a_run_is_resumed_and_kept_in_its_status(
     status = read_status(wanted.path)
     assert (status["state"], status["step"], status["metrics_gap"]) == ("finished", TOTAL, gap)
     assert broken_files(wanted.path) == []
+
+
+def test_metrics_and_status_that_are_lost_together_are_noticed_by_the_checkpoint(tmp_path: Path) -> None:
+    wanted = stopped_job(tmp_path)
+    for name in ("metrics.csv", "status.json"):
+        (wanted.path / name).unlink()
+    assert perform(wanted) == "trained"
+    gap = "metrics.csv has no rows up to step 320"
+    assert read_status(wanted.path)["metrics_gap"] == gap
+    assert f"warning: {gap}; the run is continued" in " ".join((wanted.path / "train.log").read_text().split())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+@pytest.mark.parametrize("method", ["evaluate", "update"])
+def test_a_run_that_is_interrupted_in_the_middle_resumes_to_the_same_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    whole, wanted = job(tmp_path / "whole"), job(tmp_path / "interrupted")
+    perform(whole)
+    original, calls = getattr(MOA2C, method), []
+
+    def interrupted(agent: Any, *arguments: Any) -> Any:
+        calls.append(agent.step)
+        found = original(agent, *arguments)
+        if len(calls) == (2 if method == "evaluate" else 8):
+            for _ in range(2):
+                signal.raise_signal(signal.SIGINT)
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MOA2C, method, interrupted)
+        assert perform(wanted) == "stopped"
+    status = read_status(wanted.path)
+    assert (status["state"], status["step"]) == ("interrupted", 288 if method == "evaluate" else 192)
+    assert perform(wanted) == "trained"
+    assert_same_run(whole.path, wanted.path)
 
 
 def test_a_gap_is_kept_by_later_processes_and_noted_once(tmp_path: Path) -> None:
