@@ -1,4 +1,4 @@
-"""What stops a training run early: signals, requests, and disks that cannot be written to."""
+"""What stops a training run early: signals, requests, disks that cannot be written to, and other errors."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from types import FrameType, TracebackType
+
+INTERRUPTED = 130  # exit code after Ctrl-C, as shells count it: 128 + SIGINT
 
 
 class Stopped(Exception):
@@ -27,6 +29,17 @@ def no_space(error: OSError) -> bool:
 def stopped_by(error: OSError, message: str) -> Stopped:
     """The exception to raise, with ``message``, after an error of the operating system."""
     return (DiskFull if no_space(error) else Stopped)(message)
+
+
+class JobFailed(Exception):
+    """The error of a run as text: other processes may not be able to import its type."""
+
+
+def describe(error: BaseException) -> str:
+    """An error in one line, with its type unless its message is meant for users."""
+    text = " ".join(str(error).split())
+    for_users = isinstance(error, (ValueError, ImportError, Stopped, OSError, JobFailed))
+    return text if for_users and text else f"{type(error).__name__}: {text}"
 
 
 class Interrupts:

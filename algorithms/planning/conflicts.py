@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 import scipy
 from matplotlib.figure import Figure
 
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
-from algorithms.reporting.style import DIM, DPI, INK, STYLE, TITLE_SIZE
+from algorithms.reporting.style import DIM, INK, TITLE_SIZE, figure_style, save_figure
 from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE, action_table
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -242,7 +241,7 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
     Raises:
         OSError: if the file cannot be written.
     """
-    with matplotlib.rc_context({**STYLE, "axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
+    with figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(3.9 * len(conflicts), 4.6))
         figure.text(0.01, 0.985, "Which objectives conflict", fontsize=TITLE_SIZE, fontweight="bold", va="top")
         figure.text(0.01, 0.925, note, color=DIM, va="top")
@@ -263,4 +262,4 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
             axis.tick_params(length=0)
             axis.set_title(f"{each.population}: {each.drivers} drivers")
         figure.tight_layout(rect=(0, 0, 1, 0.88))
-        figure.savefig(path, dpi=DPI)
+        save_figure(figure, path)

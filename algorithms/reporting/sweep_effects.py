@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -17,12 +16,12 @@ from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
 from algorithms.reporting.style import (
     DIM,
-    DPI,
     INK,
     LINE,
-    STYLE,
     TITLE_SIZE,
     algorithm_colours,
+    figure_style,
+    save_figure,
     text_width,
     widened,
 )
@@ -99,7 +98,7 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
     width = max(LEFT + widest * (PANEL_WIDTH + GAP), max(*texts, *map(text_width, notes)) + 0.3)
     above = 0.42 + LINE * len(notes) + (0.3 if len(colours) > 1 else 0.0)
     height = above + sum(heads) + sum(feet) + PANEL_HEIGHT * len(rows)
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+    with figure_style({"text.parse_math": False}):
         figure = Figure(figsize=(width, height))
 
         def write(y: float, text: str, **style: Any) -> None:
@@ -127,7 +126,7 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
                 if k == 0:
                     axis.set_ylabel(each.score)
             y -= foot
-        figure.savefig(path, dpi=DPI)
+        save_figure(figure, path)
 
 
 def _effect(values: NDArray[np.float64] | list[str], scores: NDArray[np.float64]) -> KeyEffect:

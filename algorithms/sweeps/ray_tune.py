@@ -20,8 +20,8 @@ from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
-from algorithms.experiments.interrupts import DiskFull, Stopped
-from algorithms.experiments.jobs import Job, describe, perform
+from algorithms.experiments.interrupts import DiskFull, Stopped, describe
+from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
 from algorithms.reporting.seed_tables import final_metrics
