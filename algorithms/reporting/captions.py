@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
@@ -44,6 +42,9 @@ def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
 
 def caption_strip(text: str, width: int) -> Frame:
     """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # not earlier: most videos go without Matplotlib
+    from matplotlib.figure import Figure
+
     line = " ".join(text.split())
     with figure_style():
         figure = Figure(
