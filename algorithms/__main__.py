@@ -1,31 +1,122 @@
-"""The command line: ``mo-deepdrive train ...``, or ``python -m algorithms train ...``."""
+"""The command line: ``mo-deepdrive train ...``, or ``python -m algorithms train ...``.
+
+Everything that takes time to import is imported where Ctrl-C is handled already.
+"""
 
 from __future__ import annotations
 
-import argparse
-import importlib
+import atexit
+import contextlib
 import os
+import signal
 import sys
+from typing import TYPE_CHECKING
 
-import mo_deepdrive
-from algorithms.commands import COMMANDS
-from algorithms.experiments.cli import INSTALLED, INVALID_INPUT, PROCESS_DEFAULTS, prepare_process
-from mo_deepdrive.extras import MissingExtraError, needed_for
+from algorithms.experiments.interrupts import INTERRUPTED
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 
 def main() -> int:
     """``mo-deepdrive``; returns the exit code."""
-    return _run(sys.argv[1:], INSTALLED)
+    return _run(None, sys.argv[1:], "mo-deepdrive {}")
 
 
 def run_script(name: str) -> int:
     """``python scripts/NAME.py``; returns the exit code."""
-    return _run_command(name, sys.argv[1:], "python scripts/{}.py")
+    return _run(name, sys.argv[1:], "python scripts/{}.py")
 
 
-def _run(arguments: list[str], program: str) -> int:
-    """Run a command line that begins with the name of the command."""
-    parser = argparse.ArgumentParser(
+def _run(name: str | None, arguments: list[str], program: str) -> int:
+    """Run a command in a process in which nothing but an error of the program ends with a traceback.
+
+    A closed terminal does not end it, and output that cannot be written is dropped; that is an error of those commands
+    alone whose result is what they print.
+
+    Args:
+        name: of the command; None if ``arguments`` begin with it.
+        arguments: the command line.
+        program: how commands are called; see :data:`algorithms.experiments.cli.INSTALLED`.
+
+    Returns:
+        The exit code.
+    """
+    handlers = {}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else a shell has set it, of a background job
+        handlers[signal.SIGINT] = signal.signal(signal.SIGINT, _interrupt)
+    if hasattr(signal, "SIGHUP"):
+        handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        from algorithms.experiments.lenient_output import lost_output, make_standard_streams_lenient
+
+        make_standard_streams_lenient()
+        try:
+            code = _run_command(name, arguments, program)
+        except SystemExit as end:
+            if isinstance(end.code, str):
+                raise
+            code = end.code or 0
+        error = lost_output()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # what is left to do needs no traceback
+    if error is None or isinstance(error, BrokenPipeError):  # the reader, such as head, has had enough
+        return code
+    from algorithms.commands import prints_its_result
+
+    lost = prints_its_result(name or next(iter(arguments), ""), arguments)
+    print(f"{'error' if lost else 'warning'}: the output could not be written: {error}", file=sys.stderr)
+    return 1 if lost and code == 0 else code
+
+
+def _interrupt(_number: int, frame: FrameType | None) -> None:
+    """End at once if something is being imported, when nothing needs to be saved; otherwise raise KeyboardInterrupt.
+
+    Packages that are interrupted while they are imported raise other errors, or print tracebacks and go on.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            with contextlib.suppress(OSError):
+                os.write(2, b"interrupted\n")
+            os._exit(INTERRUPTED)
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _run_command(name: str | None, arguments: list[str], program: str) -> int:
+    """Import and run a command; a package that is not installed is an error of the user's input."""
+    import importlib
+
+    from algorithms.experiments.cli import INVALID_INPUT, PROCESS_DEFAULTS, prepare_process, warn
+    from mo_deepdrive.extras import MissingExtraError, needed_for
+
+    if name is None:
+        name, arguments = _command(arguments, program), arguments[1:]
+    try:
+        with needed_for(program.format(name)):
+            module = importlib.import_module(f"algorithms.commands.{name}")
+            prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", PROCESS_DEFAULTS))
+            code: int = module.main(arguments, program)
+    except MissingExtraError as error:
+        warn(f"error: {error}")
+        return INVALID_INPUT
+    return code
+
+
+def _command(arguments: list[str], program: str) -> str:
+    """The name of the command with which a command line begins."""
+    import argparse
+
+    import mo_deepdrive
+    from algorithms.commands import COMMANDS
+    from algorithms.experiments.cli import Parser
+
+    parser = Parser(
         prog=program.format("").strip(),
         usage="%(prog)s COMMAND ...",
         description="Multi-objective driving environments, and trainers for them.",
@@ -36,21 +127,8 @@ def _run(arguments: list[str], program: str) -> int:
     )
     parser.add_argument("--version", action="version", version=f"mo-deepdrive {mo_deepdrive.__version__}")
     parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
-    return _run_command(parser.parse_args(arguments[:1]).command, arguments[1:], program)
-
-
-def _run_command(name: str, arguments: list[str], program: str) -> int:
-    """Import and run a command; a package that is not installed is an error of the user's input."""
-    try:
-        with needed_for(program.format(name)):
-            module = importlib.import_module(f"algorithms.commands.{name}")
-            prepare_process(os.environ, sys.path, getattr(module, "ENVIRONMENT", PROCESS_DEFAULTS))
-            code: int = module.main(arguments, program)
-    except MissingExtraError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return INVALID_INPUT
-    return code
+    return str(parser.parse_args(arguments[:1]).command)
 
 
 if __name__ == "__main__":
-    sys.exit(_run(sys.argv[1:], "python -m algorithms {}"))
+    sys.exit(_run(None, sys.argv[1:], "python -m algorithms {}"))

@@ -1,4 +1,4 @@
-"""Names that users give: hints for those that are unknown, and the form of those that they register."""
+"""Names that users give: hints for those that are unknown, the form of those that they register, how they are shown."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+LONGEST_WORD, LONGEST_MESSAGE = 1000, 4000  # characters that are shown
+# Control characters that a terminal obeys, but for tab and newline, and those that change the direction of text.
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _FORM = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
@@ -33,3 +36,18 @@ def check_name(name: object, what: str) -> None:
     """
     if not (isinstance(name, str) and _FORM.fullmatch(name)):
         raise ValueError(f"{what} name = {name!r} must be lower case letters, digits and underscores, as 'two_words'")
+
+
+def printable(text: str) -> str:
+    """``text`` with its control characters as escapes, so that a terminal does not obey them."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def shortened(text: str) -> str:
+    """A message of which very long words are cut in the middle, and then the whole."""
+    words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda found: _cut(found[0], LONGEST_WORD), text)
+    return _cut(words, LONGEST_MESSAGE) if len(words) > LONGEST_MESSAGE else words
+
+
+def _cut(text: str, length: int) -> str:
+    return f"{text[: length // 4]} [... {len(text):,} characters ...] {text[-length // 8 :]}"

@@ -49,10 +49,11 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options = parse_arguments(arguments, program)
 
+    from algorithms.experiments.accessories import sole_purpose
     from algorithms.experiments.front_explorer import BEST_KNOWN, explorable_best_known
     from algorithms.reporting.explorer.page import write_page
 
-    with exit_on_error(ValueError, OSError, program=program):
+    with exit_on_error(ValueError, program=program), sole_purpose("the page could not be written"):
         check_file("--output", options.output, ".html")
         fronts = [
             explorable_best_known(name.removeprefix(BEST_KNOWN))

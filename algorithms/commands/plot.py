@@ -11,12 +11,11 @@ programs in SWEEP/collected/ as Parquet files, which are updated here; algorithm
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, as_called, check_file, make_parser, warn_of_changes
+from algorithms.experiments.cli import INSTALLED, check_file, exit_on_error, make_parser, warn, warn_of_changes
 from algorithms.sweeps.manifest import is_sweep
 
 if TYPE_CHECKING:
@@ -35,20 +34,19 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     return parser.parse_args(arguments)
 
 
-def warn(message: str, program: str) -> None:
-    """Print a message to standard error."""
-    print(as_called(message, program), file=sys.stderr)
-
-
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments, program)
 
-    from algorithms.reporting.learning_curves import describe, load_groups, plot
-    from algorithms.reporting.seed_tables import find_runs
-    from algorithms.sweeps.plots import plot_sweep
+    from algorithms.experiments.accessories import sole_purpose
+    from algorithms.experiments.console import make_console, print_line
 
-    try:
+    say = partial(print_line, make_console())
+    with exit_on_error(ValueError, program=program), sole_purpose("the curves could not be drawn"):
+        from algorithms.reporting.learning_curves import describe, load_groups, plot
+        from algorithms.reporting.seed_tables import find_runs
+        from algorithms.sweeps.plots import plot_sweep
+
         check_file("--output", options.output)
         if not any(is_sweep(run) for run in options.runs):
             runs = find_runs(options.runs)
@@ -56,12 +54,10 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             for run in runs:
                 warn_of_changes(run, ("config.yaml", "metrics.csv"))
             plot(groups, options.output)
-            print(*describe(groups), options.output, sep="\n")
+            for line in (*describe(groups), str(options.output)):
+                say(line)
         elif len(options.runs) > 1:
             raise ValueError("a sweep has its own figures: give one sweep, or else runs")
         else:
-            plot_sweep(options.runs[0], options.output, print, partial(warn, program=program))
-    except (ValueError, OSError) as error:
-        warn(f"error: {error}", program)
-        return 2
+            plot_sweep(options.runs[0], options.output, say, partial(warn, program=program))
     return 0

@@ -11,11 +11,10 @@ Run the same command again to resume: finished runs are skipped, interrupted one
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, as_called, check_directory, make_parser
+from algorithms.experiments.cli import INSTALLED, check_directory, make_parser, warn
 from algorithms.experiments.interrupts import Stopped
 from algorithms.reproduction import CLAIM_NUMBERS, FIGURES
 
@@ -88,10 +87,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         )
         return reproduce(load_plan(given.plan), options, make_console())
     except (ValueError, OSError) as error:
-        print(as_called(f"error: {error}", program), file=sys.stderr)
+        warn(f"error: {error}", program)
         return 2
     except Stopped as error:
-        print(as_called(f"error: {error}", program), file=sys.stderr)
+        warn(f"error: {error}", program)
         return 1
-    except KeyboardInterrupt:
-        return 130

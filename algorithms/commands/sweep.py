@@ -16,12 +16,11 @@ mo-deepdrive plot read it.
 
 from __future__ import annotations
 
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, PROCESS_DEFAULTS, as_called, check_directory, make_parser
+from algorithms.experiments.cli import INSTALLED, PROCESS_DEFAULTS, check_directory, make_parser, warn
 from algorithms.experiments.interrupts import Stopped, no_space
 from algorithms.sweeps import BACKENDS
 from algorithms.sweeps.sweep_settings import load_sweep
@@ -114,10 +113,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             return runner.remake()
         return runner.print_batch_script() if options.dry_run else runner.run()
     except (ValueError, OSError) as error:
-        print(as_called(f"error: {error}", program), file=sys.stderr)
+        warn(f"error: {error}", program)
         return 1 if isinstance(error, OSError) and no_space(error) else 2
     except Stopped as error:
-        print(f"error: {error}\nrun the same command again to resume", file=sys.stderr)
+        warn(f"error: {error}\nrun the same command again to resume", program)
         return 1
-    except KeyboardInterrupt:
-        return 130

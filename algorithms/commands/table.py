@@ -20,12 +20,11 @@ algorithms/sweeps/collection.py describes them.
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.cli import INSTALLED, as_called, check_file, make_parser
+from algorithms.experiments.cli import INSTALLED, check_file, make_parser, warn
 from algorithms.experiments.run_files import changed_files
 from algorithms.sweeps.manifest import is_sweep
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
@@ -53,11 +52,6 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     )
     parser.add_argument("--top", type=int, metavar="N", help=f"of a sweep: rows on the terminal (default: {TOP})")
     return parser.parse_args(arguments)
-
-
-def warn(message: str, program: str) -> None:
-    """Print a message to standard error."""
-    print(as_called(message, program), file=sys.stderr)
 
 
 def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:

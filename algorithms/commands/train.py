@@ -20,6 +20,7 @@ from algorithms.experiments.cli import (
     make_parser,
     new_run,
     parse_training_arguments,
+    warn,
     warn_of_changes,
 )
 from algorithms.experiments.config import load_experiment
@@ -79,7 +80,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
 
     with exit_on_error(hint=resume_with):
         for change in run.changed_versions():
-            print(f"warning: since the run was started, {change}")
+            warn(f"warning: since the run was started, {change}")
         print(f"run {run.path}", flush=True)
         received = train_and_finish(run, agent, make_console(), resumed=options.resume is not None)
         if received is not None:

@@ -1,4 +1,4 @@
-"""Evaluate a trained agent: print a table, write the numbers and record a video.
+"""Evaluate a trained agent: write the numbers, print a table, draw figures and record a video.
 
 What draws and films imports Matplotlib, and is imported when there is something to draw.
 """
@@ -8,8 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from algorithms.common.metrics_file import rows_until
+from algorithms.experiments.accessories import Accessory
 from algorithms.experiments.console import print_line
+from algorithms.experiments.loggers import log_results
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
+from algorithms.experiments.run_directory import METRICS_FILE
+from algorithms.reporting.seed_tables import final_metrics
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import describe_episodes
@@ -20,8 +25,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.experiments.config import Experiment
+    from algorithms.experiments.run_directory import Run
     from mo_deepdrive.evaluation.front import Front
     from mo_deepdrive.evaluation.policy import Policy
+
+VIDEO_FILE = "video.mp4"  # in a run's directory
 
 
 def report_agent(
@@ -36,7 +44,7 @@ def report_agent(
     video: Path | None = None,
     greedy: bool = True,
 ) -> bool:
-    """Evaluate an agent and print a table; write the numbers and film the policy where a path is given.
+    """Evaluate an agent; write the numbers, print a table, draw figures and film the policy where a path is given.
 
     Args:
         agent: trained; its ``step`` is reported.
@@ -50,7 +58,7 @@ def report_agent(
         greedy: film the greedy policy instead of the stochastic one; of a front the greedy policies are filmed.
 
     Returns:
-        False if there should be a video and it could not be recorded, which is printed.
+        False if anything but the numbers failed, such as the video, which is printed.
 
     Raises:
         OSError: if the numbers cannot be written.
@@ -73,12 +81,14 @@ def report_agent(
             directory=directory,
             about={"step": agent.step},
         )
-        return video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
+        drawn = directory is None or draw_figures_of_front(front, experiment, directory, console)
+        filmed = video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
+        return drawn and filmed
     evaluations = evaluate_policies(agent, experiment, episodes=episodes, seed=seed)
-    console.print(evaluation_table(evaluations, title + describe_episodes(episodes, seed)))
     if directory is not None:
         about = {"step": agent.step, "episodes": episodes, "seed": seed, "gamma": experiment.evaluation.gamma}
         write_evaluation(directory, evaluations, about)
+    console.print(evaluation_table(evaluations, title + describe_episodes(episodes, seed)))
     return video is None or film(agent, experiment, video, console, seed=seed, greedy=greedy)
 
 
@@ -155,15 +165,43 @@ def attempt_film(recording: Callable[[], object], path: str | Path, what: str, c
     Returns:
         Whether there is a video.
     """
-    try:
+    with Accessory("no video", lambda text: print_line(console, text)) as accessory:
         from algorithms.reporting.videos import video_seconds
 
         recording()
-        seconds = video_seconds(path) if Path(path).is_file() else None
-    except Exception as error:  # rendering and encoding depend on other packages; they must not cost the numbers
-        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        print_line(console, f"no video: {reason}")
-        return False
-    if seconds is not None:
-        print_line(console, f"video: {path}: {what}, {seconds:.1f} s")
-    return True
+        if Path(path).is_file():
+            print_line(console, f"video: {path}: {what}, {video_seconds(path):.1f} s")
+    return accessory.works
+
+
+def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path, console: Console) -> bool:
+    """Draw the figures of a front into a directory; whether they could be drawn, otherwise the reason is printed."""
+    with Accessory("the front could not be drawn", lambda text: print_line(console, text)) as accessory:
+        from algorithms.reporting.front_report import draw_report
+
+        env = experiment.environment
+        name = experiment.algorithm["name"]
+        draw_report(front, directory, algorithm=name, env_id=env.id, env_arguments=env.arguments)
+    return accessory.works
+
+
+def show_results(run: Run, step: int, console: Console) -> None:
+    """Draw the learning curves of a trained run, and show its results in TensorBoard; print what fails.
+
+    Args:
+        run: with its final evaluation.
+        step: at which it ended.
+        console: where to print.
+    """
+
+    def say(text: str) -> None:
+        print_line(console, text)
+
+    with Accessory("the curves could not be drawn", say):
+        # No rows are left if metrics.csv was deleted.
+        if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:
+            from algorithms.reporting.learning_curves import load_groups, plot
+
+            plot(load_groups([run.path]), run.path / "curves.png")
+    with Accessory("TensorBoard has no results", say):
+        log_results(run.path, step, run.experiment.to_dict(), final_metrics(run.path), run.path / VIDEO_FILE)

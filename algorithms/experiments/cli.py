@@ -14,21 +14,22 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.experiments.interrupts import Moved, Stopped
+from algorithms.experiments.interrupts import INTERRUPTED, Moved, Stopped
 from algorithms.experiments.run_directory import METRICS_FILE, Run, default_directory, read_status
 from algorithms.experiments.run_files import changed_files
 from mo_deepdrive.atomic_io import expand_home
 from mo_deepdrive.evaluation.splits import EVALUATION_SEED_LIMIT, SPLITS, Split, check_episodes
 from mo_deepdrive.faults import Fault
-from mo_deepdrive.names import nearest
+from mo_deepdrive.names import nearest, printable, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+    from typing import NoReturn
 
     from algorithms.experiments.config import Experiment
 
-# Exit codes: an error while running, invalid input (as argparse), and Ctrl-C (as shells count it, 128 + SIGINT).
-FAILED, INVALID_INPUT, INTERRUPTED = 1, 2, 130
+# Exit codes: an error while running, and invalid input (as argparse).
+FAILED, INVALID_INPUT = 1, 2
 SEEDS = range(EVALUATION_SEED_LIMIT)  # of evaluation episodes
 # The episodes by which policies of a front are chosen, unless the user asks for others.
 CHOICE_EPISODES = 20
@@ -38,7 +39,8 @@ CHOICE_SPLIT: Split = "validation"
 # How a command is called: "mo-deepdrive {}", "python -m algorithms {}" or "python scripts/{}.py".
 INSTALLED = "mo-deepdrive {}"
 # Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
-# sleeps after some 0.2 ms instead of spinning on a core that others need.
+# sleeps after some 0.2 ms instead of spinning on a core that others need. Not the user's choice is the backend of
+# Matplotlib: figures are drawn into files, and that of a notebook, whose cell calls the command, may not be there.
 PROCESS_DEFAULTS = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "GOMP_SPINCOUNT": "6000"}
 
 
@@ -53,6 +55,7 @@ def prepare_process(environment: MutableMapping[str, str], path: list[str], defa
     """
     for name, value in defaults.items():
         environment.setdefault(name, value)
+    environment["MPLBACKEND"] = "agg"
     path.append(str(Path.cwd()))
 
 
@@ -66,15 +69,27 @@ def as_called(text: str, program: str) -> str:
     return re.sub(r"\bmo-deepdrive ([a-z]+)\b", lambda found: program.format(found[1]), text)
 
 
-class _Parser(argparse.ArgumentParser):
-    """Replaces ``~`` at the beginning of a value by the home directory, which shells do not do in ``--output=~/runs``.
+def warn(message: str, program: str = INSTALLED) -> None:
+    """Print a message to standard error, without the control characters of names in it, and with very long ones cut.
 
-    A ``~`` alone, which is null in YAML, stays the value of a key of the experiment, whose option has a dot.
+    Args:
+        message: one that names commands as :func:`as_called` takes them.
+        program: how commands are called.
+    """
+    print(printable(shortened(as_called(message, program))), file=sys.stderr)
+
+
+class Parser(argparse.ArgumentParser):
+    """Prints its errors as :func:`warn` does, and replaces ``~`` at the beginning of a value by the home directory.
+
+    Shells do not replace it in ``--output=~/runs``. A ``~`` alone, which is null in YAML, stays the value of a key of
+    the experiment, whose option has a dot.
     """
 
     def parse_known_args(  # type: ignore[override]  # argparse's own types are overloads
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
+        """As argparse does, after replacing each ``~``."""
         given = list(sys.argv[1:] if args is None else args)  # noqa: TID251 (as argparse does)
         return super().parse_known_args([*map(self._expanded, ["", *given], given)], namespace)
 
@@ -87,6 +102,10 @@ class _Parser(argparse.ArgumentParser):
         except ValueError as error:
             self.error(str(error))
 
+    def error(self, message: str) -> NoReturn:
+        """End with the usage and ``message``."""
+        super().error(printable(shortened(message)))
+
 
 def make_parser(description: str | None, program: str = "", command: str = "") -> argparse.ArgumentParser:
     """A parser that prints ``description``, a docstring, as it is, and accepts no abbreviations.
@@ -96,7 +115,7 @@ def make_parser(description: str | None, program: str = "", command: str = "") -
         program: how the command is called; empty for a script.
         command: its name.
     """
-    return _Parser(
+    return Parser(
         prog=program.format(command) or None,
         description=as_called(description or "", program) if program else description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -186,7 +205,7 @@ def warn_of_changes(run: Path, names: Sequence[str] | None = None) -> bool:
     if gap is not None and (names is None or METRICS_FILE in names):
         found.append(gap)
     for line in found:
-        print(f"warning: {run}: {line}", file=sys.stderr)
+        warn(f"warning: {run}: {line}")
     return bool(found)
 
 
@@ -311,15 +330,15 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str 
     try:
         yield
     except Fault as error:
-        print(as_called(f"error: {error}", program), file=sys.stderr)
+        warn(f"error: {error}", program)
         raise SystemExit(FAILED) from None
     except invalid_input as error:
-        print(as_called(f"error: {error}", program), file=sys.stderr)
+        warn(f"error: {error}", program)
         raise SystemExit(INVALID_INPUT) from None
     except Stopped as error:
         shown = [hint] if hint and not isinstance(error, Moved) else []
-        print(f"error: {error}", *shown, sep="\n", file=sys.stderr)
+        warn("\n".join([f"error: {error}", *shown]), program)
         raise SystemExit(FAILED) from None
     except KeyboardInterrupt:
-        print("interrupted" + (f"; {hint}" if hint else ""), file=sys.stderr)
+        warn("interrupted" + (f"; {hint}" if hint else ""), program)
         raise SystemExit(INTERRUPTED) from None

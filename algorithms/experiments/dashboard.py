@@ -8,12 +8,11 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from algorithms.experiments.console import print_line
+from algorithms.experiments.console import LiveDisplay, print_line
 from algorithms.experiments.progress_bar import LINE_INTERVAL
 from algorithms.experiments.run_directory import read_status
 
@@ -69,7 +68,7 @@ class Dashboard:
         self._title = title
         self._status: dict[Path, dict[str, Any]] = {}
         self._failed: dict[Path, str] = {}
-        self._live: Live | None = None
+        self._display = LiveDisplay(console, "the progress", self._table)
         self._start_time = self._print_time = monotonic()
         self._next_update = 0.0
         self._read()
@@ -98,8 +97,8 @@ class Dashboard:
             return
         self._read()
         self._next_update = monotonic() + max(1.0, (monotonic() - started) / READING_SHARE)
-        if self._live is not None:
-            self._live.update(self._table(), refresh=True)
+        if self._display.shown:
+            self._display.refresh()
         elif started - self._print_time >= LINE_INTERVAL:
             self._line()
 
@@ -154,16 +153,13 @@ class Dashboard:
         return Group(head, rows, *([Text(f"and {more} more")] if more > 0 else []))
 
     def __enter__(self) -> Dashboard:
-        if self._console.is_terminal:
-            self._live = Live(self._table(), console=self._console, auto_refresh=False)
-            self._live.start()
+        self._display.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._live is not None:
-            self._live.update(self._table(), refresh=True)
-            self._live.stop()
+        if self._display.shown:
+            self._display.stop()
         elif self._jobs:
             self._line()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from algorithms.experiments.interrupts import DiskFull, Stopped
-from algorithms.experiments.jobs import Job, JobFailed, describe
+from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.experiments.run_directory import InUse
+
+if TYPE_CHECKING:
+    from algorithms.experiments.jobs import Job
 
 BUSY = 2.0  # s after which a run that another process holds is tried again
 DIED = "its worker process died (out of memory, or killed)"

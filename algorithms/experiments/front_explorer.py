@@ -129,30 +129,29 @@ def _scenes(agent: FrontAgent, front: Front, experiment: Experiment, seeds: rang
 
 
 def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
-    """Write the explorer of a run's front into its directory and print the file, or why there is none.
+    """Write the explorer of a run's front into its directory and print the file.
 
     Args:
         run: with the front of its final evaluation.
         agent: has learnt it.
         console: where to print.
+
+    Raises:
+        ValueError: if the front has no policy.
+        OSError: if the file cannot be written.
     """
     path = run.path / EXPLORER_FILE
     name = str(run.path)
-    try:
-        front = explorable(
-            agent,
-            Front.read(run.path),
-            run.experiment,
-            episodes=CHOICE_EPISODES,
-            seed=SPLITS[CHOICE_SPLIT].start,
-            title=name,
-            command=choose_command(run, name),
-        )
-        write_page([front], path, f"Explorer of fronts: {name}")
-    except Exception as error:  # as of videos: what is shown must not cost the numbers
-        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        print_line(console, f"no explorer: {reason}")
-        return
+    front = explorable(
+        agent,
+        Front.read(run.path),
+        run.experiment,
+        episodes=CHOICE_EPISODES,
+        seed=SPLITS[CHOICE_SPLIT].start,
+        title=name,
+        command=choose_command(run, name),
+    )
+    write_page([front], path, f"Explorer of fronts: {name}")
     print_line(console, f"explorer: {path}: open it in a browser")
 
 

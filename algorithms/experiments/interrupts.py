@@ -1,4 +1,4 @@
-"""What stops a training run early: signals, requests, and disks that cannot be written to."""
+"""What stops a training run early: signals, requests, disks that cannot be written to, and other errors."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import FrameType, TracebackType
+
+INTERRUPTED = 130  # exit code after Ctrl-C, as shells count it: 128 + SIGINT
 
 
 class Stopped(Exception):
@@ -38,6 +40,17 @@ def stopped_by(error: OSError, message: str) -> Stopped:
 # How long (s) an update or an evaluation may go on after a signal, so that its work is saved: a person waits at Ctrl-C,
 # a batch system kills some 30 s after SIGTERM.
 PATIENCE = {signal.SIGINT: 2.0, signal.SIGTERM: 10.0}
+
+
+class JobFailed(Exception):
+    """The error of a run as text: other processes may not be able to import its type."""
+
+
+def describe(error: BaseException) -> str:
+    """An error in one line, with its type unless its message is meant for users."""
+    text = " ".join(str(error).split())
+    for_users = isinstance(error, (ValueError, ImportError, Stopped, OSError, JobFailed))
+    return text if for_users and text else f"{type(error).__name__}: {text}"
 
 
 class Interrupts:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
-from algorithms.experiments.interrupts import Moved, Stopped, stopped_by
+from algorithms.experiments.interrupts import Moved, describe, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
 from algorithms.reporting.seed_groups import INCIDENTAL
 from mo_deepdrive.atomic_io import atomic_write
@@ -136,9 +136,9 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
     if job.done:
         return "already there"
     # As late as this: the process that hands out jobs needs no torch, which takes seconds and much memory.
-    from rich.console import Console
 
-    from algorithms.experiments.console import WIDTH
+    from algorithms.experiments.console import make_console
+    from algorithms.experiments.lenient_output import open_log
     from algorithms.experiments.training import resume, train_and_finish
 
     try:
@@ -152,9 +152,8 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
             _take_over_settings(run, job)
         _keep_wandb_id(job)
         agent = resume(run)
-        with (job.path / "train.log").open("a") as log:
-            console = Console(file=log, width=WIDTH)
-            if train_and_finish(run, agent, console, resumed=resumed, watch=watch, stop=stop) is not None:
+        with open_log(job.path / "train.log") as log:
+            if train_and_finish(run, agent, make_console(log), resumed=resumed, watch=watch, stop=stop) is not None:
                 return "stopped"
     except OSError as error:
         raise stopped_by(error, f"the run cannot be written: {error}") from error
@@ -204,16 +203,6 @@ def _take_over_settings(run: Run, job: Job) -> None:
     run.experiment = make_experiment(wanted.to_dict(), f"experiment {str(config)!r}")
     if run.experiment != before:
         atomic_write(config, dump(run.experiment.to_dict()).encode())
-
-
-class JobFailed(Exception):
-    """The error of a run as text: other processes may not be able to import its type."""
-
-
-def describe(error: BaseException) -> str:
-    """An error in one line, with its type unless its message is meant for users."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, (ValueError, Stopped, OSError, JobFailed)) else f"{type(error).__name__}: {text}"
 
 
 def _keep_wandb_id(job: Job) -> None:

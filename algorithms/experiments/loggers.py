@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import socket
+import time
 import urllib.error
 import urllib.request
 import warnings
@@ -10,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.common.metrics_file import MetricsFile
+from algorithms.experiments.accessories import Accessory
 from algorithms.reporting.seed_tables import TABLE_METRICS
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.metrics import split_name
-from mo_deepdrive.extras import MissingExtraError, needed_for
+from mo_deepdrive.extras import needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -41,13 +45,9 @@ class WandbRun:
         self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str, say: Callable[[str], None]
     ):
         self._say = say
-        self._run: Any = None
-        try:
+        self._accessory = Accessory("Weights & Biases is disabled", say)
+        with self._accessory:
             self._run = self._start(directory, settings, config, name)
-        except MissingExtraError as error:
-            say(f"warning: Weights & Biases is disabled: {error}")
-        except Exception as error:  # training does not depend on an external service
-            say(f"warning: Weights & Biases is disabled: {type(error).__name__}: {error}")
 
     def _start(self, directory: Path, settings: WandbSettings, config: dict[str, Any], name: str) -> Any:
         with needed_for("logging.wandb"):
@@ -113,29 +113,65 @@ class WandbRun:
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Log a row."""
-        if self._run is None:
-            return
-        try:
-            self._run.log({**metrics, "step": step})
-        except Exception as error:
-            self._say(f"warning: Weights & Biases is disabled from here on: {type(error).__name__}: {error}")
-            self._run = None
+        if self._accessory.works:
+            with self._accessory:
+                self._run.log({**metrics, "step": step})
 
     def close(self, failed: bool) -> None:
         """Finish the run."""
-        if self._run is None:
-            return
-        try:
-            self._run.finish(exit_code=int(failed))
-        except Exception as error:
-            self._say(f"warning: Weights & Biases could not finish the run: {type(error).__name__}: {error}")
-        self._run = None
+        if self._accessory.works:
+            with self._accessory:
+                self._run.finish(exit_code=int(failed))
+
+
+class EventFile:
+    """A file of TensorBoard. Every event is in it when :meth:`add` returns; TensorBoard's own writer has a thread.
+
+    Args:
+        directory: the run's directory.
+        suffix: of the file's name.
+
+    Raises:
+        OSError: if it cannot be written; this also goes for :meth:`add` and :meth:`close`.
+    """
+
+    def __init__(self, directory: Path, suffix: str = ""):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # from TensorBoard's dependencies
+            from tensorboard.compat.proto.event_pb2 import Event
+            from tensorboard.summary.writer.record_writer import RecordWriter
+        self._event = Event
+        folder = directory / TENSORBOARD
+        folder.mkdir(exist_ok=True)
+        # Named as TensorBoard's, which reads the files of a folder in the order of their names.
+        name = f"events.out.tfevents.{time.time():017.6f}.{socket.gethostname()}.{os.getpid()}{suffix}"
+        self._file = (folder / name).open("xb")
+        self._records = RecordWriter(self._file)
+        self.add(file_version="brain.Event:2")
+
+    def add(self, **fields: Any) -> None:
+        """Write an event with these fields."""
+        self._records.write(self._event(wall_time=time.time(), **fields).SerializeToString())
+        self._records.flush()
+
+    def add_scalars(self, step: int, values: Mapping[str, float]) -> None:
+        """Write those of the values that are finite."""
+        from torch.utils.tensorboard.summary import scalar
+
+        for name, value in values.items():
+            if math.isfinite(value):
+                self.add(step=step, summary=scalar(name, value))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 class Logger:
     """Writes each row of metrics to metrics.csv, TensorBoard and, if ``wandb`` is given, Weights & Biases.
 
-    Use it as a context manager. Its files are metrics.csv and tensorboard/ in ``directory``.
+    Use it as a context manager. Its files are metrics.csv and tensorboard/ in ``directory``. An error of TensorBoard or
+    Weights & Biases is one message and ends their part alone.
 
     Args:
         directory: the run's directory.
@@ -152,7 +188,7 @@ class Logger:
 
     Raises:
         ValueError: if there is a metrics.csv to continue that is broken.
-        OSError: if the files cannot be written.
+        OSError: if metrics.csv cannot be written.
     """
 
     def __init__(
@@ -169,20 +205,23 @@ class Logger:
         directory = Path(directory)
         self._file = MetricsFile(directory / "metrics.csv", after, noted)
         self.gap = self._file.gap
-        purge = None if after is None else after + 1
-        self._board = _summary_writer(directory, purge_step=purge)
+        self._tensorboard = Accessory("TensorBoard is disabled", say)
+        with self._tensorboard:
+            self._events = EventFile(directory)
+            if after is not None:
+                self._drop_events(after + 1)
         self._wandb = None if wandb is None else WandbRun(directory, wandb, config or {}, name, say)
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Log a row.
 
         Raises:
-            OSError: if it cannot be written.
+            OSError: if metrics.csv cannot be written.
         """
         self._file.write(step, metrics)
-        for name, value in metrics.items():
-            if math.isfinite(value):
-                self._board.add_scalar(name, value, step)
+        if self._tensorboard.works:
+            with self._tensorboard:
+                self._events.add_scalars(step, metrics)
         if self._wandb is not None:
             self._wandb.log(step, metrics)
 
@@ -196,9 +235,17 @@ class Logger:
 
     def close(self, failed: bool = False) -> None:
         """Flush and close all outputs; ``failed`` marks the W&B run as failed."""
-        self._board.close()
+        if self._tensorboard.works:
+            with self._tensorboard:
+                self._events.close()
         if self._wandb is not None:
             self._wandb.close(failed)
+
+    def _drop_events(self, step: int) -> None:
+        """Make TensorBoard ignore what earlier files have from a step on."""
+        from tensorboard.compat.proto.event_pb2 import SessionLog
+
+        self._events.add(step=step, session_log=SessionLog(status=SessionLog.START))
 
     def __enter__(self) -> Logger:
         return self
@@ -233,31 +280,22 @@ def log_results(
         for name, value in metrics.items()
         if split_name(name).metric in TABLE_METRICS and math.isfinite(value)
     }
-    board = _summary_writer(directory, filename_suffix=RESULTS_SUFFIX)
+    events = EventFile(directory, RESULTS_SUFFIX)
     try:
         from tensorboard.compat.proto.summary_pb2 import Summary
         from torch.utils.tensorboard.summary import hparams
 
-        for name, value in scores.items():
-            board.add_scalar(name, value, step)
+        events.add_scalars(step, scores)
         for summary in hparams(_flattened({key: value for key, value in config.items() if key != "logging"}), scores):
-            board.file_writer.add_summary(summary)
+            events.add(summary=summary)
         if video is not None and video.is_file():
             from algorithms.reporting.animated_gif import video_as_gif
 
             gif, height, width = video_as_gif(video)
             image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
-            board.file_writer.add_summary(Summary(value=[Summary.Value(tag="video", image=image)]), step)
+            events.add(step=step, summary=Summary(value=[Summary.Value(tag="video", image=image)]))
     finally:
-        board.close()
-
-
-def _summary_writer(directory: Path, **options: Any) -> Any:
-    """TensorBoard's writer for a run."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # from TensorBoard's dependencies
-        from torch.utils.tensorboard import SummaryWriter
-    return SummaryWriter(str(directory / TENSORBOARD), **options)
+        events.close()
 
 
 def _flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

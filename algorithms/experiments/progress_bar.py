@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from algorithms.experiments.console import print_line
+from algorithms.experiments.console import LiveDisplay, print_line
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     FRONT,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 SHOWN = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
 LINE_INTERVAL = 15.0  # s between lines, without a terminal
+REFRESH_INTERVAL = 0.1  # s between refreshes of the bar
 
 
 class ProgressReporter:
@@ -54,16 +55,15 @@ class ProgressReporter:
         self._console = console
         self._start_time = self._print_time = perf_counter()
         self._metrics: dict[str, float] = {}
-        self._bar: Progress | None = None
-        if console.is_terminal:
-            self._bar = Progress(
-                BarColumn(bar_width=None),
-                TextColumn(f"{{task.percentage:>3.0f}}% of {total:,}"),
-                TextColumn("{task.fields[numbers]}"),
-                TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-                console=console,
-            )
-            self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
+        self._bar = Progress(
+            BarColumn(bar_width=None),
+            TextColumn(f"{{task.percentage:>3.0f}}% of {total:,}"),
+            TextColumn("{task.fields[numbers]}"),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            console=console,
+        )
+        self._task = self._bar.add_task("training", total=total, completed=step, numbers="")
+        self._display = LiveDisplay(console, "the progress bar", self._bar.get_renderable)
 
     def note(self, metrics: Mapping[str, float]) -> None:
         """Keep the newest values of the metrics that are shown."""
@@ -74,14 +74,20 @@ class ProgressReporter:
     def update(self, step: int) -> None:
         """Show that ``step`` environment steps have been taken."""
         self._step = step
-        if self._bar is not None:
-            self._bar.update(self._task, completed=min(step, self._total), numbers=self._numbers())
-        elif perf_counter() - self._print_time >= LINE_INTERVAL:
+        passed = perf_counter() - self._print_time
+        if not self._display.shown and passed >= LINE_INTERVAL:
             self._line()
+        elif self._display.shown and passed >= REFRESH_INTERVAL:
+            self._refresh()
 
     def say(self, message: str) -> None:
         """Print a message above the bar."""
         print_line(self._console, message)
+
+    def _refresh(self) -> None:
+        self._print_time = perf_counter()
+        self._bar.update(self._task, completed=min(self._step, self._total), numbers=self._numbers())
+        self._display.refresh()
 
     def _numbers(self) -> str:
         """The metrics as text; with several vehicles their mean."""
@@ -106,14 +112,14 @@ class ProgressReporter:
 
     def __enter__(self) -> ProgressReporter:
         self._start_time = self._print_time = perf_counter()
-        if self._bar is not None:
-            self._bar.start()
+        self._display.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        if self._display.shown:
+            self._refresh()
+            self._display.stop()
         elif self._step != self._printed_step:
             self._line()

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.fronts_file import FrontsFile
 from algorithms.common.metrics_file import rows_until
-from algorithms.experiments.agent_report import report_agent
+from algorithms.experiments.accessories import Accessory
+from algorithms.experiments.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.experiments.build import build
 from algorithms.experiments.config import find_environment, is_ours
+from algorithms.experiments.console import print_line
 from algorithms.experiments.interrupts import PATIENCE, Interrupts, Moved, stopped_by
-from algorithms.experiments.loggers import Logger, log_results
+from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
-from algorithms.reporting.seed_tables import final_metrics
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.faults import Fault
@@ -232,18 +233,19 @@ def _set_failed(run: Run, step: int, reason: str) -> None:
 
 
 def finish(run: Run, agent: Any, console: Console) -> None:
-    """Evaluate the trained agent of a run; print and write the numbers, draw the learning curves and record a video.
+    """Evaluate the trained agent of a run; write and print the numbers, draw the learning curves and record a video.
 
     TensorBoard gets the hyperparameters with the final scores, and the video.
 
     An agent that learnt a front has the front evaluated and drawn, four of its policies filmed, and the page written on
     which a person chooses a policy. Without ``logging.save_figures`` there are neither curves nor videos nor the page.
+    If any of these fails, the reason is printed and the run is finished all the same.
 
     Raises:
-        Stopped: if the numbers or the curves could not be written; the trained policy is saved.
+        Stopped: if the numbers could not be written; the trained policy is saved.
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
-    video = run.path / "video.mp4" if figures else None
+    video = run.path / VIDEO_FILE if figures else None
     try:
         run.check_place()
         report_agent(
@@ -256,14 +258,11 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             video=video,
         )
         if figures and not run.experiment.known_utility:
-            from algorithms.experiments.front_explorer import write_explorer  # not earlier: only fronts need it
+            with Accessory("no explorer", lambda text: print_line(console, text)):
+                from algorithms.experiments.front_explorer import write_explorer  # not earlier: only fronts need it
 
-            write_explorer(run, agent, console)
-        if figures and rows_until(run.path / METRICS_FILE, agent.step)[1]:  # none are left if metrics.csv was deleted
-            from algorithms.reporting.learning_curves import load_groups, plot  # not earlier: it imports Matplotlib
-
-            plot(load_groups([run.path]), run.path / "curves.png")
-        log_results(run.path, agent.step, run.experiment.to_dict(), final_metrics(run.path), video)
+                write_explorer(run, agent, console)
+        show_results(run, agent.step, console)
         run.set_status("finished", agent.step)
     except OSError as error:
         raise stopped_by(error, f"the run is trained, but its results could not be written: {error}") from error

@@ -15,8 +15,9 @@ from multiprocessing import connection
 from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verdict
-from algorithms.experiments.interrupts import Stopped
-from algorithms.experiments.jobs import Job, JobFailed, JobOutcome, describe, perform
+from algorithms.experiments.interrupts import JobFailed, Stopped, describe
+from algorithms.experiments.jobs import Job, JobOutcome, perform
+from algorithms.experiments.lenient_output import make_standard_streams_lenient
 from algorithms.experiments.run_directory import InUse
 
 if TYPE_CHECKING:
@@ -44,8 +45,9 @@ def _perform(packed: dict[str, Any]) -> JobOutcome:
 def _begin_worker() -> None:
     """Leave the handling of signals to the parent: a worker stops at SIGTERM and when the parent ends.
 
-    Batch systems send their signals to every process of a job.
+    Batch systems send their signals to every process of a job. Output of the user's code must not stop a worker either.
     """
+    make_standard_streams_lenient()
     if os.name == "posix":
         os.setsid()
         for number in (signal.SIGUSR1, signal.SIGUSR2):

@@ -12,16 +12,21 @@ import numpy as np
 import torch
 
 from algorithms.common.fronts_file import FrontsFile
-from algorithms.experiments.agent_report import film, film_policies_of_front
+from algorithms.experiments.agent_report import (
+    VIDEO_FILE,
+    draw_figures_of_front,
+    film,
+    film_policies_of_front,
+    show_results,
+)
 from algorithms.experiments.build import make_environment
-from algorithms.experiments.loggers import Logger, log_results
+from algorithms.experiments.lenient_output import open_log
+from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
 from algorithms.reporting.front_report import report_front
-from algorithms.reporting.learning_curves import load_groups, plot
-from algorithms.reporting.seed_tables import final_metrics
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -103,7 +108,7 @@ def run_peer(run: Run, console: Console) -> None:
     peer = PEERS[experiment.algorithm["name"]]
     with Logger(run.path, wandb=experiment.logging.wandb, config=experiment.to_dict(), name=run.path.name) as logger:
         task = prepare(experiment, logger.log)
-        with (run.path / "peer.log").open("w", buffering=1) as file, contextlib.redirect_stdout(file):
+        with open_log(run.path / "peer.log") as file, contextlib.redirect_stdout(file):
             started, used = perf_counter(), process_time()
             policies = peer.adapter(task)
             seconds, used = perf_counter() - started, process_time() - used
@@ -118,9 +123,7 @@ def run_peer(run: Run, console: Console) -> None:
         }
         finish = _finish_policy if peer.known_utility else _finish_front
         logger.log(steps, finish(run, policies, steps, about, console))
-    log_results(run.path, steps, experiment.to_dict(), final_metrics(run.path), run.path / "video.mp4")
-    if experiment.logging.save_figures:
-        plot(load_groups([run.path]), run.path / "curves.png")
+    show_results(run, steps, console)
     run.set_status("finished", steps)
 
 
@@ -131,11 +134,11 @@ def _finish_policy(
     settings = run.experiment.evaluation
     policy = policies.at(np.zeros(1, dtype=np.intp))
     found = evaluate_policies(policy, run.experiment, episodes=settings.final_episodes, seed=settings.final_seed)
-    console.print(evaluation_table(found, describe_episodes(settings.final_episodes, settings.final_seed)))
     measured = {"episodes": settings.final_episodes, "seed": settings.final_seed, "gamma": settings.gamma}
     write_evaluation(run.path, found, {"step": steps, **about, **measured})
+    console.print(evaluation_table(found, describe_episodes(settings.final_episodes, settings.final_seed)))
     if run.experiment.logging.save_figures:
-        film(policy, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed)
+        film(policy, run.experiment, run.path / VIDEO_FILE, console, seed=settings.final_seed)
     return {
         evaluation_prefix(version) + name: value
         for version, evaluation in found.items()
@@ -160,9 +163,10 @@ def _finish_front(
         directory=run.path,
         about={"step": steps, **about, "evaluated_policies": len(policies)},
     )
+    draw_figures_of_front(front, run.experiment, run.path, console)
     if run.experiment.logging.save_figures:
         film_policies_of_front(
-            policies, front, run.experiment, run.path / "video.mp4", console, seed=settings.final_seed
+            policies, front, run.experiment, run.path / VIDEO_FILE, console, seed=settings.final_seed
         )
     return {evaluation_prefix(FRONT) + name: value for name, value in measured.items()}
 

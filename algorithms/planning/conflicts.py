@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 import scipy
 from matplotlib.figure import Figure
 
 from algorithms.driving.left_turn_rules import GapDriver, GapRule
 from algorithms.planning.driving_rules import follow_rules, random_rules
-from algorithms.reporting.style import DPI, INK, STYLE, surround
+from algorithms.reporting.style import INK, figure_style, save_figure, surround
 from mo_deepdrive.actions import action_table
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -198,7 +197,7 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
     Raises:
         OSError: if the file cannot be written.
     """
-    with matplotlib.rc_context({**STYLE, "axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
+    with figure_style({"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
         figure = Figure(figsize=(3.9 * len(conflicts), 4.0))
         for axis, each in zip(np.atleast_1d(figure.subplots(1, len(conflicts))), conflicts, strict=True):
             d = len(each.objectives)
@@ -217,4 +216,4 @@ def plot_conflicts(path: Path, conflicts: Sequence[Conflicts], note: str) -> Non
             axis.tick_params(length=0)
             axis.set_title(f"{each.population}: {each.drivers} drivers")
         surround(figure, "Which objectives conflict", [note])
-        figure.savefig(path, dpi=DPI)
+        save_figure(figure, path)

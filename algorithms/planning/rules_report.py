@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,7 +12,7 @@ from matplotlib.lines import Line2D
 from algorithms.driving.left_turn_rules import SCENARIO, GapDriver, GapRule
 from algorithms.experiments.build import load_policy
 from algorithms.reporting.animated_gif import write_gif
-from algorithms.reporting.style import DPI, STYLE, algorithm_colours, surround
+from algorithms.reporting.style import algorithm_colours, figure_style, save_figure, surround
 from algorithms.reporting.videos import episode_frames, make_render_env
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
@@ -257,7 +256,7 @@ def plot_scores(path: Path, scores: Sequence[DriverScores], note: str) -> None:
     rules = [each for each in scores if each.gap is not None]
     learnt = [each for each in scores if each.algorithm and each.driver.endswith(SHOWN)]
     colours = algorithm_colours(each.algorithm for each in learnt)
-    with matplotlib.rc_context(STYLE):
+    with figure_style():
         figure = Figure(figsize=(13.5, 2.6))
         axes = figure.subplots(1, len(panels))
         for axis, (title, lines) in zip(axes, panels, strict=True):
@@ -280,7 +279,7 @@ def plot_scores(path: Path, scores: Sequence[DriverScores], note: str) -> None:
         if learnt:
             notes.append("diamonds: learnt policies, one per training seed, which sample their actions")
         surround(figure, "LeftTurn: what fixed rules and learnt policies achieve", notes, handles)
-        figure.savefig(path, dpi=DPI)
+        save_figure(figure, path)
 
 
 def _draw_rules(axis: Axes, rules: Sequence[DriverScores], name: str, label: str, colour: str) -> None:

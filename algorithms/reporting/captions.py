@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from algorithms.reporting.style import STYLE, VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK
+from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -45,8 +42,11 @@ def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
 
 def caption_strip(text: str, width: int) -> Frame:
     """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # not earlier: most videos go without Matplotlib
+    from matplotlib.figure import Figure
+
     line = " ".join(text.split())
-    with matplotlib.rc_context(STYLE):
+    with figure_style():
         figure = Figure(
             figsize=(width / VIDEO_DPI, CAPTION_PIXELS / VIDEO_DPI), dpi=VIDEO_DPI, facecolor=VIDEO_BACKGROUND
         )

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from algorithms.reporting.style import LARGE_DPI, STYLE
+from algorithms.reporting.style import LARGE_DPI, figure_style, save_figure
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.cross_play import ARRIVALS, COLLISIONS, SCORES
 from mo_deepdrive.evaluation.metrics import UTILITY_ESR, vehicle_prefix
@@ -109,7 +108,7 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
     longest = max(map(len, [*rows, *columns]))
     width = 2 * (CELL * len(columns) + 0.085 * longest + 1.1)
     height = 2 * (CELL * len(rows) + 0.085 * longest + 0.7) + 0.6
-    with matplotlib.rc_context(STYLE):
+    with figure_style():
         figure = Figure(figsize=(max(width, 8.0), max(height, 5.0)), layout="constrained")
         figure.suptitle(f"Cross-play\n{note}", fontsize=11, ha="left", x=0.02, parse_math=False)
         for axis, (score, title, colours, percent) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
@@ -120,7 +119,7 @@ def plot_encounters(path: Path, encounters: Sequence[Encounter], note: str) -> N
             axis.set_yticks(range(len(rows)), rows, fontsize=8, parse_math=False)
             axis.set_xlabel("driver of vehicle 1")
             axis.set_ylabel("driver of vehicle 0")
-        figure.savefig(path, dpi=LARGE_DPI)
+        save_figure(figure, path, LARGE_DPI)
 
 
 def _draw(axis: Axes, values: NDArray[np.float64], colours: str, limits: tuple[float, float]) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
@@ -23,8 +21,7 @@ from algorithms.reporting.front_layout import (
     returns_note,
 )
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
-from algorithms.reporting.style import COLOURS, DIM, DPI, FAINT, GRID, INK, STYLE
-from mo_deepdrive.atomic_io import atomic_write
+from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure
 from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
 
 if TYPE_CHECKING:
@@ -71,7 +68,7 @@ def draw_front(
         if reference_front.ndim != 2 or reference_front.shape[1] != d or not len(reference_front):
             raise ValueError(f"reference_front has shape {reference_front.shape}; it must be (k, {d}), k at least 1")
     paths = []
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+    with figure_style({"text.parse_math": False}):
         figures = {
             "importance": _importance(view),
             "reduction": _reduction(view),
@@ -80,10 +77,8 @@ def draw_front(
             "bars": _bars(view),
         }
         for name, figure in figures.items():
-            buffer = BytesIO()
-            figure.savefig(buffer, format="png", dpi=DPI)
             path = Path(directory) / f"{name}.png"
-            atomic_write(path, buffer.getvalue())
+            save_figure(figure, path)
             paths.append(path)
     return paths
 

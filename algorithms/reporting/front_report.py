@@ -1,4 +1,7 @@
-"""Reports of a front, whichever algorithm found it: a table, files, figures and a video."""
+"""Reports of a front, whichever algorithm found it: a table, files, figures and a video.
+
+What draws and films imports Matplotlib and others, which may fail: it is imported when there is something to draw.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,9 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Group
 from rich.text import Text
 
-from algorithms.reporting.captions import cut_off
-from algorithms.reporting.front_plots import draw_front
-from algorithms.reporting.video_grid import write_video_grid
-from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
 from algorithms.reporting.wide_tables import fitted_tables
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import FRONT_FILE, Front, best_known_front, measure_front
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
+    from rich.console import Console
 
     from mo_deepdrive.evaluation.policy import Policy
 
@@ -51,7 +51,7 @@ def report_front(
     directory: Path | None,
     about: Mapping[str, Any],
 ) -> dict[str, float]:
-    """Print a table of a front, and write front.csv, evaluation.json and its figures.
+    """Write front.csv and evaluation.json of a front, and print a table.
 
     Args:
         front: evaluated policies; those that another one dominates are neither shown nor written.
@@ -79,13 +79,38 @@ def report_front(
     measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
     title = f"{algorithm} on {env_id}"
     whole = "--output DIR writes all" if directory is None else f"all are in {directory / FRONT_FILE}"
-    console.print(front_table(front, measured, title, console.width, whole))
     if directory is not None:
         policies = {FRONT: {name: asdict(Estimate(value)) for name, value in measured.items()}}
         front.write(directory, {**about, "reference_point": reference_point, "policies": policies})
-        if len(front.objectives) > 1:
-            draw_front(front, directory, reference_front=reference_front, title=title)
+    console.print(front_table(front, measured, title, console.width, whole))
     return measured
+
+
+def draw_report(
+    front: Front, directory: Path, *, algorithm: str, env_id: str, env_arguments: Mapping[str, Any]
+) -> None:
+    """Draw the figures of a front that :func:`report_front` has reported; there are none of a single objective.
+
+    Args:
+        front: as there; this and the others.
+        directory: where to write.
+        algorithm: its name.
+        env_id: of the environment.
+        env_arguments: keyword arguments of the environment.
+
+    Raises:
+        OSError: if a file cannot be written; each file is complete or unchanged.
+    """
+    if len(front.objectives) < 2:
+        return
+    from algorithms.reporting.front_plots import draw_front
+
+    env = make_env(env_id, 1, dict(env_arguments))
+    try:
+        best_known = best_known_front(env, front.gamma)
+    finally:
+        env.close()
+    draw_front(front.non_dominated(), directory, reference_front=best_known, title=f"{algorithm} on {env_id}")
 
 
 def covering_policies(front: Front, count: int) -> NDArray[np.intp]:
@@ -170,6 +195,10 @@ def film_front(
         ValueError: if the environment cannot be rendered.
         OSError: if the file cannot be written.
     """
+    from algorithms.reporting.captions import cut_off
+    from algorithms.reporting.video_grid import write_video_grid
+    from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
+
     chosen = covering_policies(front, FILMED_POLICIES) if policies is None else np.asarray(policies)
     envs = [make_render_env(env_id, env_arguments) for _ in chosen]
     fps = int(envs[0].unwrapped.metadata.get("render_fps") or DEFAULT_FPS)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -26,12 +25,12 @@ from algorithms.reporting.seed_groups import (
 )
 from algorithms.reporting.style import (
     DIM,
-    DPI,
     MAX_POINTS,
-    STYLE,
     TRAINING_COLOUR,
     algorithm_order,
     curve_styles,
+    figure_style,
+    save_figure,
     surround,
     widened,
 )
@@ -202,7 +201,7 @@ def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> No
         raise ValueError("the runs have no metrics to draw yet")
     columns = min(len(panels), 3 if len(panels) in (3, 5, 6, 9) else 4)
     rows = -(-len(panels) // columns)
-    with matplotlib.rc_context(STYLE):
+    with figure_style():
         figure = Figure(figsize=(4.1 * columns, 2.75 * rows + 1.0))  # without pyplot, which may need a display
         axes = figure.subplots(rows, columns, squeeze=False)
         for i, axis in enumerate(axes.flat):
@@ -213,7 +212,7 @@ def plot(groups: Sequence[CurveGroup], path: str | Path, remark: str = "") -> No
             if i + columns >= len(panels):
                 axis.set_xlabel("environment steps")
         _frame(figure, groups, remark)
-        figure.savefig(path, dpi=DPI)
+        save_figure(figure, path)
 
 
 def describe(groups: Sequence[CurveGroup]) -> list[str]:

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import textwrap
 import zlib
+from io import BytesIO
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from mo_deepdrive.atomic_io import atomic_write
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
+    from contextlib import AbstractContextManager
 
     from matplotlib.figure import Figure
     from matplotlib.legend import Legend
@@ -65,6 +71,29 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def figure_style(changes: Mapping[Any, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
+    """A context in which figures look like ours, whatever a user's matplotlibrc says.
+
+    Args:
+        changes: settings of Matplotlib that differ from STYLE.
+    """
+    from matplotlib import style  # not at the top: tables, which need the order of algorithms, go without Matplotlib
+
+    return style.context({**STYLE, **changes}, after_reset=True)
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> None:
+    """Write a figure, in the format that the suffix of the file names (PNG without one).
+
+    Raises:
+        ValueError: if the suffix is not an image format.
+        OSError: if the file cannot be written; it is complete or unchanged.
+    """
+    buffer = BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix[1:] or "png", dpi=dpi)
+    atomic_write(path, buffer.getvalue())
+
+
 def algorithm_order(name: str) -> tuple[int, str]:
     """A sort key: the algorithms of ALGORITHM_COLOURS in its order, then the others by name."""
     known = list(ALGORITHM_COLOURS)
@@ -91,7 +120,7 @@ def curve_styles(algorithms: Sequence[str]) -> list[tuple[str, str]]:
 
     The first curve of an algorithm has its colour; further ones have lighter shades of it and other markers.
     """
-    from matplotlib.colors import to_hex, to_rgb  # tables, which need the order of algorithms alone, go without
+    from matplotlib.colors import to_hex, to_rgb  # as in figure_style
 
     colours = algorithm_colours(algorithms)
     styles = []

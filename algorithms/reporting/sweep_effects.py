@@ -9,13 +9,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
-from algorithms.reporting.style import DIM, DPI, INK, STYLE, algorithm_colours, surround, widened
+from algorithms.reporting.style import DIM, INK, algorithm_colours, figure_style, save_figure, surround, widened
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean
 
 if TYPE_CHECKING:
@@ -83,7 +82,7 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
         size = -(-len(effects) // count)
         rows += [(each, effects[first : first + size], limits) for first in range(0, len(effects), size)]
     columns = max(len(effects) for _, effects, _ in rows)
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+    with figure_style({"text.parse_math": False}):
         figure = Figure(figsize=(PANEL[0] * max(columns, 2), PANEL[1] * len(rows)))
         parts: Any = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
         for r, (part, (each, effects, limits)) in enumerate(zip(parts, rows, strict=True)):
@@ -102,7 +101,7 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
             Line2D([], [], color=colour, marker="o", linestyle="", label=name) for name, colour in colours.items()
         ]
         surround(figure, title, notes, handles if len(handles) > 1 else ())
-        figure.savefig(path, dpi=DPI)
+        save_figure(figure, path)
 
 
 def _effect(values: NDArray[np.float64] | list[str], scores: NDArray[np.float64]) -> KeyEffect:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
+from PIL import ImageColor
 
 from algorithms.reporting.captions import CAPTION_PIXELS, caption_strip
 from algorithms.reporting.style import VIDEO_BACKGROUND
@@ -112,7 +112,7 @@ class VideoGrid:
         tile_height, tile_width = self._even
         self._scaled = scale < 1.0
         whole = (rows * (CAPTION_PIXELS + tile_height), self._columns * (tile_width + GAP) - GAP, 3)
-        self.frame: Frame = np.full(whole, [round(255 * part) for part in to_rgb(VIDEO_BACKGROUND)], dtype=np.uint8)
+        self.frame: Frame = np.full(whole, ImageColor.getrgb(VIDEO_BACKGROUND), dtype=np.uint8)
         for k, caption in enumerate(captions):
             top, left = self._corner(k)
             strip = caption_strip(caption, tile_width)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
+import os
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import imageio
+import imageio_ffmpeg
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -77,6 +78,8 @@ def record(
 def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
 
+    A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.atomic_io`.
+
     Args:
         path: the file.
         fps: frames per second.
@@ -85,13 +88,48 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.ui
         OSError: if the file cannot be written.
     """
     path = Path(path)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".video-") as folder:
-        part = Path(folder) / "video.mp4"
-        writer: Any = imageio.get_writer(part, format="FFMPEG", fps=fps, macro_block_size=1, quality=7)
-        with writer:
-            yield writer.append_data
-        if part.exists():
+    part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    count, encoder = 0, None
+
+    def write(frame: NDArray[np.uint8]) -> None:
+        nonlocal count, encoder
+        if encoder is None:
+            encoder = imageio_ffmpeg.write_frames(
+                str(part),
+                (frame.shape[1], frame.shape[0]),
+                fps=fps,
+                macro_block_size=1,
+                quality=7,
+                ffmpeg_log_level="quiet",
+                output_params=["-f", "mp4"],  # the temporary name does not tell
+            )
+            encoder.send(None)
+        try:
+            encoder.send(np.ascontiguousarray(frame))
+        except OSError as error:  # with ffmpeg's whole command line
+            raise OSError(f"{str(path)!r}: ffmpeg ended early: {str(error).splitlines()[0]}") from None
+        count += 1
+
+    try:
+        yield write
+        if encoder is not None:
+            encoder.close()
+            _check_whole(part, path, count)
             part.replace(path)
+    finally:
+        if encoder is not None:
+            encoder.close()
+        part.unlink(missing_ok=True)
+
+
+def _check_whole(part: Path, path: Path, count: int) -> None:
+    """Refuse a video that lacks frames: ffmpeg's errors at its end are not reported otherwise."""
+    try:
+        found, _ = imageio_ffmpeg.count_frames_and_secs(part)
+    except RuntimeError:  # with all that ffmpeg has to say
+        found = 0
+    if found != count:
+        raise OSError(f"{str(path)!r}: ffmpeg could write {found:,} of {count:,} frames; is the disk full?")
 
 
 def video_seconds(path: str | Path) -> float:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from io import BytesIO
 from typing import TYPE_CHECKING
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.reporting.learning_curves import curve
-from algorithms.reporting.style import ALGORITHM_COLOURS, DPI, STYLE, surround, widened
+from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
 from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
-from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES
 
@@ -84,7 +81,7 @@ def draw_curves(number: int, plan: Plan, results: ReproductionResults, path: Pat
     tasks = list(dict.fromkeys(task for _, task in panels))
     if not panels:
         return False
-    with matplotlib.rc_context(STYLE):
+    with figure_style():
         figure = Figure(figsize=(max(4.7 * len(tasks), MIN_WIDTH), 2.9 * len(protocols)))
         axes = figure.subplots(len(protocols), len(tasks), squeeze=False)
         for row, protocol in zip(axes, protocols, strict=True):
@@ -100,9 +97,7 @@ def draw_curves(number: int, plan: Plan, results: ReproductionResults, path: Pat
         for axis in axes[:, 0]:
             axis.set_ylabel(title_of(UTILITY_ESR))
         _add_title_and_legend(figure, f"Figure {number}. {spec.title}", _seed_counts(results, panels))
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png", dpi=DPI)
-    atomic_write(path, buffer.getvalue())
+        save_figure(figure, path)
     return True
 
 

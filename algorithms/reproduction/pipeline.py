@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from algorithms.experiments.accessories import sole_purpose
 from algorithms.experiments.console import print_line
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.interrupts import Interrupts
@@ -184,7 +185,8 @@ def _write(
     plan: Plan, results: ReproductionResults, figures: Sequence[int], options: ReproductionOptions, console: Console
 ) -> None:
     """Write the report, and print the verdicts."""
-    paths = write_report(plan, results, options.output_folder, figures, how=options.command, quick=options.quick)
+    with sole_purpose("the report could not be written"):
+        paths = write_report(plan, results, options.output_folder, figures, how=options.command, quick=options.quick)
     print_verdicts(plan, results, console, quick=options.quick)
     if options.quick:
         console.print(QUICK)

@@ -21,8 +21,8 @@ from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
 from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verdict
-from algorithms.experiments.interrupts import DiskFull, Stopped
-from algorithms.experiments.jobs import Job, JobFailed, describe, perform
+from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped, describe
+from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.reporting.seed_tables import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest

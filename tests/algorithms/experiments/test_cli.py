@@ -35,13 +35,13 @@ def experiment() -> Experiment:
     return make_experiment(VALUES)
 
 
-def test_a_process_renders_without_a_display_unless_the_user_chose_one(
+def test_a_process_draws_without_a_display_unless_the_user_chose_one_for_rendering(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    environment, path = {"SDL_VIDEODRIVER": "x11"}, ["first"]
+    environment, path = {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}, ["first"]
     prepare_process(environment, path, PROCESS_DEFAULTS)
-    assert environment == PROCESS_DEFAULTS | {"SDL_VIDEODRIVER": "x11"}
+    assert environment == PROCESS_DEFAULTS | {"SDL_VIDEODRIVER": "x11", "MPLBACKEND": "agg"}
     assert environment["SDL_AUDIODRIVER"] == "dummy"
     assert path == ["first", str(tmp_path)]
 

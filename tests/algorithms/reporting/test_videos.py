@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -175,3 +176,28 @@ def test_an_environment_without_render_modes_cannot_be_rendered(
     assert console.export_text().startswith("no video: environment 'commute:commute-v0' cannot be rendered: ")
     assert not [warning for warning in recwarn if "render" in str(warning.message)]
     assert not list(tmp_path.iterdir())
+
+
+def write_noise(path: Path, frames: int) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    with video_writer(path, fps=10) as write:
+        for shift in range(frames):
+            write(np.roll(noise, 7 * shift, axis=1))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs limits of file sizes")
+@pytest.mark.parametrize("frames", [5, 60], ids=["at its end", "before its end"])
+def test_a_video_that_could_not_be_written_whole_leaves_the_former_one(tmp_path: Path, frames: int) -> None:
+    import resource
+
+    path = tmp_path / "video.mp4"
+    path.write_bytes(b"former")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"^'.*video.mp4': ffmpeg [^\n]*$"):
+            write_noise(path, frames)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_bytes() == b"former"
+    assert [each.name for each in tmp_path.iterdir()] == ["video.mp4"]
