@@ -17,7 +17,7 @@ from algorithms.experiments.loggers import Logger, log_results
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
-from algorithms.reporting.seed_tables import final_metrics
+from algorithms.reporting.run_records import final_metrics
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
 

@@ -21,7 +21,7 @@ from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
 from algorithms.reporting.front_report import report_front
 from algorithms.reporting.learning_curves import load_groups, plot
-from algorithms.reporting.seed_tables import final_metrics
+from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.tables import evaluation_table, write_evaluation
 from mo_deepdrive.config import parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter

@@ -31,7 +31,7 @@ import polars as pl
 
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
 from algorithms.experiments.run_files import changed_files
-from algorithms.reporting.seed_tables import final_scores
+from algorithms.reporting.run_records import ExperimentRecord, experiment_record, final_scores
 from algorithms.reporting.style import MAX_POINTS
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
@@ -68,10 +68,10 @@ class Cell:
     trial: int | None
     rows: tuple[ManifestRow, ...]
 
-    @property
-    def config(self) -> dict[str, Any]:
+    @cached_property
+    def experiment(self) -> ExperimentRecord:
         """The resolved experiment of the first run."""
-        return self.rows[0].config
+        return experiment_record(self.rows[0].config)
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ def _runs_frame(
             pl.Series("trial", [row.trial for row in rows], pl.Int64),
             pl.Series("seed", [row.seed for row in rows], pl.Int64),
             pl.Series("state", [states[row.id] for row in rows], pl.String),
-            pl.Series("step", steps, pl.Int64),
+            pl.Series("step", steps, pl.Int64, strict=False),
             pl.Series("rows", [logs[row.id].rows if row.id in logs else 0 for row in rows], pl.Int64),
             *(_key_column(key, [row.cell.get(key) for row in rows]) for key in keys),
         ]

@@ -24,7 +24,7 @@ from algorithms.experiments.interrupts import DiskFull, Stopped
 from algorithms.experiments.jobs import Job, describe, perform
 from algorithms.experiments.run_directory import InUse, read_status
 from algorithms.experiments.worker_pool import BUSY, DIED
-from algorithms.reporting.seed_tables import final_metrics
+from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.experiments.jobs import Job, perform
-from algorithms.reporting.seed_tables import final_metrics
+from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.run_scores import read_scores
 from tests.helpers.short_runs import job
 
