@@ -90,8 +90,11 @@ class MetricsPart:
         if len(known) == len(logs) == len(self.logs) and columns == self.columns:
             return self
         frames = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})]
-        if known:
-            frames.append(pl.read_parquet(self.path, glob=False).filter(pl.col("run").is_in(list(known))))
+        try:
+            if known:
+                frames.append(pl.read_parquet(self.path, glob=False).filter(pl.col("run").is_in(list(known))))
+        except pl.exceptions.PolarsError:  # damaged
+            known = {}
         for run, log in logs.items():
             if run in known:
                 continue
