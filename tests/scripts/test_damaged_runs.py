@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from algorithms import zoo
 from algorithms.common.yaml_io import dump
 from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
 from tests.helpers.script_runs import refused
@@ -139,6 +141,39 @@ def test_runs_with_damaged_configs_or_metrics_are_left_out_of_figures(call: Call
         damage(make_run(tmp_path / "no rows" / which, 0) / "metrics.csv", content)
     code, _, error = call("plot", tmp_path / "no rows", good, "--output", "curves.png")
     assert (code, error.count("has no metrics yet")) == (0, len(NO_ROWS))
+
+
+@pytest.mark.slow
+def test_a_run_with_damaged_metrics_is_not_resumed_before_they_are_repaired_or_deleted(
+    call: Call, tmp_path: Path
+) -> None:
+    run = make_run(tmp_path / "run", 0)
+    for content, fault in METRICS.values():
+        (run / "metrics.csv").write_bytes(content)
+        done = call("train", "--resume", run)
+        advice = "; repair it, or delete it to resume without its rows\n"
+        refused(done, f"metrics file '{run}/metrics.csv'", fault, advice)
+        assert done[2].count("\n") == 1
+        assert (run / "metrics.csv").read_bytes() == content
+
+
+@pytest.mark.slow
+def test_a_front_that_cannot_be_read_is_left_out_of_the_explorer(call: Call, tmp_path: Path) -> None:
+    front = zoo.find("one_waypoint_front-pcn")
+    for which in ("config.yaml", "front.csv", "evaluation.json", "checkpoint.safetensors"):
+        bad = tmp_path / f"bad-{which.partition('.')[0]}"
+        shutil.copytree(front, bad)
+        (bad / which).write_bytes(b"\n\0\xff")
+    folders = [path.name for path in sorted(tmp_path.iterdir())]
+    code, _, error = call("explore", *folders, front.name, "--output", "page.html", "--episodes", "1")
+    assert code == 0
+    lines = [line for line in error.splitlines() if line.startswith("left out: ")]
+    assert [[folder in line for folder in folders].count(True) for line in lines] == [1] * len(folders)
+    assert (tmp_path / "page.html").is_file()
+    for folder in folders:
+        refused(call("choose", folder, "--weights", "distance=1"), folder)
+    refused(call("explore", *folders, "--output", "page.html"), "none of the runs has a front that can be read")
+    refused(call("explore", "nowhere", front.name, "--output", "page.html"), "'nowhere' is not a run directory")
 
 
 @pytest.mark.slow
