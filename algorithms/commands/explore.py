@@ -5,11 +5,14 @@
 
 RUN is a finished run of an algorithm that learns a front, or the name of one in the zoo; or a best-known front, as
 best-known/SCENARIO_ACTIONS. All policies of a run are evaluated again, on the episodes of mo-deepdrive choose, which
-chooses the same policy for the same preference. The page is one file that needs no network.
+chooses the same policy for the same preference. The page is one file that needs no network. Of several runs, one that
+cannot be read is left out with a line on standard error.
 """
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.cli import (
@@ -52,16 +55,25 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     from algorithms.experiments.accessories import sole_purpose
     from algorithms.experiments.front_explorer import BEST_KNOWN, explorable_best_known
     from algorithms.reporting.explorer.page import write_page
+    from algorithms.reporting.run_records import LEFT_OUT
 
     with exit_on_error(ValueError, program=program), sole_purpose("the page could not be written"):
         check_file("--output", options.output, ".html")
-        fronts = [
-            explorable_best_known(name.removeprefix(BEST_KNOWN))
-            if name.startswith(BEST_KNOWN)
-            else _explorable_run(name, options, program)
-            for name in options.runs
-        ]
-        write_page(fronts, options.output, f"Explorer of fronts: {', '.join(options.runs)}")
+        fronts: dict[str, ExplorableFront] = {}
+        for name in options.runs:
+            try:
+                fronts[name] = (
+                    explorable_best_known(name.removeprefix(BEST_KNOWN))
+                    if name.startswith(BEST_KNOWN)
+                    else _explorable_run(name, options, program)
+                )
+            except ValueError as error:
+                if len(options.runs) == 1 or not Path(name).is_dir():
+                    raise
+                print(as_called(f"{LEFT_OUT}{error}", program), file=sys.stderr)
+        if not fronts:
+            raise ValueError("none of the runs has a front that can be read")
+        write_page([*fronts.values()], options.output, f"Explorer of fronts: {', '.join(fronts)}")
     print(f"written: {options.output}")
     return 0
 

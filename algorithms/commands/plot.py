@@ -7,6 +7,8 @@ A folder stands for the runs in it. Of a sweep (a directory with a manifest, mad
 are drawn, ranked by the utility or the hypervolume of their final evaluations; these scores of all runs are drawn
 against each key that varies into FILE-cells.png. The collected scores and metrics of the runs are kept for other
 programs in SWEEP/collected/ as Parquet files, which are updated here; algorithms/sweeps/collection.py describes them.
+
+A run whose files cannot be read is left out with a line on standard error; if nothing can be drawn, the exit code is 2.
 """
 
 from __future__ import annotations
@@ -37,20 +39,21 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments, program)
+    tell = partial(warn, program=program)
 
     from algorithms.experiments.accessories import sole_purpose
     from algorithms.experiments.console import make_console, print_line
 
     say = partial(print_line, make_console())
     with exit_on_error(ValueError, program=program), sole_purpose("the curves could not be drawn"):
-        from algorithms.reporting.learning_curves import describe, load_groups, plot
+        from algorithms.reporting.learning_curves import FORMATS, describe, load_groups, plot
         from algorithms.reporting.seed_tables import find_runs
         from algorithms.sweeps.plots import plot_sweep
 
-        check_file("--output", options.output)
+        check_file("--output", options.output, *FORMATS)
         if not any(is_sweep(run) for run in options.runs):
-            runs = find_runs(options.runs)
-            groups = load_groups(runs)
+            runs = find_runs(options.runs, tell)
+            groups = load_groups(runs, tell)
             for run in runs:
                 warn_of_changes(run, ("config.yaml", "metrics.csv"))
             plot(groups, options.output)
@@ -59,5 +62,5 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         elif len(options.runs) > 1:
             raise ValueError("a sweep has its own figures: give one sweep, or else runs")
         else:
-            plot_sweep(options.runs[0], options.output, say, partial(warn, program=program))
+            plot_sweep(options.runs[0], options.output, say, tell)
     return 0

@@ -1,7 +1,7 @@
 """Final scores over seeds, of runs or of a sweep.
 
-    mo-deepdrive table RUN... [--output FILE.csv]
-    mo-deepdrive table SWEEP [--sort METRIC] [--top N] [--output FILE.csv]
+    mo-deepdrive table RUN... [--output FILE]
+    mo-deepdrive table SWEEP [--sort METRIC] [--top N] [--output FILE]
 
 Runs (or folders that hold runs) that differ in their seed alone are in one row: the mean over seeds of the final
 evaluation with a 95% bootstrap interval, and the interquartile mean of the utility. With several vehicles there is a
@@ -9,13 +9,16 @@ row for each and one for all together (success: all arrived). Fronts have their 
 the algorithm alone are compared: the difference of the mean utilities (hypervolumes) with its interval, and the p-value
 of a two-sided Mann-Whitney test. Columns that do not fit the terminal follow in further tables.
 
-A sweep (a directory with a manifest, made by mo-deepdrive sweep) has a row per cell, or per trial of a search, the
-best first; cells with another environment or utility are in separate tables. The terminal shows the best cells, the
-policy by which they are sorted, and as many columns as fit, and names the others; the CSV has everything. With several
-vehicles the row of all together has the sum of their utilities. Cells that differ in the algorithm alone are compared
-by the same policy; where their numbers of steps differ, too, the row has both. The collected scores and metrics of the
-runs are kept for other programs in SWEEP/collected/ as Parquet files, which are updated here;
-algorithms/sweeps/collection.py describes them.
+A sweep (a directory with a manifest, made by mo-deepdrive sweep) has its cells, or the trials of a search, the best
+first; cells with another environment or utility are in separate tables. The terminal shows the best cells and as many
+columns as fit, and names the others; files have everything. With several vehicles the row of all together has the sum
+of their utilities. Cells that differ in the algorithm alone are compared; where their numbers of steps differ, too, the
+row has both. The collected scores and metrics of the runs are kept for other programs in SWEEP/collected/ as Parquet
+files, which are updated here; algorithms/sweeps/collection.py describes them.
+
+The ending of FILE is the format: .csv (a row per metric with the columns mean, low, high and n, the number of seeds;
+also of the returns of every objective), .tex (booktabs) or .md. Comparisons are in FILE-differences. A run whose files
+cannot be read is left out with a line on standard error; if nothing can be shown, the exit code is 2.
 """
 
 from __future__ import annotations
@@ -27,13 +30,12 @@ from typing import TYPE_CHECKING
 from algorithms.experiments.cli import INSTALLED, check_file, make_parser, warn
 from algorithms.experiments.run_files import changed_files
 from algorithms.sweeps.manifest import is_sweep
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from algorithms.reporting.wide_tables import Rows
+    from algorithms.reporting.seed_tables import ScoreGroup
 
 TOP = 20
 
@@ -44,7 +46,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="run directories, or folders that hold some; or one sweep"
     )
-    parser.add_argument("--output", type=Path, metavar="FILE", help="also write the tables as CSV")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="also write them as .csv, .tex or .md")
     parser.add_argument(
         "--sort",
         metavar="METRIC",
@@ -61,23 +63,24 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
         ValueError: as :func:`algorithms.reporting.seed_tables.find_runs`.
     """
     from algorithms.experiments.run_directory import read_status
+    from algorithms.reporting.run_records import LEFT_OUT
     from algorithms.reporting.seed_tables import find_runs
     from mo_deepdrive.evaluation.front import EVALUATION_FILE
 
     runs = []
-    for run in find_runs(paths):
+    for run in find_runs(paths, warn):
         problems = changed_files(run, ["config.yaml", EVALUATION_FILE])
         if not problems and read_status(run).get("state", "finished") != "finished":
             problems = ["its training is not finished"]
         if problems:
-            warn(f"left out: {run}: {'; '.join(problems)}")
+            warn(f"{LEFT_OUT}{run}: {'; '.join(problems)}")
         else:
             runs.append(run)
     return runs
 
 
-def print_tables(options: Namespace, warn: Callable[[str], None]) -> list[Rows]:
-    """Print the tables that the options ask for; returns whole tables, for a sweep only if they are to be written.
+def print_tables(options: Namespace, warn: Callable[[str], None]) -> tuple[Sequence[ScoreGroup], Sequence[ScoreGroup]]:
+    """Print the tables that the options ask for; returns the scores, and those by which algorithms are compared.
 
     Raises:
         ValueError: for options that do not fit together, or if there is nothing to show.
@@ -90,25 +93,26 @@ def print_tables(options: Namespace, warn: Callable[[str], None]) -> list[Rows]:
     if not any(is_sweep(path) for path in options.runs):
         if options.sort is not None or options.top is not None:
             raise ValueError("--sort and --top are for a sweep, a directory with a manifest.jsonl")
-        return print_runs(intact_runs(options.runs, warn), console, warn)
+        groups = print_runs(intact_runs(options.runs, warn), console, warn)
+        return groups, groups
     if len(options.runs) > 1:
         raise ValueError("a sweep has its own table: give one sweep, or else runs")
     if options.top is not None and options.top < 1:
         raise ValueError(f"--top {options.top} must be at least 1")
-    whole = options.output is not None
-    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=options.top or TOP, whole=whole)
+    return print_sweep(options.runs[0], console, warn, metric=options.sort, top=options.top or TOP)
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; the exit code."""
     options = parse_arguments(arguments, program)
+
+    from algorithms.reporting.table_files import FORMATS, write_tables
+
     try:
-        check_file("--output", options.output)
-        tables = print_tables(options, partial(warn, program=program))
+        check_file("--output", options.output, *FORMATS)
+        scores, compared = print_tables(options, partial(warn, program=program))
         if options.output is not None:
-            scores, compared = tables
-            atomic_write(options.output, csv_bytes(scores if len(compared) == 1 else [*scores, [], *compared]))
-            print(f"written: {options.output}")
+            print(f"written: {', '.join(map(str, write_tables(options.output, scores, compared)))}")
     except (ValueError, OSError) as error:
         warn(f"error: {error}", program)
         return 2

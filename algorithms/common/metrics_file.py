@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import os
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, flush_to_disk
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes, flush_to_disk, is_number
+from mo_deepdrive.evaluation.metrics import STEP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+DIGITS = 16  # of a step: a run has at most 10**15
+SHOWN = 40  # characters of a cell in a message
 Columns = dict[str, NDArray[np.float64]]  # (rows,) each, by name
 
 
@@ -29,12 +34,7 @@ def read_metrics(path: str | Path) -> Columns:
     if not path.is_file():
         raise ValueError(f"metrics file {str(path)!r} does not exist")
     header, rows = complete_rows(path)
-    if header[0] != "step":
-        raise ValueError(f"metrics file {str(path)!r} has no column 'step' at its beginning")
-    try:
-        table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(len(rows), len(header))
-    except ValueError as error:
-        raise ValueError(f"metrics file {str(path)!r} is broken: {error}") from None
+    table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(len(rows), len(header))
     return {name: table[:, i] for i, name in enumerate(header)}
 
 
@@ -58,7 +58,7 @@ class MetricsFile:
     def __init__(self, path: Path, after: int | None = None, noted: Mapping[str, Any] | None = None):
         self.path = path
         self.gap: str | None = None
-        self._columns: list[str] = ["step"]
+        self._columns: list[str] = [STEP]
         self._rows: list[list[str]] = []
         if after is not None:
             self._columns, self._rows = rows_until(path, after)
@@ -79,7 +79,7 @@ class MetricsFile:
         """
         new = [name for name in metrics if name not in self._columns]
         self._columns += new
-        cells = {"step": str(step), **{name: format_number(value) for name, value in metrics.items()}}
+        cells = {STEP: str(step), **{name: format_number(value) for name, value in metrics.items()}}
         row = [cells.get(name, "") for name in self._columns]
         self._rows.append(row)
         self._tally.add([row])
@@ -175,34 +175,83 @@ def rows_until(path: Path, step: int) -> tuple[list[str], list[list[str]]]:
     """Header and rows up to a step, for a run that is resumed from there.
 
     Raises:
-        ValueError: if the file has no column "step", or a step that is not an integer.
+        ValueError: as :func:`complete_rows`, with what to do.
     """
-    header, rows = complete_rows(path)
-    hint = "repair it, or delete it to resume without its rows"
-    if header[0] != "step":
-        raise ValueError(f"metrics file {str(path)!r} has no column 'step' at its beginning; {hint}")
-    kept = []
-    for row in rows:
-        try:
-            if int(row[0]) <= step:
-                kept.append(row)
-        except ValueError:
-            raise ValueError(f"metrics file {str(path)!r} has a row of step {row[0]!r}; {hint}") from None
-    return header, kept
+    try:
+        header, rows = complete_rows(path)
+    except ValueError as error:
+        raise ValueError(f"{error}; repair it, or delete it to resume without its rows") from None
+    return header, [row for row in rows if int(row[0]) <= step]
 
 
 def complete_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows, without the torn row that a crash may leave at the end.
+    """Header and rows, without torn rows as a crash may leave them; only the header if the file is missing or empty.
 
     Raises:
-        ValueError: if the file is not a text file of comma-separated values.
+        ValueError: naming the file and what is wrong, if it is not a CSV file of numbers whose first column is "step".
     """
     try:
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
-        lines = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"metrics file {str(path)!r} is not a CSV file: {error}") from None
-    if not lines:
-        return ["step"], []
-    header, *rows = lines
-    return header, [row for row in rows if len(row) == len(header)]
+        return _parsed(path.read_bytes() if path.exists() else b"")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"metrics file {str(path)!r} {_fault(error)}") from None
+
+
+def _fault(error: OSError | ValueError) -> str:
+    if isinstance(error, OSError):
+        return f"cannot be read: {error.strerror or error}"
+    return f"is not a CSV file: {error}" if isinstance(error, UnicodeDecodeError) else str(error)
+
+
+def _parsed(data: bytes) -> tuple[list[str], list[list[str]]]:
+    whole = data[: data.rfind(b"\n") + 1]
+    header, *rows = _cells(whole or data) or [[STEP]]
+    check_header(header)
+    if not whole:  # nothing but a torn header
+        return [STEP], []
+    rows = [row for row in rows if len(row) == len(header)]
+    for row in rows:
+        if not (row[0].isascii() and row[0].isdigit() and len(row[0]) <= DIGITS):
+            raise ValueError(f"has a row of step {row[0][:SHOWN]!r}; a step is an integer of at most {DIGITS} digits")
+        for name, cell in zip(header, row, strict=True):
+            if cell and not is_number(cell):
+                raise ValueError(f"is broken: {name} = {cell[:SHOWN]!r} at step {row[0]} is not a number")
+    return header, rows
+
+
+def _cells(data: bytes) -> list[list[str]]:
+    """The lines of a CSV file.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    text = data.decode("utf-8")
+    if "\0" in text:
+        raise ValueError("is not a CSV file: it has NUL bytes")
+    try:
+        return list(csv.reader(io.StringIO(text, newline=""), strict=True))
+    except csv.Error as error:
+        raise ValueError(f"is not a CSV file: {error}") from None
+
+
+def read_header(line: bytes) -> list[str]:
+    """The columns in the first line of a metrics.csv.
+
+    Raises:
+        ValueError: if it is not a header, or not complete.
+    """
+    header = next(iter(_cells(line)), [])
+    check_header(header if line.endswith(b"\n") else [])
+    return header
+
+
+def check_header(header: Sequence[str]) -> None:
+    """Refuse what are not the columns of a metrics.csv.
+
+    Raises:
+        ValueError: if the first is not "step", or two have the same name.
+    """
+    if header[:1] != [STEP]:
+        raise ValueError(f"has no column {STEP!r} at its beginning")
+    repeated = [name for name, count in Counter(header).items() if count > 1]
+    if repeated:
+        raise ValueError(f"has two columns of the name {repeated[0][:SHOWN]!r}")

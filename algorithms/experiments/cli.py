@@ -244,21 +244,21 @@ def evaluation_arguments(options: argparse.Namespace, experiment: Experiment) ->
     return episodes, seed
 
 
-def check_file(option: str, path: str | Path | None, ending: str = "") -> None:
+def check_file(option: str, path: str | Path | None, *endings: str) -> None:
     """Check, before any work, that an option's file can be written.
 
     Args:
         option: its name, for the message.
         path: its value; None if it was not given.
-        ending: that its name must have.
+        endings: of which its name must have one; none for any name.
 
     Raises:
         ValueError: if its directory does not exist, it is a directory, or its name ends otherwise.
     """
     if not path:
         return
-    if not str(path).lower().endswith(ending):
-        raise ValueError(f"{option} {str(path)!r} must end in {ending}")
+    if endings and not str(path).lower().endswith(endings):
+        raise ValueError(f"{option} {str(path)!r} must end in {' or '.join(endings)}")
     if Path(path).is_dir():
         raise ValueError(f"{option} {str(path)!r} is a directory; it must be a file")
     if not (parent := Path(path).absolute().parent).is_dir():

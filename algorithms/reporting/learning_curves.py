@@ -5,24 +5,18 @@ Curves are means over seeds, in the colour of their algorithm, and have 95% boot
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 
-from algorithms.common.metrics_file import read_metrics
-from algorithms.common.yaml_io import read_mapping
-from algorithms.reporting.seed_groups import (
-    distinct_labels,
-    group_by_experiment,
-    identifying_settings,
-    task_settings,
-)
+from algorithms.reporting.run_records import LEFT_OUT, read_runs
+from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
 from algorithms.reporting.style import (
     DIM,
     MAX_POINTS,
@@ -53,19 +47,21 @@ from mo_deepdrive.evaluation.metrics import (
     split_name,
     title_of,
 )
-from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, bootstrap, of_three
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from algorithms.common.metrics_file import Columns
+    from algorithms.reporting.run_records import ExperimentRecord, UtilityRecord
 
 SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis
 CUT_RATIO = 30.0  # how many times larger the whole range must be than the settled one for the start to be cut off
+FORMATS = tuple(f".{name}" for name in FigureCanvasBase.get_supported_filetypes())  # of figures
 MARKS = 10  # markers per curve, where several curves share a colour
 
 
@@ -95,50 +91,54 @@ class CurveGroup:
 
     Attributes:
         label: what distinguishes the group from the others.
-        config: the resolved experiment of one of the runs.
+        experiment: that of one of the runs.
         runs: the columns of every run's metrics.csv.
     """
 
     label: str
-    config: dict[str, Any]
+    experiment: ExperimentRecord
     runs: tuple[Columns, ...]
 
 
-def load_groups(directories: Sequence[str | Path]) -> list[CurveGroup]:
+def load_groups(directories: Sequence[str | Path], warn: Callable[[str], None] | None = None) -> list[CurveGroup]:
     """Read runs and group those that differ in their seed alone (:mod:`algorithms.reporting.seed_groups`).
 
     Groups are in the order of their algorithms, those of one algorithm in the order given.
 
+    Args:
+        directories: of the runs.
+        warn: called with a line about every run that is left out because it cannot be read or has no metrics yet; None
+            to refuse it.
+
     Raises:
-        ValueError: if a directory is not a run or has no metrics yet, or two runs of a group have the same seed.
+        ValueError: if a run is refused, none is left, or two runs of a group have the same seed.
     """
-    paths = [Path(directory) for directory in directories]
-    configs: list[dict[str, Any]] = []
-    metrics: list[Columns] = []
-    for path in paths:
-        if not (path / "config.yaml").is_file():
-            raise ValueError(
-                f"{str(path)!r} is not a run directory, which has a config.yaml, nor a sweep, which has a "
-                "manifest.jsonl"
-            )
-        config, columns = read_mapping(path / "config.yaml"), read_metrics(path / "metrics.csv")
-        if not len(columns[STEP]):
-            raise ValueError(f"run {str(path)!r} has no metrics yet")
-        configs.append(config)
-        metrics.append(columns)
-    groups = group_by_experiment(paths, configs)
-    groups.sort(key=lambda members: algorithm_order(configs[members[0]]["algorithm"]["name"]))
-    labels = _labels([configs[members[0]] for members in groups])
+
+    def refuse(problem: str) -> None:
+        raise ValueError(problem.removeprefix(LEFT_OUT))
+
+    tell = warn or refuse
+    runs = []
+    for run in read_runs(map(Path, directories), tell, metrics=True):
+        if len(run.metrics[STEP]):
+            runs.append(run)
+        else:
+            tell(f"{LEFT_OUT}run {str(run.path)!r} has no metrics yet")
+    if not runs:
+        raise ValueError("there is no run whose metrics can be drawn")
+    groups = group_by_experiment(runs)
+    groups.sort(key=lambda members: algorithm_order(members[0].experiment.algorithm.name))
+    labels = _labels([members[0].experiment for members in groups])
     return [
-        CurveGroup(label, configs[members[0]], tuple(metrics[i] for i in members))
+        CurveGroup(label, members[0].experiment, tuple(run.metrics for run in members))
         for label, members in zip(labels, groups, strict=True)
     ]
 
 
-def _labels(configs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The algorithm's name; where names repeat, also the settings that all configs have and that differ."""
-    flat = [identifying_settings(config) for config in configs]
-    names = [each["algorithm.name"] for each in flat]
+def _labels(experiments: Sequence[ExperimentRecord]) -> list[str]:
+    """The algorithm's name; where names repeat, also the settings that all experiments have and that differ."""
+    flat = [identifying_settings(experiment) for experiment in experiments]
+    names = [experiment.algorithm.name for experiment in experiments]
     shared = set.intersection(*(set(each) for each in flat)) if flat else set()
     differing = sorted(key for key in shared if len({repr(each[key]) for each in flat}) > 1)
     named = [key for key in differing if key in ("environment.id", "utility.name")]
@@ -243,49 +243,49 @@ def curve_panels(groups: Sequence[CurveGroup]) -> list[CurvePanel]:
     several = [any(split_name(name).vehicle for name in names) for names in present]
     panels: list[CurvePanel] = []
     for alike in ([g for g in range(len(groups)) if several[g] is kind] for kind in (False, True)):
-        found = _quantities(set().union(*(present[g] for g in alike)), [groups[g].config for g in alike])
+        found = _quantities(set().union(*(present[g] for g in alike)), [groups[g].experiment for g in alike])
         for heading, names, is_score in found:
             tasks: dict[str, list[int]] = {}
             for g in alike:
                 if present[g] & set(names):
-                    task = json.dumps(task_settings(groups[g].config), sort_keys=True) if is_score else ""
-                    tasks.setdefault(task, []).append(g)
-            titles = _task_titles([groups[members[0]].config for members in tasks.values()])
+                    tasks.setdefault(groups[g].experiment.task_key if is_score else "", []).append(g)
+            titles = _task_titles([groups[members[0]].experiment for members in tasks.values()])
             for title, members in zip(titles, tasks.values(), strict=True):
                 text = f"{heading.removesuffix(' per episode')}: {title}" if title else heading
                 panels.append(CurvePanel(text, names, tuple(members)))
     return panels
 
 
-def _task_titles(configs: Sequence[Mapping[str, Any]]) -> list[str]:
+def _task_titles(experiments: Sequence[ExperimentRecord]) -> list[str]:
     """What distinguishes each of some tasks from the others; empty for a single one."""
-    tasks = [task_settings(config) for config in configs]
-    parts = [
-        distinct_labels([task["environment"] for task in tasks], lambda environment: str(environment["id"])),
-        distinct_labels([task["utility"] for task in tasks], lambda utility: ", ".join(_utilities(utility))),
-        distinct_labels([task["evaluation"] for task in tasks], lambda _: ""),
-    ]
+    tasks = [experiment.task for experiment in experiments]
+    labels = {
+        "environment": [experiment.environment.id for experiment in experiments],
+        "utility": [", ".join(_utilities(experiment.utility)) for experiment in experiments],
+        "evaluation": [""] * len(tasks),
+    }
+    parts = [distinct_labels(texts, [task[name] for task in tasks]) for name, texts in labels.items()]
     differing = [texts for texts in parts if len(set(texts)) > 1]
     return [", ".join(filter(None, (texts[i] for texts in differing))) for i in range(len(tasks))]
 
 
-def drawn(names: Sequence[str], config: Mapping[str, Any]) -> list[str]:
-    """Those of the metrics ``names`` that :func:`plot` may draw for runs with ``config``."""
-    # Runs with one vehicle and with several may be given together, and the config does not tell which these are.
+def drawn(names: Sequence[str], experiment: ExperimentRecord) -> list[str]:
+    """Those of the metrics ``names`` that :func:`plot` may draw for runs of ``experiment``."""
+    # Runs with one vehicle and with several may be given together, and it does not tell which these are.
     of_one = {name for name in names if not split_name(name).vehicle}
-    quantities = [*_quantities(of_one, [config]), *_quantities(set(names), [config])]
+    quantities = [*_quantities(of_one, [experiment]), *_quantities(set(names), [experiment])]
     wanted = {name for _, metrics, _ in quantities for name in metrics}
     return [name for name in names if name in wanted]
 
 
-def _quantities(present: set[str], configs: Sequence[Mapping[str, Any]]) -> list[tuple[str, tuple[str, ...], bool]]:
+def _quantities(present: set[str], experiments: Sequence[ExperimentRecord]) -> list[tuple[str, tuple[str, ...], bool]]:
     """What is drawn of the metrics that are ``present``.
 
     Returns:
         Title, the metric of each of KINDS, and whether it is a score, which is comparable only within the same
         environment and utility.
     """
-    ours = any("mo-deepdrive" in config["environment"]["id"] for config in configs)
+    ours = any("mo-deepdrive" in experiment.environment.id for experiment in experiments)
     parts = [split_name(name) for name in sorted(present)]
     vehicles = sorted({part.vehicle for part in parts if part.vehicle}) or [""]
     objectives = {part.metric.removeprefix(RETURN) for part in parts if part.metric.startswith(RETURN)}
@@ -393,33 +393,32 @@ def quantity_scale(name: str, values: NDArray[Any]) -> float:
 
 def _styles(groups: Sequence[CurveGroup]) -> list[tuple[str, str]]:
     """Colour and marker of each group."""
-    return curve_styles([group.config["algorithm"]["name"] for group in groups])
+    return curve_styles([group.experiment.algorithm.name for group in groups])
 
 
-def _utilities(settings: Mapping[str, Any] | None) -> list[str]:
+def _utilities(utility: UtilityRecord | None) -> list[str]:
     """The name of the utility and those of vehicles with another one; empty if no utility is known."""
-    if settings is None:
+    if utility is None:
         return []
-    others = [f"{each['name']} ({vehicle.replace('_', ' ')})" for vehicle, each in settings.get("vehicles", {}).items()]
-    return [settings["name"], *others]
+    return [utility.name, *(f"{each.name} ({v.replace('_', ' ')})" for v, each in utility.vehicles.items())]
 
 
 def _frame(figure: Figure, groups: Sequence[CurveGroup], remark: str) -> None:
     """Add title, notes and legend around the panels."""
-    config = groups[0].config
+    experiment = groups[0].experiment
     alone = len(groups) == 1
-    ids = dict.fromkeys(group.config["environment"]["id"] for group in groups)
-    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.config.get("utility")))
-    heading = f"{config['algorithm']['name']} on {', '.join(ids)}" if alone else ", ".join(ids)
+    ids = dict.fromkeys(group.experiment.environment.id for group in groups)
+    utilities = dict.fromkeys(name for group in groups for name in _utilities(group.experiment.utility))
+    heading = f"{experiment.algorithm.name} on {', '.join(ids)}" if alone else ", ".join(ids)
     seeds = sorted({len(group.runs) for group in groups})
     count = " to ".join(str(n) for n in dict.fromkeys((seeds[0], seeds[-1])))
     note = f"utility {', '.join(utilities)}; " if utilities else ""
     note += "undiscounted returns per episode"
-    if config["environment"].get("arguments", {}).get("cost_sign", "maximise") == "maximise":
+    if experiment.environment.arguments.get("cost_sign", "maximise") == "maximise":
         note += ", costs negative"
     note += f"; {count} seed{'' if seeds == [1] else 's'}"
     if seeds[-1] >= MIN_SAMPLES:
-        note += ", bands: 95% bootstrap interval of the mean"
+        note += f", bands: 95% bootstrap interval of the mean{of_three(seeds)}"
     elif seeds[-1] > 1:
         note += f", too few for an interval (n = {seeds[-1]})"
     notes = [remark, note] if remark else [note]

@@ -8,11 +8,11 @@ how it is measured.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from algorithms.reporting.run_records import ExperimentRecord, Recorded, RunRecord
 
 SEED = "training.seed"
 # Keys of a config, and one section, that change neither what is learnt nor how it is measured.
@@ -27,42 +27,24 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def identifying_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings that runs must share to differ in their seed alone, by dotted keys in alphabetical order.
-
-    Args:
-        config: a resolved experiment, as in a run's config.yaml.
-    """
-    flat = flatten(config)
+def identifying_settings(experiment: ExperimentRecord) -> dict[str, Any]:
+    """The settings that runs must share to differ in their seed alone, by dotted keys in alphabetical order."""
+    flat = flatten(experiment.model_dump())
     left_out = {SEED, *INCIDENTAL}
     return {key: flat[key] for key in sorted(flat) if key not in left_out and key.partition(".")[0] not in left_out}
 
 
-def task_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What runs must share for their scores to be comparable: environment, utility, and how scores are calculated.
-
-    Final scores are comparable if they are also of the same split; evaluations during training are all of one.
-
-    Args:
-        config: a resolved experiment, as in a run's config.yaml.
-    """
-    evaluation = config.get("evaluation", {})
-    return {
-        "environment": config["environment"],
-        "utility": config.get("utility"),
-        "evaluation": {name: evaluation.get(name) for name in ("gamma", "reference_point")},
-    }
-
-
-def distinct_labels(sections: Sequence[Mapping[str, Any] | None], label_of: Callable[[Any], str]) -> list[str]:
+def distinct_labels(labels: Sequence[str], sections: Sequence[Recorded | Mapping[str, Any] | None]) -> list[str]:
     """The labels of some sections of configs; sections that share one also get the settings that differ between them.
 
     Args:
+        labels: one per section.
         sections: such as the utilities of some experiments; None for none.
-        label_of: gives the label of a section.
     """
-    labels = [label_of(section) for section in sections]
-    flat = [flatten(section or {}) for section in sections]
+    flat = [
+        flatten({} if section is None else section if isinstance(section, Mapping) else section.model_dump())
+        for section in sections
+    ]
     distinct = []
     for label, settings in zip(labels, flat, strict=True):
         namesakes = [other for name, other in zip(labels, flat, strict=True) if name == label]
@@ -75,27 +57,20 @@ def distinct_labels(sections: Sequence[Mapping[str, Any] | None], label_of: Call
     return distinct
 
 
-def group_by_experiment(directories: Sequence[Path], configs: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """Group runs that differ in their seed alone.
-
-    Args:
-        directories: of the runs, for messages.
-        configs: their resolved experiments.
-
-    Returns:
-        The indices of the runs of every group, groups and runs in the order given.
+def group_by_experiment(runs: Sequence[RunRecord]) -> list[list[RunRecord]]:
+    """Group runs that differ in their seed alone, groups and runs in the order given.
 
     Raises:
         ValueError: if two runs of a group have the same seed.
     """
-    groups: dict[str, dict[int, int]] = {}
-    for i, config in enumerate(configs):
-        key = json.dumps(identifying_settings(config), sort_keys=True)
-        seed = config["training"]["seed"]
-        other = groups.setdefault(key, {}).setdefault(seed, i)
-        if other != i:
+    groups: dict[str, dict[int, RunRecord]] = {}
+    for run in runs:
+        key = json.dumps(identifying_settings(run.experiment), sort_keys=True, default=str)
+        seed = run.experiment.training.seed
+        other = groups.setdefault(key, {}).setdefault(seed, run)
+        if other is not run:
             raise ValueError(
-                f"runs {str(directories[other])!r} and {str(directories[i])!r} are the same experiment with the same "
-                f"seed, {seed}; give one of them"
+                f"runs {str(other.path)!r} and {str(run.path)!r} are the same experiment with the same seed, {seed}; "
+                "give one of them"
             )
     return [list(members.values()) for members in groups.values()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -11,19 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium import registry
 
-from algorithms.common.yaml_io import read_mapping
-from algorithms.reporting.seed_groups import (
-    distinct_labels,
-    group_by_experiment,
-    identifying_settings,
-    task_settings,
-)
+from algorithms.reporting.run_records import LEFT_OUT, label_of, read_runs
+from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
 from algorithms.reporting.style import algorithm_order
 from algorithms.reporting.wide_tables import Rows, print_rows
-from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
@@ -51,6 +42,7 @@ from mo_deepdrive.evaluation.statistics import (
     mann_whitney_p,
     mean_difference,
     means,
+    of_three,
 )
 
 if TYPE_CHECKING:
@@ -58,12 +50,19 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-# The columns of the terminal; files also have the returns of all objectives.
+    from algorithms.reporting.run_records import RunRecord
+
+# The columns of tables that are read; CSV files also have the returns of all objectives.
 TABLE_METRICS = (
     *(UTILITY_ESR, UTILITY_SER, SUCCESS, end_by(COLLISION), return_of("lane_violation")),
     *(LENGTH, mean_of("g_force"), mean_of("jerk")),
     *(HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY, IGD_PLUS, ADDITIVE_EPSILON),
 )
+
+UTILITY_IQM = f"{UTILITY_ESR}_iqm"  # the interquartile mean over seeds
+COMPARED = ("mean", "low", "high", "n", "n_other", "p")  # columns of a comparison
+
+Cells = list[list[Any]]  # of a table with one number per cell, header first
 
 
 @dataclass
@@ -122,57 +121,44 @@ class ScoreGroup:
         return known + [0.0] * (len(evaluated) - len(known))
 
 
-def final_scores(run: Path) -> dict[str, Estimate]:
-    """The final evaluation of a run by metric, as ``greedy/utility_esr``; empty if there is none yet.
+@dataclass(frozen=True)
+class ScoreEstimate:
+    """A score of a group over its n seeds; ``text`` has the digits that the intervals support."""
 
-    The intervals are those over evaluation episodes.
-
-    Raises:
-        ValueError: if its file is broken.
-    """
-    file = run / EVALUATION_FILE
-    if not file.is_file():
-        return {}
-    try:
-        return {
-            f"{policy}/{name}": Estimate(
-                _number(estimate["value"]),
-                *(None if estimate.get(end) is None else _number(estimate[end]) for end in ("low", "high")),
-            )
-            for policy, estimates in json.loads(file.read_bytes())["policies"].items()
-            for name, estimate in estimates.items()
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise ValueError(f"{str(file)!r} is not a final evaluation: {type(error).__name__}: {error}") from None
+    group: ScoreGroup
+    place: MetricName
+    mean: Estimate
+    n: int
+    text: str
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{value!r} must be a number")
-    return float(value)
-
-
-def final_metrics(run: Path) -> dict[str, float]:
-    """The values of :func:`final_scores`, with its errors."""
-    return {name: score.value for name, score in final_scores(run).items()}
-
-
-def find_runs(paths: Sequence[Path]) -> list[Path]:
+def find_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
     """The run directories among and below ``paths``, each once; links to runs and folders are followed.
 
+    Args:
+        paths: run directories, or folders that hold some.
+        warn: called with a line about every folder that holds none, if another one does.
+
     Raises:
-        ValueError: if a path holds none.
+        ValueError: if a path is not a folder, or none holds a run.
     """
     runs: dict[Path, Path] = {}
+    without: list[str] = []
     for path in paths:
         found = sorted(_runs_below(path))
         if not found:
-            raise ValueError(
+            without.append(
                 f"{str(path)!r} holds no run: there is no config.yaml in it or below it; nor is it a sweep, which has "
                 "a manifest.jsonl"
             )
+            if not path.is_dir():
+                raise ValueError(without[-1])
         for run in found:
             runs.setdefault(run.resolve(), run)
+    if without and not runs:
+        raise ValueError(without[0])
+    for problem in without:
+        warn(f"{LEFT_OUT}{problem}")
     return list(runs.values())
 
 
@@ -199,39 +185,39 @@ def group_runs(paths: Sequence[Path], warn: Callable[[str], None]) -> list[Score
     Raises:
         ValueError: if a path holds no run, or two runs of a group have the same seed.
     """
-    finished: list[Path] = []
-    scores: list[dict[str, Estimate]] = []
-    for path in find_runs(paths):
-        found = final_scores(path)
-        if found:
-            finished.append(path)
-            scores.append(found)
+    finished: list[RunRecord] = []
+    for run in read_runs(find_runs(paths, warn), warn, scores=True):
+        if run.scores:
+            finished.append(run)
         else:
-            warn(f"left out: {path} has no final evaluation")
-    configs = [read_mapping(path / "config.yaml") for path in finished]
-    experiments = group_by_experiment(finished, configs)
-    settings = [task_settings(configs[members[0]]) for members in experiments]
-    environments = distinct_labels([each["environment"] for each in settings], environment_label)
-    utilities = distinct_labels([each["utility"] for each in settings], utility_label)
+            warn(f"{LEFT_OUT}{run.path} has no final evaluation")
+    members = group_by_experiment(finished)
+    experiments = [runs[0].experiment for runs in members]
+    labels = {
+        name: distinct_labels([label_of(section) for section in sections], sections)
+        for name, sections in (
+            ("environment", [experiment.environment for experiment in experiments]),
+            ("utility", [experiment.utility for experiment in experiments]),
+        )
+    }
     groups = []
-    for e, members in enumerate(experiments):
-        config = configs[members[0]]
-        algorithm = config["algorithm"]["name"]
-        task = {"environment": environments[e], "utility": utilities[e]}
-        about = {**task, "algorithm": algorithm, "steps": str(config["training"]["total_timesteps"])}
-        measured = json.dumps([settings[e], config.get("evaluation", {}).get("split")], sort_keys=True)
-        group = ScoreGroup(about, task, algorithm, measured)
-        for i in members:
-            group.seeds.append(configs[i]["training"]["seed"])
-            for name, score in scores[i].items():
+    for e, (experiment, runs) in enumerate(zip(experiments, members, strict=True)):
+        task = {name: texts[e] for name, texts in labels.items()}
+        steps = experiment.training.total_timesteps
+        about = {**task, "algorithm": experiment.algorithm.name, "steps": "" if steps is None else str(steps)}
+        measured = f"{experiment.task_key} {experiment.evaluation.split}"
+        group = ScoreGroup(about, task, experiment.algorithm.name, measured)
+        for run in runs:
+            group.seeds.append(run.experiment.training.seed)
+            for name, score in run.scores.items():
                 place = split_name(name)
                 if place.metric in TABLE_METRICS or place.metric.startswith(RETURN):
                     group.scores[place].append(score.value)
                     if score.low is not None and score.high is not None:
                         group.widths[place].append(score.high - score.low)
-        _remove_impossible_collisions(group, scores[members[0]])
+        _remove_impossible_collisions(group, runs[0].scores)
         groups.append(group)
-    _tell_apart(groups, [identifying_settings(configs[members[0]]) for members in experiments])
+    _tell_apart(groups, [identifying_settings(experiment) for experiment in experiments])
     return sorted(groups, key=lambda group: (*group.task.values(), algorithm_order(group.algorithm)))
 
 
@@ -241,7 +227,7 @@ def _tell_apart(groups: Sequence[ScoreGroup], settings: Sequence[Mapping[str, An
     for g, group in enumerate(groups):
         namesakes[tuple(group.about.values())].append(g)
     for members in namesakes.values():
-        labels = distinct_labels([settings[g] for g in members], lambda _: "")
+        labels = distinct_labels([""] * len(members), [settings[g] for g in members])
         for g, label in zip(members, labels, strict=True):
             groups[g].about["settings"] = label
 
@@ -255,68 +241,75 @@ def _remove_impossible_collisions(group: ScoreGroup, scores: Mapping[str, Estima
             del group.scores[place]
 
 
-def environment_label(environment: Mapping[str, Any]) -> str:
-    """The id of an environment and, if it is ours, the arguments that are not the default.
+def score_estimates(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> list[ScoreEstimate]:
+    """The means over seeds with their intervals, and the interquartile means of the utilities, which have none.
 
     Args:
-        environment: the section of a resolved experiment.
+        groups: in the order of the result.
+        metrics: in the order of the result; None for :data:`TABLE_METRICS` and all other metrics of the groups.
     """
-    env_id, arguments = environment["id"], environment.get("arguments", {})
-    spec = registry.get(env_id.rpartition(":")[2])
-    if spec is None or not str(spec.vector_entry_point).startswith("mo_deepdrive."):
-        return str(env_id)
-    defaults = {name: field.default for name, field in EnvConfig.model_fields.items()}
-    changed = [f"{name}={value}" for name, value in arguments.items() if value != defaults.get(name)]
-    return " ".join([env_id, *changed])
-
-
-def utility_label(utility: Mapping[str, Any] | None) -> str:
-    """The name of a utility and those of vehicles with another one; empty if no utility is known.
-
-    Args:
-        utility: the section of a resolved experiment.
-    """
-    if utility is None:
-        return ""
-    others = [f"{vehicle}={other['name']}" for vehicle, other in utility.get("vehicles", {}).items()]
-    return " ".join([utility["name"], *others])
+    if metrics is None:
+        metrics = list(dict.fromkeys([*TABLE_METRICS, *(place.metric for group in groups for place in group.scores)]))
+    places = [
+        (group, MetricName(policy, vehicle, metric))
+        for group in groups
+        for policy, vehicle, metric in product(group.policies, group.vehicles, metrics)
+        if (policy, vehicle, metric) in group.scores
+    ]
+    samples = [group.values(place) for group, place in places]
+    found = []
+    for (group, place), values, estimate in zip(places, samples, means(samples), strict=True):
+        width = float(np.mean(group.widths.get(place, [0.0])))
+        found.append(ScoreEstimate(group, place, estimate, len(values), estimate.text(width)))
+        if place.metric == UTILITY_ESR:
+            middle = interquartile_mean(np.array(values))
+            name = place._replace(metric=UTILITY_IQM)
+            found.append(ScoreEstimate(group, name, Estimate(middle), len(values), f"{middle:.3f}"))
+    return found
 
 
 def scores_table(groups: Sequence[ScoreGroup], metrics: Sequence[str] | None = None) -> Rows:
-    """One row per group, policy and vehicle: the means over seeds with their intervals.
+    """One row per group, policy and vehicle, one column per metric: the means over seeds with their intervals.
 
     The digits are also no more than one run's interval over evaluation episodes supports, where it is known.
 
     Args:
         groups: the rows.
-        metrics: the columns; None for :data:`TABLE_METRICS` and all other metrics of the groups.
+        metrics: the columns, as for :func:`score_estimates`; the interquartile mean of the utility is the last one.
     """
-    if metrics is None:
-        metrics = list(dict.fromkeys([*TABLE_METRICS, *(place.metric for group in groups for place in group.scores)]))
+    estimates = score_estimates(groups, metrics)
     about = list(dict.fromkeys(name for group in groups for name in group.about))
-    places = [(g, place) for g, group in enumerate(groups) for place in group.scores if place.metric in metrics]
-    estimates = means([groups[g].values(place) for g, place in places])
-    widths = [float(np.mean(groups[g].widths.get(place, [0.0]))) for g, place in places]
-    texts = [each.text(width) for each, width in zip(estimates, widths, strict=True)]
-    cells = dict(zip(places, texts, strict=True))
-    rows = [[*about, "policy", "vehicle", "seeds", *metrics, f"{UTILITY_ESR}_iqm"]]
-    for g, group in enumerate(groups):
-        for policy, vehicle in product(group.policies, group.vehicles):
-            utilities = group.scores.get(MetricName(policy, vehicle, UTILITY_ESR))
-            iqm = f"{interquartile_mean(np.array(utilities)):.3f}" if utilities else ""
-            numbers = [cells.get((g, MetricName(policy, vehicle, metric)), "") for metric in metrics]
-            first = [*(group.about.get(name, "") for name in about), policy, vehicle, group.seeds_text]
-            rows.append([*first, *numbers, iqm])
-    return without_empty_columns(rows)
+    names = [*TABLE_METRICS, *(each.place.metric for each in estimates)] if metrics is None else metrics
+    columns = [name for name in dict.fromkeys(names) if name != UTILITY_IQM] + [UTILITY_IQM]
+    rows: dict[tuple[int, str, str], list[str]] = {}
+    for each in estimates:
+        policy, vehicle, metric = each.place
+        first = [*(each.group.about.get(name, "") for name in about), policy, vehicle, each.group.seeds_text]
+        row = rows.setdefault((id(each.group), policy, vehicle), [*first, *[""] * len(columns)])
+        row[len(first) + columns.index(metric)] = each.text
+    return without_empty_columns([[*about, "policy", "vehicle", "seeds", *columns], *rows.values()])
 
 
-def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
-    """One row per pair of groups that differ in the algorithm: difference of the means and Mann-Whitney test.
+def tidy_scores(groups: Sequence[ScoreGroup]) -> Cells:
+    """One row per group, policy, vehicle and metric: mean, low and high end of its interval, and n, how many seeds."""
+    about = list(dict.fromkeys(name for group in groups for name in group.about))
+    rows: Cells = [[*about, "seeds", "policy", "vehicle", "metric", "mean", "low", "high", "n"]]
+    for each in score_estimates(groups):
+        first = [each.group.about.get(name, "") for name in about]
+        seeds = " ".join(map(str, sorted(each.group.seeds)))
+        rows.append([*first, seeds, *each.place, each.mean.value, each.mean.low, each.mean.high, each.n])
+    return rows
 
-    If not all groups were trained for the same number of steps, rows have those of the pair.
+
+def tidy_comparisons(groups: Sequence[ScoreGroup]) -> Cells:
+    """One row per policy and vehicle of two groups that differ in the algorithm: how their means differ.
+
+    Each has the difference of the means with its interval, n, the seeds of the first, n_other, those of the other, and
+    p of a two-sided Mann-Whitney test. If not all groups were trained for the same number of steps, rows have those of
+    the pair.
     """
     shared = list(groups[0].task) if groups else []
-    rows = [[*shared, "policy", "vehicle", "difference", "steps", "of", "value", "low", "high", "p"]]
+    rows: Cells = [[*shared, "policy", "vehicle", "difference", "steps", "metric", *COMPARED]]
     same_steps = len({group.about.get("steps", "") for group in groups}) == 1
     comparable: dict[tuple[str, ...], list[ScoreGroup]] = defaultdict(list)
     for group in groups:
@@ -332,13 +325,21 @@ def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
             if min(len(later), len(earlier)) < 2:
                 continue
             found = mean_difference(later, earlier)
-            numbers = (found.value, found.low, found.high, mann_whitney_p(later, earlier))
             pairing = f"{second.algorithm} - {first.algorithm}"
             taken = dict.fromkeys(group.about.get("steps", "") for group in (second, first))
             steps = "" if same_steps else " against ".join(taken)
-            texts = ["" if number is None else f"{number:.3f}" for number in numbers]
-            rows.append([*first.task.values(), policy, vehicle, pairing, steps, metric, *texts])
-    return without_empty_columns(rows)
+            numbers = [found.value, found.low, found.high, len(later), len(earlier), mann_whitney_p(later, earlier)]
+            rows.append([*first.task.values(), policy, vehicle, pairing, steps, metric, *numbers])
+    return rows
+
+
+def comparison_table(groups: Sequence[ScoreGroup]) -> Rows:
+    """The rows of :func:`tidy_comparisons` as text, without columns that are empty."""
+
+    def text(cell: str | float | None) -> str:
+        return "" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell)
+
+    return without_empty_columns([[text(cell) for cell in row] for row in tidy_comparisons(groups)])
 
 
 def without_empty_columns(rows: Rows) -> Rows:
@@ -347,35 +348,38 @@ def without_empty_columns(rows: Rows) -> Rows:
     return [[row[i] for i in kept] for row in rows]
 
 
-def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], None]) -> list[Rows]:
-    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task; returns both tables.
+def interval_note(groups: Sequence[ScoreGroup]) -> str:
+    """What the numbers of a table and their intervals are."""
+    sizes = {len(group.seeds) for group in groups}
+    note = f"Means over seeds with 95% bootstrap intervals over seeds{of_three(sizes)}."
+    few = any(1 < size < MIN_SAMPLES for size in sizes)
+    return f"{note} Fewer than {MIN_SAMPLES} seeds have no interval." if few else note
+
+
+def print_runs(paths: Sequence[Path], console: Console, warn: Callable[[str], None]) -> list[ScoreGroup]:
+    """Print the scores of runs over seeds and the comparisons of their algorithms, task by task.
 
     Args:
         paths: run directories, or folders that hold some.
         console: where to print.
         warn: called with a message about every run that is left out.
 
+    Returns:
+        The scores.
+
     Raises:
         ValueError: as :func:`group_runs`, or if no run has a final evaluation.
     """
     groups = group_runs(paths, warn)
     if not groups:
-        raise ValueError("no run has a final evaluation")
-    scores, compared = scores_table(groups), comparison_table(groups)
-    for task, rows in _by_task(_for_the_terminal(scores), groups[0].task).items():
-        print_rows(console, rows, task, rows[0].index("seeds") + 1)
-    for task, rows in _by_task(compared, groups[0].task).items():
-        print_rows(console, rows, f"{task}: differences of the algorithms", rows[0].index("value"))
-    console.print("Means over seeds with 95% bootstrap intervals over seeds.", highlight=False)
-    if any(1 < len(group.seeds) < MIN_SAMPLES for group in groups):
-        console.print(f"Fewer than {MIN_SAMPLES} seeds have no interval.", highlight=False)
-    return [scores, compared]
-
-
-def _for_the_terminal(scores: Rows) -> Rows:
-    """The rows without the returns that are in files alone."""
-    kept = [i for i, name in enumerate(scores[0]) if name in TABLE_METRICS or not name.startswith(RETURN)]
-    return [[row[i] for i in kept] for row in scores]
+        raise ValueError("no run has a final evaluation that can be read")
+    task = groups[0].task
+    for title, rows in _by_task(scores_table(groups, TABLE_METRICS), task).items():
+        print_rows(console, rows, title, rows[0].index("seeds") + 1)
+    for title, rows in _by_task(comparison_table(groups), task).items():
+        print_rows(console, rows, f"{title}: differences of the algorithms", rows[0].index("mean"))
+    console.print(interval_note(groups), highlight=False)
+    return groups
 
 
 def _by_task(rows: Rows, task: Iterable[str]) -> dict[str, Rows]:

@@ -56,7 +56,7 @@ def _widths(rows: Rows) -> list[int]:
     return [max(cell_len(row[i]) for row in rows) + PADDING for i in range(len(rows[0]))]
 
 
-def _lift(rows: Rows, labels: int) -> tuple[str, Rows, int]:
+def lift_labels(rows: Rows, labels: int) -> tuple[str, Rows, int]:
     """The labels that all rows share, as text; the rows without these, and how many labels are left."""
     header, *body = rows
     shared = [i for i in range(labels) if all(row[i] == body[0][i] for row in body)]
@@ -105,7 +105,7 @@ def print_rows(console: Console, rows: Rows, title: str, labels: int, *, rest: s
             that are not in it, and this.
     """
     if sum(_widths(rows)) + MARGIN > console.width and len(rows) > 1:
-        shared, rows, labels = _lift(rows, labels)
+        shared, rows, labels = lift_labels(rows, labels)
         title = ", ".join(filter(None, [title, shared]))
     console.print(Text(title, style="bold"))
     tables = fitted_tables(rows, labels, console.width)

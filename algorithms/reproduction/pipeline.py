@@ -125,9 +125,9 @@ def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int
     if interrupts.received is not None:
         print("interrupted; the runs in progress are saved: the same command resumes them", file=sys.stderr)
         return 128 + interrupts.received
-    results = gather(runs)
+    results = gather(runs, lambda line: print(line, file=sys.stderr))
     if not results.scores:
-        raise ValueError("no run has finished")
+        raise ValueError("no run has finished and can be read")
     options.output_folder.mkdir(parents=True, exist_ok=True)
     keep_fronts(runs, results, options.output_folder)
     _write(plan, results, figures, options, console)

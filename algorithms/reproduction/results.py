@@ -5,15 +5,16 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from algorithms.common.metrics_file import read_metrics
+from algorithms.experiments.run_directory import METRICS_FILE, read_status
+from algorithms.reporting.run_records import LEFT_OUT, read_evaluation
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
-from mo_deepdrive.evaluation.front import EVALUATION_FILE, Front
+from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     COLLISION,
@@ -41,12 +42,13 @@ from mo_deepdrive.evaluation.metrics import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from algorithms.common.metrics_file import Columns
+    from algorithms.reporting.run_records import EstimateRecord
     from algorithms.reproduction.plan import PlannedRun
 
 SCORES_FILE, CURVES_FILE = "reproduction_scores.csv", "reproduction_curves.csv.gz"
@@ -156,41 +158,61 @@ class ReproductionResults:
         return cls(scores, curves)
 
 
-def gather(runs: Iterable[PlannedRun]) -> ReproductionResults:
-    """The results of all finished runs."""
+def gather(runs: Iterable[PlannedRun], warn: Callable[[str], None]) -> ReproductionResults:
+    """The results of all finished runs.
+
+    Args:
+        runs: of the reproduction.
+        warn: called with a line about every run that is left out because it cannot be read.
+    """
     scores: list[ResultRow] = []
     curves: list[ResultRow] = []
     for run in runs:
-        if not run.job.done:
-            continue
-        keys = {
-            "task": run.task,
-            "protocol": run.protocol,
-            "variant": run.variant,
-            "label": run.label,
-            "seed": run.seed,
-            "steps": run.job.experiment.training.total_timesteps,
-        }
-        seconds = float(run.job.open().status.get("seconds", 0.0))
-        evaluation = json.loads((run.job.path / EVALUATION_FILE).read_text())
-        measured = {"seconds": seconds, "episodes": evaluation["episodes"], "first_episode": evaluation["seed"]}
-        for policy, metrics in _final_scores(run.job.path, evaluation).items():
-            scores.append({**keys, **measured, "policy": policy, **metrics})
-        curves += [{**keys, **row} for row in _learning_curve(run.job.path)]
+        try:
+            if run.job.done:
+                of_run, evaluated = _results_of(run)
+                scores += of_run
+                curves += evaluated
+        except ValueError as error:
+            warn(f"{LEFT_OUT}{error}")
     return ReproductionResults(scores, curves)
 
 
-def _final_scores(path: Path, evaluation: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """The metrics of the final evaluation of the run in ``path``, by policy."""
-    found = {}
-    for policy, estimates in evaluation["policies"].items():
-        metrics = {name: float(each["value"]) for name, each in estimates.items() if _is_kept(name)}
-        metrics |= {name + WIDTH: _width(each) for name, each in estimates.items() if _is_shown(name)}
-        if policy == FRONT:
-            distances = _distances(Front.read(path))
-            metrics |= {LOWEST_DISTANCE: float(distances.min()), HIGHEST_DISTANCE: float(distances.max())}
-        found[policy] = _with_total(metrics)
-    return found
+def _results_of(run: PlannedRun) -> tuple[list[ResultRow], list[ResultRow]]:
+    """The rows of a finished run in both tables.
+
+    Raises:
+        ValueError: naming the file that is missing or damaged.
+    """
+    path = run.job.path
+    keys = {
+        "task": run.task,
+        "protocol": run.protocol,
+        "variant": run.variant,
+        "label": run.label,
+        "seed": run.seed,
+        "steps": run.job.experiment.training.total_timesteps,
+    }
+    evaluation = read_evaluation(path)
+    if evaluation is None or evaluation.episodes is None or evaluation.seed is None:
+        raise ValueError(f"run {str(path)!r} has no final evaluation with the number of episodes and their seed")
+    seconds = float(read_status(path).get("seconds", 0.0))
+    measured = {"seconds": seconds, "episodes": evaluation.episodes, "first_episode": evaluation.seed}
+    scores = [
+        {**keys, **measured, "policy": policy, **_final_scores(path, policy, estimates)}
+        for policy, estimates in evaluation.policies.items()
+    ]
+    return scores, [{**keys, **row} for row in _learning_curve(path)]
+
+
+def _final_scores(path: Path, policy: str, estimates: Mapping[str, EstimateRecord]) -> dict[str, float]:
+    """The metrics of a policy in the final evaluation of the run in ``path``."""
+    metrics = {name: each.value for name, each in estimates.items() if _is_kept(name)}
+    metrics |= {name + WIDTH: _width(each) for name, each in estimates.items() if _is_shown(name)}
+    if policy == FRONT:
+        distances = _distances(Front.read(path))
+        metrics |= {LOWEST_DISTANCE: float(distances.min()), HIGHEST_DISTANCE: float(distances.max())}
+    return _with_total(metrics)
 
 
 def _is_shown(name: str) -> bool:
@@ -198,10 +220,9 @@ def _is_shown(name: str) -> bool:
     return split_name(name).metric in (UTILITY_ESR, SUCCESS, end_by(COLLISION), return_of("distance"))
 
 
-def _width(estimate: Mapping[str, Any]) -> float:
+def _width(estimate: EstimateRecord) -> float:
     """The width of an interval of an evaluation.json; NaN if there is none."""
-    low, high = estimate["low"], estimate["high"]
-    return float(high - low) if low is not None and high is not None else np.nan
+    return np.nan if estimate.low is None or estimate.high is None else estimate.high - estimate.low
 
 
 def _distances(front: Front) -> NDArray[np.float64]:
@@ -213,7 +234,7 @@ def _distances(front: Front) -> NDArray[np.float64]:
 
 def _learning_curve(path: Path) -> list[ResultRow]:
     """The evaluations during training of the run in ``path``."""
-    columns = read_metrics(path / "metrics.csv")
+    columns = read_metrics(path / METRICS_FILE)
     rows = []
     for policy in POLICIES:
         prefix = evaluation_prefix(policy)

@@ -32,7 +32,7 @@ import polars as pl
 
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
 from algorithms.experiments.run_files import changed_files
-from algorithms.reporting.seed_tables import final_scores
+from algorithms.reporting.run_records import ExperimentRecord, experiment_record, final_scores
 from algorithms.reporting.style import MAX_POINTS
 from algorithms.sweeps.manifest import ManifestRow, label, read_manifest
 from algorithms.sweeps.metrics_parquet import LogState, part_files, update_metrics, write_parquet
@@ -65,10 +65,10 @@ class Cell:
     trial: int | None
     rows: tuple[ManifestRow, ...]
 
-    @property
-    def config(self) -> dict[str, Any]:
+    @cached_property
+    def experiment(self) -> ExperimentRecord:
         """The resolved experiment of the first run."""
-        return self.rows[0].config
+        return experiment_record(self.rows[0].config)
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Collection:
         states: of all runs, by id.
         logs: of the runs with a metrics.csv, by id.
         scored: ids of the runs with scores.
-        problems: final evaluations that cannot be read.
+        problems: why final evaluations cannot be read, by id.
         altered: what differs from the record of a finished run's files, by id.
         folder: of the files.
         not_stored: why they are not in the sweep; None if they are.
@@ -93,7 +93,7 @@ class Collection:
     states: dict[str, str]
     logs: dict[str, LogState]
     scored: frozenset[str]
-    problems: tuple[str, ...]
+    problems: dict[str, str]
     altered: dict[str, list[str]]
     folder: Path
     not_stored: str | None = None
@@ -136,13 +136,14 @@ class Collection:
         """Messages about missing and unreadable results, one line each."""
         found = []
         left_out = {run: problems for run, problems in self.altered.items() if _unreliable(problems)}
-        without = [row for row in self.rows if row.id not in self.scored and row.id not in left_out]
+        told = {*self.scored, *left_out, *self.problems}
+        without = [row for row in self.rows if row.id not in told]
         if without:
             counts = Counter(self.states[row.id] for row in without).most_common()
             states = ", ".join(f"{number} {state}" for state, number in counts)
             names = _shortened([row.directory for row in without])
             found.append(f"{len(without)} of {len(self.rows)} runs have no final evaluation ({states}): {names}")
-        broken = [*self.problems, *(log.problem for log in self.logs.values() if log.problem)]
+        broken = [*self.problems.values(), *(log.problem for log in self.logs.values() if log.problem)]
         if broken:
             found.append(f"{len(broken)} files cannot be read: {_shortened(broken)}")
         return [*found, *self._altered_runs(left_out)]
@@ -175,14 +176,14 @@ class Collection:
         if not names:
             return {}
         mine = self.metrics.filter(pl.col("run").is_in(runs)).select("run", STEP, *names)
-        last = mine.select(pl.col(STEP).max()).collect().item() or 0
-        binned = (
+        last = self._read(mine.select(pl.col(STEP).max())).item() or 0
+        wanted = (
             mine.unpivot(names, index=["run", STEP], variable_name="metric")
             .filter(pl.col("value").is_finite())
             .group_by("run", "metric", pl.col(STEP) // (last // points + 1))
             .agg(pl.col(STEP).mean().alias("mean_step"), pl.col("value").mean())
-            .collect(engine="streaming")
         )
+        binned = self._read(wanted)
         return {
             str(run): {
                 name: column.to_numpy()
@@ -195,6 +196,19 @@ class Collection:
             }
             for (run,), rows in binned.partition_by("run", as_dict=True).items()
         }
+
+    def _read(self, frame: pl.LazyFrame) -> pl.DataFrame:
+        """The rows of a frame of the metrics.
+
+        Raises:
+            ValueError: if their files are damaged.
+        """
+        try:
+            return frame.collect(engine="streaming")
+        except pl.exceptions.PolarsError as error:
+            folder = self.sweep / FOLDER / "metrics"
+            reason = " ".join(str(error).split())
+            raise ValueError(f"{str(folder)!r} is damaged; delete it, and it is made again: {reason}") from None
 
     def latest_scores(self) -> tuple[str, pl.DataFrame]:
         """The best scores that are known: final evaluations, or the last evaluations during training if there are none.
@@ -212,14 +226,14 @@ class Collection:
         names = [name for name in metrics.collect_schema().names() if name.startswith(EVALUATION)]
         if not names:
             return "last", final
-        long = (
+        wanted = (
             metrics.select("run", STEP, *names)
             .unpivot(names, index=["run", STEP], variable_name="name")
             .filter(pl.col("value").is_finite())
             .group_by("run", "name")
             .agg(pl.col("value").sort_by(STEP).last())
-            .collect(engine="streaming")
         )
+        long = self._read(wanted)
         places = [split_name(name) for name in long["name"]]
         columns = [pl.Series(key, [place[i] for place in places], pl.String) for i, key in enumerate(SCORE_KEYS)]
         return "last", long.with_columns(columns).drop("name")
@@ -266,7 +280,7 @@ def _collect(sweep: Path, rows: tuple[ManifestRow, ...], folder: Path) -> Collec
         write_parquet(folder / "runs.parquet", runs)
         write_parquet(folder / "scores.parquet", scores.join(of_runs, on="run", how="left"))
     altered = {run: found for run, found in altered.items() if found}
-    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), tuple(problems), altered, folder)
+    return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), problems, altered, folder)
 
 
 def _differences(run: Path, status: Mapping[str, Any], log: LogState | None) -> list[str]:
@@ -314,7 +328,7 @@ def _runs_frame(
             pl.Series("trial", [row.trial for row in rows], pl.Int64),
             pl.Series("seed", [row.seed for row in rows], pl.Int64),
             pl.Series("state", [states[row.id] for row in rows], pl.String),
-            pl.Series("step", steps, pl.Int64),
+            pl.Series("step", steps, pl.Int64, strict=False),
             pl.Series("rows", [logs[row.id].rows if row.id in logs else 0 for row in rows], pl.Int64),
             *(_key_column(key, [row.cell.get(key) for row in rows]) for key in keys),
         ]
@@ -330,10 +344,10 @@ def _key_column(key: str, values: Sequence[Any]) -> pl.Series:
     return pl.Series(key, [as_json(value) for value in values], pl.String)
 
 
-def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFrame, list[str]]:
-    """The final evaluations, and messages about those that cannot be read."""
+def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFrame, dict[str, str]]:
+    """The final evaluations, and messages about those that cannot be read, by id."""
     found: list[tuple[Any, ...]] = []
-    problems = []
+    problems: dict[str, str] = {}
     for row in rows:
         try:
             found += [
@@ -341,7 +355,7 @@ def _scores_frame(rows: Iterable[ManifestRow], sweep: Path) -> tuple[pl.DataFram
                 for name, estimate in final_scores(sweep / row.directory).items()
             ]
         except ValueError as error:
-            problems.append(str(error))
+            problems[row.id] = str(error)
     types = {**dict.fromkeys(("run", *SCORE_KEYS), pl.String()), **dict.fromkeys(NUMBERS, pl.Float64())}
     return pl.DataFrame(found, types, orient="row"), problems
 

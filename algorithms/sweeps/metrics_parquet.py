@@ -6,7 +6,6 @@ Only runs whose metrics.csv has changed are read again, and only parts that hold
 from __future__ import annotations
 
 import contextlib
-import csv
 import hashlib
 import io
 import json
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from algorithms.common.metrics_file import read_metrics
+from algorithms.common.metrics_file import DIGITS, read_header, read_metrics
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.metrics import STEP
 
@@ -73,7 +72,7 @@ class MetricsPart:
         try:
             found = json.loads(pl.read_parquet_metadata(path)[METADATA])
             return cls(path, {run: LogState(**log) for run, log in found.items()}, list(pl.read_parquet_schema(path)))
-        except (KeyError, TypeError, ValueError, pl.exceptions.PolarsError):
+        except (AttributeError, KeyError, TypeError, ValueError, pl.exceptions.PolarsError):
             return cls(path, {}, [])
 
     def updated(self, logs: Mapping[str, LogState], files: Mapping[str, Path], columns: list[str]) -> MetricsPart:
@@ -91,8 +90,11 @@ class MetricsPart:
         if len(known) == len(logs) == len(self.logs) and columns == self.columns:
             return self
         frames = [pl.DataFrame(schema={"run": pl.String, STEP: pl.Int64})]
-        if known:
-            frames.append(pl.read_parquet(self.path, glob=False).filter(pl.col("run").is_in(list(known))))
+        try:
+            if known:
+                frames.append(pl.read_parquet(self.path, glob=False).filter(pl.col("run").is_in(list(known))))
+        except pl.exceptions.PolarsError:  # damaged
+            known = {}
         for run, log in logs.items():
             if run in known:
                 continue
@@ -131,8 +133,8 @@ def update_metrics(folder: Path, files: Mapping[str, Path]) -> dict[str, LogStat
     read = {run: log for part in parts.values() for run, log in part.logs.items()}
     for run, log in logs.items():
         if not log.same(read.get(run)):
-            with contextlib.suppress(OSError), files[run].open("rb") as file:
-                columns |= set(_header(file.readline()))
+            with contextlib.suppress(OSError, ValueError), files[run].open("rb") as file:
+                columns |= set(read_header(file.readline()))
     ordered = ["run", STEP, *sorted(columns - {"run", STEP})]
     result: dict[str, LogState] = {}
     for path, runs in plan.items():
@@ -188,12 +190,6 @@ def _assign_runs(
     return plan
 
 
-def _header(line: bytes) -> list[str]:
-    """The columns in the first line of a metrics.csv; none if the line is incomplete or not a header."""
-    names = next(csv.reader([line.decode(errors="replace")]), []) if line.endswith(b"\n") else []
-    return names if names[:1] == [STEP] else []
-
-
 def _read_rows(path: Path) -> pl.DataFrame:
     """The complete rows of a metrics.csv, with null for missing values.
 
@@ -202,17 +198,15 @@ def _read_rows(path: Path) -> pl.DataFrame:
     """
     data = path.read_bytes()
     data = data[: data.rfind(b"\n") + 1]
-    names = _header(data[: data.find(b"\n") + 1])
     # read_metrics is slow but tolerates ragged rows and says what is wrong; polars reads only files that are regular.
-    if names and data.count(b",") == (len(names) - 1) * data.count(b"\n"):
-        with contextlib.suppress(pl.exceptions.PolarsError):
+    with contextlib.suppress(ValueError, pl.exceptions.PolarsError):
+        names = read_header(data[: data.find(b"\n") + 1])
+        if data.count(b",") == (len(names) - 1) * data.count(b"\n") and b"\0" not in data:
             types = {name: pl.Int64() if name == STEP else pl.Float64() for name in names}
-            return pl.read_csv(data, schema=types).fill_nan(None)
-    try:
-        columns = read_metrics(path)
-    except UnicodeDecodeError as error:
-        raise ValueError(f"metrics file {str(path)!r} is broken: {error}") from None
-    return pl.DataFrame(columns).with_columns(pl.col(STEP).cast(pl.Int64)).fill_nan(None)
+            frame = pl.read_csv(data, schema=types).fill_nan(None)
+            if frame[STEP].is_between(0, 10**DIGITS - 1).all() and not frame[STEP].has_nulls():
+                return frame
+    return pl.DataFrame(read_metrics(path)).with_columns(pl.col(STEP).cast(pl.Int64)).fill_nan(None)
 
 
 def _with_columns(frame: pl.DataFrame, columns: Sequence[str]) -> pl.DataFrame:

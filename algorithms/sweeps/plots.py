@@ -10,7 +10,7 @@ from algorithms.reporting.learning_curves import CurveGroup, describe, drawn, pl
 from algorithms.reporting.sweep_effects import VariedScores, plot_effects
 from algorithms.sweeps.collection import Cell, Collection, collect
 from algorithms.sweeps.ranking import Ranking, cell_labels, rank, short_names, value_labels, varying_keys
-from mo_deepdrive.evaluation.metrics import evaluation_prefix
+from mo_deepdrive.evaluation.metrics import EVALUATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -66,22 +66,21 @@ def best_cells(rankings: Sequence[Ranking]) -> list[Cell]:
 
 
 def best_curves(collection: Collection, rankings: Sequence[Ranking]) -> list[CurveGroup]:
-    """The curves of the best cells, of those runs that have a score; with several cells of the ranked policies alone.
+    """The curves of the best cells, of those runs that have a score; with several cells of evaluations alone.
 
     Raises:
         ValueError: if no run has any metrics.
     """
     cells = best_cells(rankings)
     names = collection.metrics.collect_schema().names()
-    wanted = {name for cell in cells for name in drawn(names, cell.config)}
+    wanted = {name for cell in cells for name in drawn(names, cell.experiment)}
     if len(cells) > 1:
-        ranked = tuple(evaluation_prefix(ranking.policy) for ranking in rankings if ranking.policy)
-        wanted = {name for name in wanted if name.startswith(ranked)}
+        wanted = {name for name in wanted if name.startswith(EVALUATION)}
     runs = {run for ranking in rankings for run in ranking.scores}
     found = collection.curves([row.id for cell in cells for row in cell.rows if row.id in runs], sorted(wanted))
     labels = cell_labels(cells, varying_keys([cell.keys for cell in collection.cells]))
     groups = [
-        CurveGroup(text, cell.config, tuple(found[row.id] for row in cell.rows if row.id in found))
+        CurveGroup(text, cell.experiment, tuple(found[row.id] for row in cell.rows if row.id in found))
         for text, cell in zip(labels, cells, strict=True)
     ]
     return [group for group in groups if group.runs]
@@ -93,7 +92,7 @@ def varied_scores(collection: Collection, ranking: Ranking) -> VariedScores:
     keys = varying_keys([row.cell for row in rows])
     names = short_names(keys)
     values = {names[key]: _numbers_or_words([row.cell.get(key) for row in rows]) for key in keys}
-    algorithms = {row.id: cell.config["algorithm"]["name"] for cell in ranking.cells for row in cell.rows}
+    algorithms = {row.id: cell.experiment.algorithm.name for cell in ranking.cells for row in cell.rows}
     return VariedScores(
         ranking.title,
         ranking.score_name,

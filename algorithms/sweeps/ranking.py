@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from algorithms.reporting.seed_groups import task_settings
-from algorithms.reporting.seed_tables import environment_label, utility_label
 from algorithms.sweeps.collection import SCORE_KEYS, Cell, as_json
 from algorithms.sweeps.manifest import label
 from mo_deepdrive.evaluation.metrics import (
@@ -100,7 +98,8 @@ def rank(cells: Sequence[Cell], scores: pl.DataFrame, metric: str | None = None)
     """
     groups: dict[str, list[Cell]] = {}
     for cell in cells:
-        groups.setdefault(_comparison_key(cell.config), []).append(cell)
+        experiment = cell.experiment
+        groups.setdefault(f"{experiment.task_key} {experiment.evaluation.split}", []).append(cell)
     finite = scores.select("run", *SCORE_KEYS, "value").filter(pl.col("value").is_finite())
     if metric is not None:
         check_metric(metric, finite)
@@ -159,14 +158,9 @@ def totals(scores: pl.DataFrame) -> pl.DataFrame:
     return of_vehicles.group_by("run", *SCORE_KEYS).agg(pl.col("value").sum())
 
 
-def _comparison_key(config: Mapping[str, Any]) -> str:
-    """A text that is equal for experiments whose scores are comparable."""
-    return as_json([task_settings(config), config["evaluation"]["split"]])
-
-
 def _titles(groups: Sequence[Sequence[Cell]]) -> list[str]:
     """Environment and utility of each group of cells; equal titles also get the keys that differ."""
-    titles = [_title(cells[0].config) for cells in groups]
+    titles = [cells[0].experiment.title for cells in groups]
     differing = varying_keys([cell.keys for cells in groups for cell in cells])
     result = []
     for title, cells in zip(titles, groups, strict=True):
@@ -175,10 +169,6 @@ def _titles(groups: Sequence[Sequence[Cell]]) -> list[str]:
         distinguishing = {key: keys[key] for key in differing if key in keys and key not in inside}
         result.append(f"{title} ({label(distinguishing)})" if titles.count(title) > 1 else title)
     return result
-
-
-def _title(config: Mapping[str, Any]) -> str:
-    return ", ".join(filter(None, (environment_label(config["environment"]), utility_label(config["utility"]))))
 
 
 # -------------------------------------------------------------------------------------------------------------- labels
@@ -230,5 +220,5 @@ def cell_labels(cells: Sequence[Cell], keys: Sequence[str]) -> list[str]:
     for i, cell in enumerate(cells):
         parts = [] if cell.trial is None else [f"trial {cell.trial}"]
         parts += [names[key] + values[key][i] for key in keys]
-        labels.append(", ".join(parts) or cell.config["algorithm"]["name"])
+        labels.append(", ".join(parts) or cell.experiment.algorithm.name)
     return labels

@@ -24,7 +24,7 @@ from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verd
 from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, read_status
-from algorithms.reporting.seed_tables import final_metrics
+from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
 from mo_deepdrive.atomic_io import own_path
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP

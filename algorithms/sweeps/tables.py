@@ -12,6 +12,7 @@ from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
     ScoreGroup,
     comparison_table,
+    interval_note,
     scores_table,
 )
 from algorithms.reporting.wide_tables import Rows, print_rows
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-REST = "--output FILE.csv writes every column"
+REST = "--output FILE.csv writes every metric"
 ALGORITHM_KEYS = ("config", "algorithm", "algorithm.name")  # keys of cells that choose the algorithm
 
 
@@ -36,8 +37,7 @@ def print_sweep(
     *,
     metric: str | None = None,
     top: int = 20,
-    whole: bool = False,
-) -> list[Rows]:
+) -> tuple[list[ScoreGroup], list[ScoreGroup]]:
     """Print the best cells of a sweep and the first comparisons of algorithms.
 
     Args:
@@ -45,11 +45,10 @@ def print_sweep(
         console: where to print.
         warn: called with a message about everything that is left out.
         metric: to sort by; None for the utility or the hypervolume.
-        top: rows to print of each table.
-        whole: whether to return whole tables, which takes a while for large sweeps.
+        top: cells to print of each table, and comparisons.
 
     Returns:
-        The scores of all cells and all comparisons; nothing unless ``whole``.
+        The scores of all cells, and those by which they are compared.
 
     Raises:
         ValueError: if it is not a sweep, or an empty one, or no run has a final evaluation or the metric.
@@ -81,8 +80,9 @@ def print_sweep(
     if len(compared) > 1:
         count = len(compared) - 1
         title = f"algorithms where nothing else differs: {min(top, count)} of {count} comparisons"
-        print_rows(console, compared[: 1 + top], title, compared[0].index("value"))
-    return [scores_table(all_groups), compared] if whole else []
+        print_rows(console, compared[: 1 + top], title, compared[0].index("mean"))
+    console.print(interval_note(all_groups), highlight=False)
+    return all_groups, to_compare
 
 
 def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
@@ -99,7 +99,7 @@ def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
         texts = {key: value_text(value) for key, value in cell.keys.items()}
         task = {key: text for key, text in texts.items() if key not in ALGORITHM_KEYS}
         trial = {} if cell.trial is None else {"trial": str(cell.trial)}
-        algorithm = cell.config["algorithm"]["name"]
+        algorithm = cell.experiment.algorithm.name
         group = ScoreGroup({**trial, **texts}, task, algorithm, ranking.title, wanted=len(cell.rows))
         for row in cell.rows:
             if row.id in collection.scored:
@@ -111,13 +111,13 @@ def group_cells(collection: Collection, ranking: Ranking) -> list[ScoreGroup]:
 
 
 def _ranked_scores(ranking: Ranking, group: ScoreGroup) -> ScoreGroup:
-    """A group with the scores of one policy and vehicle alone, those by which its ranking is sorted."""
-    place = (ranking.policy, "" if ranking.vehicle == TOTAL else ranking.vehicle)
-    return replace(group, scores={name: values for name, values in group.scores.items() if name[:2] == place})
+    """A group with the scores of one vehicle alone, that by which its ranking is sorted."""
+    vehicle = "" if ranking.vehicle == TOTAL else ranking.vehicle
+    return replace(group, scores={name: values for name, values in group.scores.items() if name.vehicle == vehicle})
 
 
 def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int) -> Rows:
-    """The best cells of a ranking for the terminal: short names of their keys, and the scores of one policy.
+    """The best cells of a ranking for the terminal: short names of their keys, and the scores of one vehicle.
 
     Args:
         ranking: the cells.
@@ -133,4 +133,4 @@ def best_cells(ranking: Ranking, groups: Sequence[ScoreGroup], top: int) -> Rows
         names = {name: texts[i] for name, texts in columns.items()}
         brief.append(replace(_ranked_scores(ranking, group), about={**trial, **names}))
     rows = scores_table(brief, [ranking.metric, *(name for name in TABLE_METRICS if name != ranking.metric)])
-    return [[cell for name, cell in zip(rows[0], row, strict=True) if name not in SCORE_KEYS] for row in rows]
+    return [[cell for name, cell in zip(rows[0], row, strict=True) if name != "vehicle"] for row in rows]

@@ -27,6 +27,16 @@ def run_table(load_script: Callable[[str], ModuleType]) -> Script:
     return lambda *arguments: load_script("table").main([str(argument) for argument in arguments])
 
 
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def pick(rows: list[dict[str, str]], **wanted: str) -> list[dict[str, str]]:
+    """The rows with the values that are wanted."""
+    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+
+
 def make_run(folder: Path, algorithm: str, seed: int, utility: float | None) -> Path:
     """A run directory with a final evaluation in which every number is ``utility``; None for none."""
     experiment = load_experiment(ROOT / f"configs/one_waypoint/{algorithm}_linear.yaml", [f"--seed={seed}"])
@@ -48,19 +58,62 @@ def test_the_table_gives_means_over_seeds_and_compares_the_algorithms(tmp_path: 
             make_run(tmp_path, algorithm, seed, utility)
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
-    rows = list(csv.reader(output.read_text().splitlines()))
-    header, *groups = rows[: rows.index([])]
-    assert [(row[2], row[4], row[5]) for row in groups] == [
-        (algorithm, policy, "0 1 2") for algorithm in scores for policy in ("greedy", "stochastic")
+    utilities = pick(read(output), metric="utility_esr")
+    assert [(row["algorithm"], row["policy"], row["seeds"], row["n"]) for row in utilities] == [
+        (algorithm, policy, "0 1 2", "3") for algorithm in scores for policy in ("greedy", "stochastic")
     ]
-    utility = groups[0][header.index("utility_esr")]
-    assert float(utility.split()[0]) == pytest.approx(3.0, abs=0.05)
-    assert "[" in utility
-    compared = rows[rows.index([]) + 2]
-    assert compared[3:5] == ["mo_a2c - a2c", "utility_esr"]
-    assert float(compared[5]) == pytest.approx(10.0)
-    assert float(compared[6]) < 10.0 < float(compared[7])
-    assert float(compared[8]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
+    assert [float(utilities[0][name]) for name in ("mean", "low", "high")] == [3.0, 1.0, 6.0]
+    assert [row["mean"] for row in pick(read(output), metric="utility_esr_iqm")] == ["3.0"] * 2 + ["13.0"] * 2
+    compared = read(tmp_path / "scores-differences.csv")
+    assert [row["policy"] for row in compared] == ["greedy", "stochastic"]
+    for row in compared:
+        assert (row["difference"], row["metric"], row["n"], row["n_other"]) == ("mo_a2c - a2c", "utility_esr", "3", "3")
+        assert float(row["mean"]) == pytest.approx(10.0)
+        assert float(row["low"]) < 10.0 < float(row["high"])
+        assert float(row["p"]) == pytest.approx(0.1)  # the smallest p-value that 3 against 3 can give
+
+
+def test_tables_are_written_for_papers_and_pages(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for algorithm in ("a2c", "mo_a2c"):
+        for seed in range(3):
+            make_run(tmp_path, algorithm, seed, seed - 5.25)
+    for ending in ("tex", "md"):
+        assert run_table(tmp_path, "--output", tmp_path / f"table.{ending}") == 0
+        written = f"written: {tmp_path}/table.{ending}, {tmp_path}/table-differences.{ending}"
+        assert capsys.readouterr().out.splitlines()[-1] == written
+    tex = (tmp_path / "table.tex").read_text()
+    lines = [line for line in tex.splitlines() if not line.startswith("%")]
+    columns = len(TABLE_METRICS) + 1 + 2  # metrics, interquartile mean, and the labels that differ
+    assert lines[:3] == [rf"\begin{{tabular}}{{ll{'r' * (columns - 2)}}}", r"\toprule", lines[2]]
+    assert [lines[i] for i in (3, -2, -1)] == [r"\midrule", r"\bottomrule", r"\end{tabular}"]
+    for line in (lines[2], *lines[4:-2]):
+        assert line.count(" & ") == columns - 1
+        assert line.endswith(r" \\")
+    assert lines[2].startswith(r"algorithm & policy & utility\_esr & ")
+    assert [line.split(" & ")[:3] for line in lines[4:-2]] == [
+        [algorithm, policy, "$-$4.2 [$-$5.2, $-$3.2]"]
+        for algorithm in ("a2c", r"mo\_a2c")
+        for policy in ("greedy", "stochastic")
+    ]
+    assert r"% needs \usepackage{booktabs}" in tex
+    assert "% Means over seeds with 95% bootstrap intervals over seeds (with three seeds: from the lowest" in tex
+    shared, _, header, rule, *rows, _, note = (tmp_path / "table.md").read_text().splitlines()
+    assert shared.startswith("environment mo-deepdrive-one-waypoint-v0, utility one_waypoint_linear, steps ")
+    assert header.startswith("| algorithm | policy | utility_esr | ")
+    assert rule == "| --- | --- |" + " ---: |" * (columns - 2)
+    assert len(rows) == 4
+    assert note.startswith("Means over seeds")
+
+
+@pytest.mark.parametrize("name", ["t.tsv", "t", "t.xlsx", ".csv/t.txt"])
+def test_other_formats_are_refused_before_anything_is_read(
+    tmp_path: Path, run_table: Script, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert run_table("nowhere", "--output", tmp_path / name) == 2
+    expected = f"error: --output '{tmp_path / name}' must end in .csv or .md or .tex\n"
+    assert capsys.readouterr() == ("", expected)
 
 
 def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Path, run_table: Script) -> None:
@@ -80,22 +133,27 @@ def test_every_vehicle_has_a_row_and_there_is_one_for_all_together(tmp_path: Pat
             (path / "evaluation.json").write_text(json.dumps(content))
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
-    rows = list(csv.reader(output.read_text().splitlines()))
-    end = rows.index([])
-    found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
-    assert [(row["algorithm"], row["policy"], row["vehicle"]) for row in found] == [
+    found = read(output)
+    vehicles = ("", "vehicle_0", "vehicle_1")
+    assert list(dict.fromkeys((row["algorithm"], row["policy"], row["vehicle"]) for row in found)) == [
         (algorithm, policy, vehicle)
         for algorithm in ("a2c", "mo_a2c")
         for policy in ("greedy", "stochastic")
-        for vehicle in ("", "vehicle_0", "vehicle_1")
+        for vehicle in vehicles
     ]
     assert found[0]["environment"] == "mo-deepdrive-intersection-v0 end_together=True"
-    assert found[0]["success"].startswith("0.5")
-    assert found[0]["utility_esr"] == ""
-    assert found[2]["utility_esr"].startswith("2")
-    assert found[2]["return/lane_violation"].startswith("-2")
-    compared = [dict(zip(rows[end + 1], row, strict=True)) for row in rows[end + 2 :]]
-    assert [(row["vehicle"], float(row["value"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)] * 2
+    first = pick(found, algorithm="a2c", policy="greedy")
+    assert [(row["vehicle"], row["metric"], float(row["mean"])) for row in first if "iqm" not in row["metric"]] == [
+        ("", "success", 0.5),
+        ("", "end/collision", 0.25),
+        *(
+            (f"vehicle_{v}", name, value)
+            for v in (0, 1)
+            for name, value in (("utility_esr", 1.0 + v), ("return/lane_violation", -2.0))
+        ),
+    ]
+    compared = read(tmp_path / "scores-differences.csv")
+    assert [(row["vehicle"], float(row["mean"])) for row in compared] == [("vehicle_0", 2.0), ("vehicle_1", 2.0)] * 2
 
 
 def test_a_run_without_a_final_evaluation_is_named_and_left_out(
@@ -106,7 +164,7 @@ def test_a_run_without_a_final_evaluation_is_named_and_left_out(
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
     assert f"left out: {unfinished}" in capsys.readouterr().err
-    assert list(csv.reader(output.read_text().splitlines()))[1][5] == "0"
+    assert {row["seeds"] for row in read(output)} == {"0"}
 
 
 def test_folders_without_runs_and_repeated_seeds_are_refused(
@@ -142,28 +200,20 @@ def test_fronts_have_indicators_and_are_compared_by_hypervolume(tmp_path: Path, 
     make_run(tmp_path, "a2c", 1, 6.0)
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
-    rows = list(csv.reader(output.read_text().splitlines()))
-    end = rows.index([])
-    found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:end]]
-    fronts = [row for row in found if row["policy"] == "front"]
-    assert [(row["algorithm"], row["utility"], row["seeds"]) for row in fronts] == [
-        ("pcn", "", "0 1 2"),
-        ("morl_baselines.pcn", "", "0 1 2"),
-    ]
-    for row, base in zip(fronts, (100.0, 40.0), strict=True):
-        assert float(row["hypervolume"].split()[0]) == pytest.approx(base + 3.0, abs=0.5)
-        assert "[" in row["hypervolume"]
-        assert float(row["cardinality"]) == base
-        assert float(row["igd_plus"]) == 0.5
-        assert row["utility_esr"] == row["utility_esr_iqm"] == ""
-    assert [row["policy"] for row in found if row["algorithm"] == "a2c"] == ["greedy", "stochastic"]
-    (compared,) = [dict(zip(rows[end + 1], row, strict=True)) for row in rows[end + 2 :]]
-    assert (compared["difference"], compared["of"], compared["policy"]) == (
+    found = read(output)
+    for algorithm, base in (("pcn", 100.0), ("morl_baselines.pcn", 40.0)):
+        rows = {row["metric"]: row for row in pick(found, algorithm=algorithm, policy="front", utility="")}
+        assert list(rows) == ["hypervolume", "cardinality", "expected_utility", "igd_plus"]
+        assert [float(row["mean"]) for row in rows.values()] == pytest.approx([base + 3.0, base, 3.0, 0.5])
+        assert float(rows["hypervolume"]["low"]) == base + 1.0
+    assert {row["policy"] for row in found if row["algorithm"] == "a2c"} == {"greedy", "stochastic"}
+    (compared,) = read(tmp_path / "scores-differences.csv")
+    assert (compared["difference"], compared["metric"], compared["policy"]) == (
         "morl_baselines.pcn - pcn",
         "hypervolume",
         "front",
     )
-    assert float(compared["value"]) == pytest.approx(-60.0)
+    assert float(compared["mean"]) == pytest.approx(-60.0)
     assert float(compared["low"]) < -60.0 < float(compared["high"])
 
 
@@ -172,9 +222,9 @@ def test_one_seed_of_a_front_is_shown_and_not_compared(tmp_path: Path, run_table
         make_front_run(tmp_path, config, 0, {"hypervolume": 7.5, "cardinality": 3.0})
     output = tmp_path / "scores.csv"
     assert run_table(tmp_path, "--output", output) == 0
-    rows = list(csv.reader(output.read_text().splitlines()))
-    assert rows[0] == ["environment", "algorithm", "steps", "policy", "seeds", "hypervolume", "cardinality"]
-    assert [row[5:] for row in rows[1:]] == [["7.5", "3"]] * 2, "and no lines of comparisons"
+    numbers = [[row[name] for name in ("metric", "mean", "low", "high", "n")] for row in read(output)]
+    assert numbers == [["hypervolume", "7.5", "", "", "1"], ["cardinality", "3.0", "", "", "1"]] * 2
+    assert not (tmp_path / "scores-differences.csv").exists()
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_the_table(
@@ -212,5 +262,4 @@ def test_a_run_whose_final_evaluation_has_changed_is_left_out(
     assert run_table(tmp_path, "--output", output) == 0
     message = f"left out: {changed}: evaluation.json: changed since the run finished\n"
     assert capsys.readouterr().err == message
-    header, *rows = list(csv.reader(output.read_text().splitlines()))
-    assert {row[header.index("seeds")] for row in rows if row} == {"1"}
+    assert {row["seeds"] for row in read(output)} == {"1"}

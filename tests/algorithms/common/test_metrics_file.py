@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,14 +43,36 @@ def test_a_torn_last_row_is_not_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_metrics(path)["step"], [0])
 
 
-@pytest.mark.parametrize(("text", "message"), [("a,b\n1,2\n", "no column 'step'"), ("step,a\n0,x\n", "is broken")])
-def test_files_that_hold_no_metrics_are_refused(tmp_path: Path, text: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"a,b\n1,2\n", "has no column 'step' at its beginning"),
+        (b"\nstep,a\n0,1\n", "has no column 'step' at its beginning"),
+        (b"0,1.0\n10,2.0\n", "has no column 'step' at its beginning"),
+        (b"\x7fELF\x01", "has no column 'step' at its beginning"),
+        (b"step,a,a\n0,1,2\n", "has two columns of the name 'a'"),
+        (b"step\n\x80\n", "is not a CSV file: 'utf-8' codec"),
+        (b"step,a\n0,\0\n", "is not a CSV file: it has NUL bytes"),
+        (b"\0" * 100, "is not a CSV file: it has NUL bytes"),
+        (b'step,a\n0,"1\n', "is not a CSV file: unexpected end of data"),
+        (b"step,a\n0,x\n", "is broken: a = 'x' at step 0 is not a number"),
+        *(
+            (f"step,a\n{step},1\n".encode(), f"has a row of step '{step}'; a step is an integer of at most 16 digits")
+            for step in ("abc", "", "nan", "-1", "1.5", "1" * 17)
+        ),
+    ],
+)
+def test_a_damaged_file_is_neither_read_nor_continued(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "metrics.csv"
+    path.write_bytes(content)
+    whole = re.escape(f"metrics file '{path}' {message}")
+    with pytest.raises(ValueError, match=f"^{whole}"):
+        read_metrics(path)
+    with pytest.raises(ValueError, match=f"^{whole}.*; repair it, or delete it to resume without its rows$"):
+        MetricsFile(path, after=10)
+    assert path.read_bytes() == content
     with pytest.raises(ValueError, match="does not exist"):
-        read_metrics(path)
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_metrics(path)
+        read_metrics(tmp_path / "nowhere.csv")
 
 
 def written(path: Path, steps: tuple[int, ...] = (0, 10, 10, 20)) -> dict[str, Any]:
@@ -107,29 +130,6 @@ def test_a_changed_value_is_noticed(tmp_path: Path) -> None:
     noted = written(path)
     path.write_text(path.read_text().replace("10.5", "99.5", 1))
     assert MetricsFile(path, after=30, noted=noted).gap is not None
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"step,a\n\xff\xfe,1\n", r"metrics\.csv' is not a CSV file: 'utf-8' codec"),
-        (b"step,a\nabc,1\n", r"metrics\.csv' has a row of step 'abc'; repair it, or delete it"),
-        (b"0,1.0\n10,2.0\n", r"metrics\.csv' has no column 'step' at its beginning; repair it, or delete it"),
-    ],
-)
-def test_a_broken_file_is_not_continued(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "metrics.csv"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=message):
-        MetricsFile(path, after=10)
-    assert path.read_bytes() == content
-
-
-def test_a_binary_file_cannot_be_read(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    path.write_bytes(b"step\n\x80\n")
-    with pytest.raises(ValueError, match=r"metrics\.csv' is not a CSV file"):
-        read_metrics(path)
 
 
 def test_a_file_that_is_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:

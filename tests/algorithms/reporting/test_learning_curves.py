@@ -16,6 +16,7 @@ from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
 from algorithms.reporting import learning_curves
 from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
+from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.style import ALGORITHM_COLOURS, MAX_POINTS, MINIMUM_SPAN
 
 if TYPE_CHECKING:
@@ -128,11 +129,17 @@ def test_rows_without_a_value_are_skipped_and_long_curves_averaged() -> None:
     assert curve([{"step": steps}], "a") is None
 
 
-def made_up(algorithm: str, *runs: Any, name: str = "eval/greedy/utility_esr") -> CurveGroup:
+def made_up(
+    algorithm: str, *runs: Any, name: str = "eval/greedy/utility_esr", env_id: str = "mo-deepdrive-one-waypoint-v0"
+) -> CurveGroup:
     """A group with a run per sequence of values."""
-    config = {"environment": {"id": "mo-deepdrive-one-waypoint-v0"}, "algorithm": {"name": algorithm}}
+    config = {
+        "environment": {"id": env_id},
+        "algorithm": {"name": algorithm},
+        "training": {"seed": 0},
+    }
     columns = tuple({"step": np.arange(len(run), dtype=np.float64), name: np.asarray(run, float)} for run in runs)
-    return CurveGroup(algorithm, config, columns)
+    return CurveGroup(algorithm, experiment_record(config), columns)
 
 
 def panel(*groups: CurveGroup) -> Axes:
@@ -174,10 +181,10 @@ def test_two_seeds_get_no_band_and_the_figure_says_so() -> None:
 
 
 def test_our_destination_is_not_drawn_beside_the_arrival_rate() -> None:
-    (group,) = [made_up("a2c", [1.0], name="eval/greedy/return/destination")]
-    assert not curve_panels([group])
-    group.config["environment"]["id"] = "another-v0"
-    assert [each.title for each in curve_panels([group])] == ["Destination"]
+    name = "eval/greedy/return/destination"
+    assert not curve_panels([made_up("a2c", [1.0], name=name)])
+    (panel,) = curve_panels([made_up("a2c", [1.0], name=name, env_id="another-v0")])
+    assert panel.title == "Destination"
 
 
 @pytest.mark.slow
@@ -205,9 +212,10 @@ def test_scores_under_other_arguments_have_separate_panels_that_name_them() -> N
             "environment": {"id": "theirs-v0", "arguments": {"size": size}},
             "utility": {"name": "linear", "arguments": {"weights": [weight, 1]}, "vehicles": {}},
             "algorithm": {"name": algorithm},
+            "training": {"seed": 0},
             "evaluation": {"gamma": gamma, "reference_point": None, "split": split},
         }
-        return CurveGroup(algorithm, config, made_up(algorithm, [1.0]).runs)
+        return CurveGroup(algorithm, experiment_record(config), made_up(algorithm, [1.0]).runs)
 
     def panels(other: CurveGroup) -> dict[str, tuple[int, ...]]:
         return {panel.title: panel.groups for panel in curve_panels([group("ppo"), other])}
@@ -230,7 +238,7 @@ def test_runs_with_one_vehicle_are_drawn_beside_runs_with_two() -> None:
     groups = []
     for algorithm, metrics in names.items():
         columns = {f"eval/greedy/{name}": np.ones(1) for name in metrics}
-        groups.append(CurveGroup(algorithm, made_up(algorithm).config, ({"step": np.zeros(1), **columns},)))
+        groups.append(CurveGroup(algorithm, made_up(algorithm).experiment, ({"step": np.zeros(1), **columns},)))
     assert [(panel.title, panel.groups) for panel in curve_panels(groups)] == [
         ("Utility per episode", (0,)),
         ("Arrival rate", (0,)),
@@ -241,10 +249,10 @@ def test_runs_with_one_vehicle_are_drawn_beside_runs_with_two() -> None:
         ("All vehicles: arrival rate", (1,)),
     ]
     every = sorted({name for group in groups for columns in group.runs for name in columns} - {"step"})
-    assert drawn(every, groups[0].config) == every
+    assert drawn(every, groups[0].experiment) == every
 
 
 def test_metrics_that_are_drawn_can_be_selected(make: Make) -> None:
     (group,) = load_groups([make("a")])
     names = ["step", "eval/greedy/success", "loss/policy", "train/utility", "eval/greedy/max_jerk"]
-    assert drawn(names, group.config) == ["eval/greedy/success", "train/utility"]
+    assert drawn(names, group.experiment) == ["eval/greedy/success", "train/utility"]

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings, task_settings
+from algorithms.reporting.run_records import RunRecord, experiment_record
+from algorithms.reporting.seed_groups import distinct_labels, group_by_experiment, identifying_settings
 
 CONFIG: dict[str, Any] = {
     "environment": {"id": "a-v0", "arguments": {"time_limit": 60.0}},
@@ -29,7 +30,8 @@ def changed(key: str, value: Any) -> dict[str, Any]:
 
 
 def groups(*configs: dict[str, Any]) -> list[list[int]]:
-    return group_by_experiment([Path(f"run{i}") for i in range(len(configs))], configs)
+    runs = [RunRecord(Path(f"run{i}"), experiment_record(config), {}, {}) for i, config in enumerate(configs)]
+    return [[runs.index(run) for run in members] for members in group_by_experiment(runs)]
 
 
 @pytest.mark.parametrize(
@@ -75,7 +77,8 @@ def test_the_order_of_keys_does_not_matter() -> None:
     backwards = {name: dict(reversed(section.items())) for name, section in reversed(CONFIG.items())}
     backwards["training"]["seed"] = 1
     assert groups(CONFIG, backwards) == [[0, 1]]
-    assert list(identifying_settings(backwards)) == sorted(identifying_settings(CONFIG))
+    settings = [list(identifying_settings(experiment_record(config))) for config in (backwards, CONFIG)]
+    assert settings[0] == sorted(settings[1])
 
 
 def test_a_repeated_seed_is_refused_naming_both_runs() -> None:
@@ -95,7 +98,8 @@ def test_a_repeated_seed_is_refused_naming_both_runs() -> None:
     ],
 )
 def test_scores_are_comparable_in_one_environment_under_one_utility(key: str, value: Any, comparable: bool) -> None:
-    assert (task_settings(CONFIG) == task_settings(changed(key, value))) is comparable
+    keys = [experiment_record(config).task_key for config in (CONFIG, changed(key, value))]
+    assert (keys[0] == keys[1]) is comparable
 
 
 def test_sections_of_one_name_are_told_apart_by_what_differs() -> None:
@@ -105,5 +109,5 @@ def test_sections_of_one_name_are_told_apart_by_what_differs() -> None:
         {"name": "owa", "arguments": {"weights": [1, 1]}},
         None,
     ]
-    found = distinct_labels(sections, lambda section: section["name"] if section else "")
+    found = distinct_labels([section["name"] if section else "" for section in sections], sections)
     assert found == ["linear weights=[100, 1]", "linear weights=[1, 1]", "owa", ""]

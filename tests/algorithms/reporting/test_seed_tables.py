@@ -12,15 +12,15 @@ from rich.console import Console
 
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import make_experiment
+from algorithms.reporting.run_records import EnvironmentRecord, UtilityRecord, label_of
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,
     comparison_table,
-    environment_label,
     find_runs,
     group_runs,
     print_runs,
     scores_table,
-    utility_label,
+    tidy_scores,
     without_empty_columns,
 )
 from mo_deepdrive.evaluation.evaluation import Evaluation
@@ -66,7 +66,7 @@ def test_rows_of_one_algorithm_name_the_settings_that_differ(tmp_path: Path) -> 
     assert told == ["training.num_envs=2", "training.num_envs=4", ""]
 
 
-def test_a_file_has_the_returns_of_all_objectives_and_the_terminal_has_not(tmp_path: Path) -> None:
+def test_a_csv_has_the_returns_of_all_objectives_and_the_terminal_has_not(tmp_path: Path) -> None:
     make_run(tmp_path / "run", 0)
     values = {"success": 0.5, "return/energy": -3.0, "return/jerk": -2.0, "max_jerk": 4.0}
     scores = {name: {"value": value, "low": None, "high": None} for name, value in values.items()}
@@ -167,7 +167,7 @@ def test_files_below_a_run_are_no_runs(tmp_path: Path) -> None:
     of_wandb = tmp_path / "run/wandb/run-1/files"
     of_wandb.mkdir(parents=True)
     (of_wandb / "config.yaml").write_text("_wandb: {}")
-    assert find_runs([tmp_path]) == find_runs([tmp_path / "run"]) == [tmp_path / "run"]
+    assert find_runs([tmp_path], pytest.fail) == find_runs([tmp_path / "run"], pytest.fail) == [tmp_path / "run"]
 
 
 def test_scores_have_the_digits_that_the_episodes_of_one_run_support(tmp_path: Path) -> None:
@@ -192,18 +192,19 @@ def test_environments_are_named_by_their_id_and_the_arguments_that_differ_from_t
             "training": {"total_timesteps": 1000, "num_envs": 2},
         }
     ).to_dict()["environment"]["arguments"]
-    assert environment_label({"id": TWO, "arguments": arguments}) == f"{TWO} time_limit=30.0 end_together=True"
-    assert environment_label({"id": "deep-sea-treasure-v0", "arguments": {"float_state": True}}) == (
-        "deep-sea-treasure-v0"
-    )
-    assert environment_label({"id": "some.module:unknown-v0"}) == "some.module:unknown-v0"
+    for env_id, given, label in (
+        (TWO, arguments, f"{TWO} time_limit=30.0 end_together=True"),
+        ("deep-sea-treasure-v0", {"float_state": True}, "deep-sea-treasure-v0"),
+        ("some.module:unknown-v0", {}, "some.module:unknown-v0"),
+    ):
+        assert label_of(EnvironmentRecord(id=env_id, arguments=given)) == label
 
 
 def test_utilities_are_named_with_those_of_other_vehicles() -> None:
-    assert utility_label(None) == ""
-    assert utility_label({"name": "linear"}) == "linear"
-    other = {"name": "linear", "vehicles": {"vehicle_1": {"name": "owa", "arguments": {}}}}
-    assert utility_label(other) == "linear vehicle_1=owa"
+    assert label_of(None) == ""
+    assert label_of(UtilityRecord(name="linear")) == "linear"
+    other = UtilityRecord(name="linear", vehicles={"vehicle_1": UtilityRecord(name="owa")})
+    assert label_of(other) == "linear vehicle_1=owa"
 
 
 def test_columns_without_numbers_are_dropped() -> None:
@@ -233,9 +234,13 @@ def test_two_seeds_have_no_interval_and_the_table_says_so(tmp_path: Path, seeds:
             scores = {"utility_esr": {"value": 1.0 + seed, "low": None, "high": None}}
             (path / "evaluation.json").write_text(json.dumps({"policies": {"greedy": scores}}))
     console = Console(width=200, record=True)
-    scores_rows, comparisons = print_runs([tmp_path], console, pytest.fail)
-    assert ("Fewer than 3 seeds have no interval." in console.export_text()) is noted
-    utility = scores_rows[1][scores_rows[0].index("utility_esr")]
-    assert ("[" in utility) is (seeds == 3)
+    groups = print_runs([tmp_path], console, pytest.fail)
+    text = console.export_text()
+    assert ("Fewer than 3 seeds have no interval." in text) is noted
+    assert ("(with three seeds: from the lowest to the highest)" in text) is (seeds == 3)
+    header, row, *_ = tidy_scores(groups)
+    ends = [row[header.index(name)] for name in ("mean", "low", "high", "n")]
+    assert ends == ([2.0, 1.0, 3.0, 3] if seeds == 3 else [0.5 + 0.5 * seeds, None, None, seeds])
     if noted:
-        assert comparisons[1][-2:] == ["0.000", "1.000"]
+        header, row = comparison_table(groups)
+        assert dict(zip(header, row, strict=True))["p"] == "1.000"

@@ -58,7 +58,9 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     assert " 0 of them to train" in out
     assert before == {path: path.stat().st_mtime_ns for path in before}
     found = ReproductionResults.read(results)
-    gathered = gather(planned_runs(load_plan("plan.yaml"), ["one_waypoint_linear"], Path("runs/reproduce")))
+    gathered = gather(
+        planned_runs(load_plan("plan.yaml"), ["one_waypoint_linear"], Path("runs/reproduce")), pytest.fail
+    )
     assert [row["seed"] for row in found.scores] == [row["seed"] for row in gathered.scores]
     assert {row["policy"] for row in found.scores} == {"greedy", "stochastic"}
     for row in found.scores:

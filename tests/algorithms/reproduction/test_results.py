@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import gzip
+import json
 from typing import TYPE_CHECKING
 
 import pytest
 
+from algorithms.experiments.run_directory import Run
 from algorithms.reproduction import FIGURES
 from algorithms.reproduction.plan import load_plan, planned_runs
-from algorithms.reproduction.results import ReproductionResults
-from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
+from algorithms.reproduction.results import ReproductionResults, gather
+from tests.helpers.paths import REPOSITORY
+from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, TINY, evenly_spread, make_results
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,3 +74,27 @@ def test_results_with_the_columns_of_earlier_versions_are_refused(tmp_path: Path
     scores.write_text(scores.read_text().replace("task,protocol", "cell,arm"))
     with pytest.raises(ValueError, match=r"column 'protocol' is missing; versions before 0\.2 had 'cell' and 'arm'"):
         ReproductionResults.read(tmp_path)
+
+
+def test_runs_that_cannot_be_read_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "plan.yaml").write_text(TINY)
+    monkeypatch.chdir(REPOSITORY)
+    planned = planned_runs(load_plan(tmp_path / "plan.yaml"), ["one_waypoint_linear"], tmp_path)
+    for run in planned:
+        opened = Run.make(run.job.experiment, run.job.path)
+        scores = {"utility_esr": {"value": 1.0, "low": 0.5, "high": 2.0}}
+        content = {"episodes": 4, "seed": 0, "policies": {"greedy": scores}}
+        (run.job.path / "evaluation.json").write_text(json.dumps(content))
+        (run.job.path / "metrics.csv").write_text("step,eval/greedy/utility_esr\n0,1.0\n")
+        opened.set_status("finished", 1)
+        opened.unlock()
+    for run, name in zip(planned, ("config.yaml", "evaluation.json", "metrics.csv"), strict=False):
+        (run.job.path / name).write_bytes(b"\n\0")
+    lines: list[str] = []
+    results = gather(planned, lines.append)
+    assert [(row["variant"], row["seed"]) for row in results.scores] == [(run.variant, run.seed) for run in planned[3:]]
+    assert len(results.curves) == len(results.scores) == len(planned) - 3
+    assert results.scores[0]["utility_esr_width"] == 1.5
+    for line, run, name in zip(lines, planned, ("config.yaml", "evaluation.json", "metrics.csv"), strict=False):
+        assert line.startswith("left out: ")
+        assert str(run.job.path / name) in line

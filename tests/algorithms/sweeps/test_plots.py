@@ -10,7 +10,7 @@ import pytest
 
 from algorithms.sweeps.collection import collect
 from algorithms.sweeps.manifest import ManifestRow, write_manifest
-from algorithms.sweeps.plots import varied_scores
+from algorithms.sweeps.plots import best_curves, varied_scores
 from algorithms.sweeps.ranking import rank
 from tests.helpers.made_up_sweeps import config_of, end, log, make_row, make_sweep, scores_of
 
@@ -42,6 +42,16 @@ def test_figures_of_a_sweep(
     ]
     for name in ("curves.png", "curves-cells.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_curves_of_several_cells_have_greedy_and_sampled_evaluations(tmp_path: Path, base: dict[str, Any]) -> None:
+    names = ("eval/greedy/utility_esr", "eval/stochastic/utility_esr", "train/utility")
+    rows = make_sweep(tmp_path, [make_row(base, {"algorithm.learning_rate": rate}, 0) for rate in (1e-3, 1e-2)])
+    for row in rows:
+        log(tmp_path, row, [(step, dict.fromkeys(names, 1.0)) for step in (0, 10)])
+    collection = collect(tmp_path)
+    groups = best_curves(collection, rank(collection.cells, collection.scores.collect()))
+    assert [{*columns} - {"step"} for group in groups for columns in group.runs] == [{*names[:2]}] * 2
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from algorithms.experiments.jobs import Job, perform
-from algorithms.reporting.seed_tables import final_metrics
+from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.run_scores import read_scores
 from tests.helpers.short_runs import job
 
@@ -78,3 +78,16 @@ def test_an_unknown_metric_is_refused_with_the_nearest_ones(finished: Job, prune
         with pytest.raises(ValueError, match="is not among those of the runs; did you mean") as error:
             read_scores([wanted], "greedy/utility_ers")
         assert METRIC in str(error.value)
+
+
+def test_results_that_cannot_be_read_are_refused_with_what_to_do(finished: Job, pruned: Job, tmp_path: Path) -> None:
+    (pruned.path / "metrics.csv").write_text("\n")
+    unreadable = replace(finished, path=tmp_path / "finished")
+    unreadable.path.mkdir()
+    (unreadable.path / "status.json").write_text('{"state": "finished"}')
+    (unreadable.path / "evaluation.json").write_text("{")
+    for wanted, fault in ((pruned, "has no column 'step'"), (unreadable, "is not a final evaluation")):
+        with pytest.raises(
+            ValueError, match=f"cannot use {wanted.path}: .*{fault}.*; delete it, and it is made again$"
+        ):
+            read_scores([wanted], METRIC)
