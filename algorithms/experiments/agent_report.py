@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.console import print_line
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
-from algorithms.reporting.tables import evaluation_table, write_evaluation
+from algorithms.reporting.tables import evaluation_table
+from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import describe_episodes
 
