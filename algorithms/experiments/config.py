@@ -119,7 +119,7 @@ class EvaluationSettings(Settings):
 
     interval: Count | None = None
     episodes: Count = 100
-    final_episodes: Count = 200
+    final_episodes: Count = 1000
     split: Split = "test"
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
     reference_point: list[float] | None = None

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from mo_deepdrive.evaluation import Evaluation, evaluate
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -150,13 +149,13 @@ def test_files_that_are_no_evaluation_are_refused(tmp_path: Path, content: Any) 
 
 
 @pytest.mark.slow
-def test_saving_and_loading_need_no_torch(tmp_path: Path) -> None:
-    code = f"""
-import sys, numpy as np
-sys.modules["torch"] = None
-from mo_deepdrive.evaluation import Evaluation, evaluate
-found = evaluate(lambda o, *_: np.zeros(len(o), int), {ONE_WAYPOINT!r}, episodes=2, env_kwargs={SHORT})
-found.save("saved", name="idle", seed=0)
-Evaluation.load("saved")
-"""
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+def test_saving_and_loading_need_no_torch(run_python: Callable[[str], str], tmp_path: Path) -> None:
+    loaded = run_python(
+        "import sys, numpy as np\n"
+        "from mo_deepdrive.evaluation import Evaluation, evaluate\n"
+        f"found = evaluate(lambda o, *_: np.zeros(len(o), int), {ONE_WAYPOINT!r}, episodes=2, env_kwargs={SHORT})\n"
+        f"found.save({str(tmp_path / 'saved')!r}, name='idle', seed=0)\n"
+        f"Evaluation.load({str(tmp_path / 'saved')!r})\n"
+        "print('torch' in sys.modules)"
+    )
+    assert loaded == "False\n"
