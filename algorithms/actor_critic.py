@@ -26,6 +26,7 @@ from algorithms.common.checkpoints import (
 )
 from algorithms.common.compiled_collection import CompiledCollection
 from algorithms.common.guides import Guides
+from algorithms.common.hyperparameters import schedules
 from algorithms.common.optimisers import geometric_schedule, linear_schedule
 from algorithms.common.rollout import Collector, Episodes, Rollout, VehicleRollout
 from algorithms.common.trained_networks import TrainedNetworks
@@ -188,6 +189,11 @@ class ActorCritic(Agent):
         for v, partner in self.partners.items():
             discounts[v] = partner.gamma
         return discounts
+
+    @property
+    def schedules(self) -> list[str]:
+        """Those of learning rate, entropy and costs, and guides, which withdraw."""
+        return [*schedules(self.config), *self.guides.schedules]
 
     @property
     def observes_accrued_reward(self) -> bool:

@@ -197,6 +197,14 @@ class Agent(ABC):
         """Discount of the accrued rewards that :meth:`act` is given: one number, or one per vehicle (V,)."""
         return self.accrued_discount
 
+    @property
+    def schedules(self) -> list[str]:
+        """The settings by which :meth:`update` depends on the length of the training, as ``name = value``.
+
+        A run without any can be trained longer. Of an algorithm that does not define it none is known to be constant.
+        """
+        return [f"update(progress) of {self.name}"]
+
     def get_config(self) -> dict[str, Any]:
         """The resolved hyperparameters, for logs."""
         return {"algorithm": self.name, "seed": self.seed, **self.config.model_dump()}

@@ -98,6 +98,7 @@ from algorithms.common.hyperparameters import (
     PositiveFraction,
     Scales,
     check_entropy_schedule,
+    schedules,
 )
 from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
 from algorithms.common.networks import make_network
@@ -410,6 +411,11 @@ class ConditionedMOPPO(FrontAgent):
         self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
         m = len(self.preferences.names)
         self._current = np.zeros((self.env.num_envs, self.env.vehicles, m), dtype=np.float32)
+
+    @property
+    def schedules(self) -> list[str]:
+        """Those of learning rate, entropy and costs, and guides, which withdraw."""
+        return [*schedules(self.config), *self.guides.schedules]
 
     # ------------------------------------------------------------------------------------------------------ the update
 

@@ -53,6 +53,7 @@ from algorithms.common.hyperparameters import (
     Positive,
     PositiveFraction,
     Scales,
+    schedules,
 )
 from algorithms.common.networks import CommandNetwork
 from algorithms.common.optimisers import Adam, linear_schedule
@@ -181,6 +182,11 @@ class PCN(FrontAgent):
         # Shift and scale (2, o + d + 1) of observations and commands before they enter the network.
         scales = np.array([*self.env.observation_scales, *self.scales, config.horizon_scale], dtype=np.float32)
         self._inputs = np.stack([np.zeros_like(scales), scales])
+
+    @property
+    def schedules(self) -> list[str]:
+        """That of the learning rate."""
+        return schedules(self.config)
 
     # ------------------------------------------------------------------------------------------------------ the update
 

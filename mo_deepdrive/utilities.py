@@ -34,6 +34,7 @@ class Utility:
         name: the registered name or the path.
         objectives: names of the d components of its argument, in order.
         weights: (d,) weights of the returns if the utility is linear, else None.
+        arguments: with which :func:`make_utility` made it; None if it is made of a function.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Utility:
         self.name = name
         self.objectives = tuple(objectives)
         self.weights = None if weights is None else tuple(float(w) for w in weights)
+        self.arguments: Mapping[str, Any] | None = None
         self._function = function
 
     def __call__(self, returns: Any) -> Any:
@@ -326,7 +328,12 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
     Raises:
         ValueError: for an unknown name, missing objectives or invalid arguments.
     """
-    objectives = tuple(objectives)
+    utility = _make_utility(name, tuple(objectives), cost_sign, arguments)
+    utility.arguments = arguments
+    return utility
+
+
+def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, arguments: dict[str, Any]) -> Utility:
     if cost_sign not in ("maximise", "paper"):
         raise ValueError(f"cost_sign = {cost_sign!r} must be 'maximise' or 'paper'")
     if ":" in name:

@@ -23,7 +23,7 @@ from algorithms.experiments.cli import (
     new_run,
     parse_training_arguments,
 )
-from algorithms.experiments.config import load_experiment
+from algorithms.experiments.config import check_loggers, load_experiment
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         return 0
     with exit_on_error(ValueError, program=program):
         experiment = load_peer_experiment(options.config, overrides)
+        check_loggers(experiment)
         run = new_run(options, experiment)
     print(f"run {run.path}", flush=True)
     set_threads(experiment.training.threads)

@@ -3,12 +3,15 @@
     mo-deepdrive train --config configs/one_waypoint/mo_a2c_linear.yaml --seed 3
     mo-deepdrive train --config FILE --algorithm.learning_rate=3e-4 --training.total_timesteps=1e6
     mo-deepdrive train --resume runs/mo_a2c_linear/mo_a2c-seed3-20260101-120000
+    mo-deepdrive train --resume RUN --training.total_timesteps=4e6
 
-Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them.
+Every key of the YAML file is an option, --section.key=value; mo-deepdrive keys lists them. The third line trains a run
+longer, which may be finished; it takes one whose learning rate and other settings do not move with the training.
 """
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.cli import (
@@ -23,7 +26,7 @@ from algorithms.experiments.cli import (
     warn,
     warn_of_changes,
 )
-from algorithms.experiments.config import load_experiment
+from algorithms.experiments.config import check_loggers, load_experiment, parse_overrides
 from algorithms.experiments.run_directory import resume_options
 
 if TYPE_CHECKING:
@@ -57,12 +60,30 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
         if options.trust:
             raise ValueError("--trust is for --resume; --config is a file of yours, which may name code to import")
         experiment = load_experiment(options.config, overrides)
+        check_loggers(experiment)
         agent = build(experiment)  # before the directory is created: it may fail
         return new_run(options, experiment), agent
-    if overrides or options.output:
-        given = [*overrides, *(["--output"] if options.output else [])]
-        raise ValueError(f"--resume continues the run with its own settings; it cannot take {' '.join(given)}")
-    return reopen(options.resume, trust=options.trust)
+    longer = dict(parse_overrides(overrides))
+    total_timesteps = longer.pop("training.total_timesteps", None)
+    if longer or options.output:
+        given = [*(f"--{key}" for key in longer), *(["--output"] if options.output else [])]
+        raise ValueError(
+            "--resume continues the run with its own settings, apart from --training.total_timesteps; "
+            f"it cannot take {' '.join(given)}"
+        )
+    return reopen(options.resume, trust=options.trust, total_timesteps=total_timesteps)
+
+
+def next_steps(run: Run, program: str) -> str:
+    """What to do with a finished run, in two lines."""
+    path = shlex.quote(str(run.path))
+    shown = "table" if run.experiment.known_utility else "explore"
+    commands = (
+        f"mo-deepdrive evaluate {path} --video drive.mp4",
+        f"mo-deepdrive plot {path}",
+        f"mo-deepdrive {shown} {path}",
+    )
+    return as_called(f"next: {'; '.join(commands)}\n      tensorboard --logdir {path}", program)
 
 
 def main(arguments: list[str], program: str = INSTALLED) -> int:
@@ -87,5 +108,6 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
             print(f"interrupted at step {run.status.get('step', 0):,}; {resume_with}")
             return 128 + received
     print(f"finished: {run.path}")
+    print(next_steps(run, program))
     warn_of_changes(run.path)
     return 0

@@ -132,6 +132,11 @@ class Guides:
                     f"a guide observes rewards accrued with the discount {theirs:g}; here it is {discount:g}"
                 )
 
+    @property
+    def schedules(self) -> list[str]:
+        """The settings by which guides depend on the length of the training, as ``name = value``."""
+        return [f"training.guides.vehicle_{guide.vehicle}.until = {guide.settings.until}" for guide in self]
+
     def __iter__(self) -> Iterator[Guide]:
         return iter(self._of_vehicle.values())
 

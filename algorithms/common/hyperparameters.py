@@ -113,6 +113,23 @@ class GuideSettings(Settings):
     decisions: Count = 160
 
 
+def schedules(config: Settings) -> list[str]:
+    """The hyperparameters by which training depends on its length, as ``name = value``.
+
+    Args:
+        config: with the names that schedules have in this package's algorithms.
+    """
+    values = config.model_dump()
+    found = []
+    if values.get("learning_rate_end") not in (None, values.get("learning_rate")):
+        found.append("learning_rate_end")
+    if values.get("entropy_end") != values.get("entropy_start"):
+        found.append("entropy_end")
+    if values.get("cost_growth"):
+        found.append("cost_growth")
+    return [f"algorithm.{name} = {values[name]}" for name in found]
+
+
 def check_entropy_schedule(entropy_start: float, entropy_end: float) -> None:
     """Refuse a geometric schedule from or to zero.
 

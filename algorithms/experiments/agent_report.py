@@ -15,7 +15,8 @@ from algorithms.experiments.loggers import log_results
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.experiments.run_directory import METRICS_FILE
 from algorithms.reporting.run_records import final_metrics
-from algorithms.reporting.tables import evaluation_table, write_evaluation
+from algorithms.reporting.tables import evaluation_table
+from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import describe_episodes
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
@@ -16,6 +17,7 @@ from algorithms.experiments.shipped import find_config
 from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, parse
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
+from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.names import nearest
 from mo_deepdrive.scenarios import SCENARIOS
@@ -119,7 +121,7 @@ class EvaluationSettings(Settings):
 
     interval: Count | None = None
     episodes: Count = 100
-    final_episodes: Count = 200
+    final_episodes: Count = 1000
     split: Split = "test"
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
     reference_point: list[float] | None = None
@@ -408,6 +410,16 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
 def _check_episodes(settings: EvaluationSettings) -> None:
     check_episodes("evaluation.episodes", settings.episodes, "validation")
     check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
+
+
+def check_loggers(experiment: Experiment) -> None:
+    """Refuse to train with a logger that is not installed; runs that had one can be evaluated without it.
+
+    Raises:
+        ValueError: with the extra that brings it.
+    """
+    if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
+        raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")
 
 
 def check_device(argument: str, name: str, here: bool = True) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from algorithms.common.yaml_io import dump, read_mapping
-from algorithms.experiments.config import Experiment, make_experiment
+from algorithms.experiments.config import Experiment, check_loggers, make_experiment
 from algorithms.experiments.interrupts import Moved, describe, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
 from algorithms.reporting.seed_groups import INCIDENTAL
@@ -150,6 +150,7 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
             return "already there"
         if resumed:
             _take_over_settings(run, job)
+        check_loggers(run.experiment)
         _keep_wandb_id(job)
         agent = resume(run)
         with open_log(job.path / "train.log") as log:

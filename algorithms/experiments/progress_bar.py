@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from numba.core import event
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from algorithms.experiments.console import LiveDisplay, print_line
@@ -21,7 +23,7 @@ from mo_deepdrive.evaluation.metrics import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from types import TracebackType
 
     from rich.console import Console
@@ -29,6 +31,31 @@ if TYPE_CHECKING:
 SHOWN = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
 LINE_INTERVAL = 15.0  # s between lines, without a terminal
 REFRESH_INTERVAL = 0.1  # s between refreshes of the bar
+FIRST_UPDATES = 2  # in which code may be compiled; the time left is known from later ones
+COMPILING = "compiling the simulator and the training loop (once, about 20 s)"
+
+
+class _CompilationListener(event.Listener):
+    """Calls a function when Numba begins to compile code of this project, rather than to load it from its cache."""
+
+    def __init__(self, say: Callable[[str], None]):
+        self._say: Callable[[str], None] | None = say
+
+    def on_start(self, event: Any) -> None:
+        module = event.data["dispatcher"].py_func.__module__
+        if self._say is not None and module.partition(".")[0] in ("mo_deepdrive", "algorithms"):
+            self._say(COMPILING)
+            self._say = None
+
+    def on_end(self, event: Any) -> None:
+        """Not needed."""
+
+
+@contextmanager
+def compilation_noted(say: Callable[[str], None]) -> Iterator[None]:
+    """In this context, ``say`` is called once if the simulator or the training loop has to be compiled."""
+    with event.install_listener("numba:compile", _CompilationListener(say)):
+        yield
 
 
 class ProgressReporter:
@@ -51,6 +78,7 @@ class ProgressReporter:
         self._shown = (*performance, *([(SUCCESS, "arrivals {:.0%}")] if arrivals else []))
         self._total = total
         self._step = self._first = step
+        self._updates = 0
         self._printed_step: int | None = None
         self._console = console
         self._start_time = self._print_time = perf_counter()
@@ -74,6 +102,9 @@ class ProgressReporter:
     def update(self, step: int) -> None:
         """Show that ``step`` environment steps have been taken."""
         self._step = step
+        self._updates += 1
+        if self._updates == FIRST_UPDATES:
+            self._start_time, self._first = perf_counter(), step
         passed = perf_counter() - self._print_time
         if not self._display.shown and passed >= LINE_INTERVAL:
             self._line()
@@ -105,7 +136,7 @@ class ProgressReporter:
         self._print_time, self._printed_step = perf_counter(), self._step
         done = self._step - self._first
         left = ""
-        if done > 0 and self._step < self._total:
+        if self._updates > FIRST_UPDATES and self._step < self._total:
             seconds = round((self._print_time - self._start_time) / done * (self._total - self._step))
             left = f"  {seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} left"
         self.say(f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})  {self._numbers()}{left}")

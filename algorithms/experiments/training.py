@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.fronts_file import FrontsFile
 from algorithms.common.metrics_file import rows_until
+from algorithms.common.yaml_io import dump
 from algorithms.experiments.accessories import Accessory
 from algorithms.experiments.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.experiments.build import build
-from algorithms.experiments.config import find_environment, is_ours
+from algorithms.experiments.config import check_loggers, find_environment, is_ours, make_experiment
 from algorithms.experiments.console import print_line
 from algorithms.experiments.interrupts import PATIENCE, Interrupts, Moved, stopped_by
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
-from algorithms.experiments.progress_bar import ProgressReporter
+from algorithms.experiments.progress_bar import ProgressReporter, compilation_noted
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
+from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.faults import Fault
@@ -44,25 +46,48 @@ def resume(run: Run) -> Any:
     return agent
 
 
-def reopen(path: str, *, trust: bool = False) -> tuple[Run, Any]:
+def reopen(path: str, *, trust: bool = False, total_timesteps: Any = None) -> tuple[Run, Any]:
     """Open and lock an existing run, to resume it; the run and its agent.
 
     Args:
         path: the run's directory.
         trust: allow a config.yaml that names code to import.
+        total_timesteps: a new, greater length of the training; None for that of the run.
 
     Raises:
-        ValueError: if there is no run, another process trains in it, its config.yaml is not trusted, or its checkpoint
-            or its metrics cannot be resumed from.
+        ValueError: if there is no run, another process trains in it, its config.yaml is not trusted, its checkpoint or
+            its metrics cannot be resumed from, or it cannot be trained longer.
         OSError: if the directory cannot be written.
     """
     run = Run.open(path, trust=trust)
+    experiment = run.experiment
+    check_loggers(experiment)
+    if total_timesteps is not None:
+        values = experiment.to_dict()
+        values["training"]["total_timesteps"] = total_timesteps
+        experiment = make_experiment(values)
+        length = run.experiment.training.total_timesteps
+        if experiment.training.total_timesteps <= length:
+            raise ValueError(
+                f"training.total_timesteps = {total_timesteps} must be more than the {length:,} of the run"
+            )
     if run.checkpoint.exists():
         read_checkpoint(run.checkpoint, {}, whole=True)  # a policy of the zoo is refused before a lock is written
     run.lock()
     agent = resume(run)
     for name in (METRICS_FILE, FRONTS_FILE):
         rows_until(run.path / name, agent.step)
+    if experiment is not run.experiment:
+        if agent.schedules:
+            run.unlock()
+            raise ValueError(
+                f"training.total_timesteps = {total_timesteps}: the run cannot be trained longer, because of what "
+                f"depends on the length of the training: {', '.join(agent.schedules)}"
+            )
+        run.experiment = experiment
+        # In this order: a process that is killed in between leaves a run that can be resumed.
+        run.set_status("running", agent.step)
+        atomic_write(run.path / "config.yaml", dump(experiment.to_dict()).encode())
     return run, agent
 
 
@@ -133,6 +158,7 @@ def train(
             ProgressReporter(
                 training.total_timesteps, saved, console, arrivals=ours, front=not known_utility
             ) as reporter,
+            compilation_noted(reporter.say),
             Logger(
                 run.path,
                 after=after,

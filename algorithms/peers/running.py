@@ -27,10 +27,11 @@ from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
 from algorithms.reporting.front_report import report_front
-from algorithms.reporting.tables import evaluation_table, write_evaluation
+from algorithms.reporting.tables import evaluation_table
 from mo_deepdrive.config import parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate_each
+from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.front import Front, check_reference_point
 from mo_deepdrive.evaluation.metrics import FRONT, evaluation_prefix
 from mo_deepdrive.evaluation.splits import describe_episodes

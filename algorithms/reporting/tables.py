@@ -1,28 +1,22 @@
-"""The final evaluation of a run as numbers with 95% intervals over its episodes: a table, JSON and CSV files."""
+"""The final evaluation of a run as numbers with 95% intervals over its episodes, as a table."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from mo_deepdrive.atomic_io import atomic_write, csv_bytes, write_json
 from mo_deepdrive.evaluation.evaluation import estimate_metrics
-from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import (
     DISCOUNTED_UTILITY_ESR,
     DISCOUNTED_UTILITY_SER,
     END,
-    LENGTH,
     SUCCESS,
-    UTILITY,
     UTILITY_ESR,
     UTILITY_SER,
-    discounted_return_of,
     return_of,
     split_name,
 )
@@ -30,7 +24,6 @@ from mo_deepdrive.evaluation.statistics import Estimate, rate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
 
@@ -88,47 +81,3 @@ def _says_more(name: str, columns: Sequence[Mapping[str, Estimate]]) -> bool:
         pairs = [(column[name].value, column[other].value) for column in columns if name in column and other in column]
         return not pairs or not all(math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-9) for pair in pairs)
     return True
-
-
-def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
-    """Write evaluation.json and evaluation.csv (every metric) and episodes.csv (one row per episode and vehicle).
-
-    Args:
-        directory: an existing one.
-        evaluations: one per policy.
-        about: how the policies were evaluated: seed, gamma, step and so on.
-
-    Raises:
-        OSError: if a file cannot be written; each file is complete or unchanged.
-    """
-    columns = {policy: estimate_metrics(evaluation) for policy, evaluation in evaluations.items()}
-    policies = {
-        policy: {name: asdict(estimate) for name, estimate in estimates.items()}
-        for policy, estimates in columns.items()
-    }
-    write_json(directory / EVALUATION_FILE, {**about, "policies": policies})
-    rows: list[list[Any]] = [["policy", "metric", "value", "low", "high"]]
-    for policy, estimates in columns.items():
-        rows += [[policy, name, each.value, each.low, each.high] for name, each in estimates.items()]
-    atomic_write(directory / "evaluation.csv", csv_bytes(rows))
-    atomic_write(directory / "episodes.csv", csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
-
-
-def _episode_rows(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any]]:
-    objectives = next(iter(evaluations.values())).objectives
-    rows: list[list[Any]] = [
-        [
-            *("policy", "seed", "vehicle", SUCCESS, "end", LENGTH, UTILITY),
-            *(return_of(objective) for objective in objectives),
-            *(discounted_return_of(objective) for objective in objectives),
-        ]
-    ]
-    for policy, evaluation in evaluations.items():
-        episodes, vehicles, _ = evaluation.returns.shape
-        for v in range(vehicles):
-            utilities = evaluation.episode_utilities(v)
-            for e in range(episodes):
-                how = [bool(evaluation.succeeded[e, v]), evaluation.ends[e, v], int(evaluation.lengths[e, v])]
-                returns = [*evaluation.returns[e, v].tolist(), *evaluation.discounted[e, v].tolist()]
-                rows.append([policy, seed + e, v, *how, float(utilities[e]), *returns])
-    return rows

@@ -13,6 +13,7 @@ import numpy as np
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
 from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.evaluation_files import Provenance
 from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.policy import Policy, check_same_task, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
@@ -84,11 +85,16 @@ def evaluate(
         if env_kwargs is not None:
             raise ValueError("env_kwargs are for an environment given by its id")
         return _evaluate(policy, env, first + np.arange(episodes), utility, greedy, gamma)
-    made = _make_env(env, episodes, dict(env_kwargs or {}))
+    arguments = dict(env_kwargs or {})
+    made = _make_env(env, episodes, arguments)
     try:
-        return _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
+        found = _evaluate(policy, made, first + np.arange(episodes), utility, greedy, gamma)
     finally:
         made.close()
+    if not str(find_spec(env).vector_entry_point).startswith("mo_deepdrive."):
+        # The environment itself knows neither the module that registers it nor its arguments.
+        found.provenance = Provenance(env, first, gamma, greedy, arguments)
+    return found
 
 
 def as_policy(
@@ -100,19 +106,14 @@ def as_policy(
     """An agent as it is, a function as a policy; the arguments are those of :func:`evaluate`.
 
     Raises:
-        TypeError: for anything else.
+        TypeError: for anything else, or a function with other arguments.
         ValueError: if an agent was trained on another task, or a utility does not fit the environment.
     """
-    if hasattr(policy, "act"):
+    if isinstance(getattr(policy, "env", None), EnvAdapter):  # other libraries' agents have act, too
         agent = cast("Policy", policy)
         check_same_task(agent.env, env)
         return agent
-    if not callable(policy):
-        raise TypeError(
-            f"policy = {policy!r} must be an agent or a function policy(observations, accrued, discounts) -> actions, "
-            "such as lambda observations, *_: model.predict(observations)[0]"
-        )
-    return FunctionPolicy(policy, env, vehicle_utilities(utility, env), gamma)
+    return FunctionPolicy(cast("PolicyFunction", policy), env, vehicle_utilities(utility, env), gamma)
 
 
 def _evaluate(
@@ -131,7 +132,15 @@ def _evaluate(
     columns = _in_batches(
         lambda _: actor, adapter, seeds, gamma, None if greedy else seeded_generator(actor, int(seeds[0]))
     )
-    return Evaluation(adapter.objectives, utilities, *columns)
+    about = _provenance(adapter, int(seeds[0]), gamma, greedy=greedy)
+    return Evaluation(adapter.objectives, utilities, *columns, provenance=about)
+
+
+def _provenance(adapter: EnvAdapter, seed: int, gamma: float, *, greedy: bool) -> Provenance:
+    """What is known of an evaluation from its environment."""
+    env: Any = adapter.vector_env.unwrapped
+    arguments = env.config.model_dump(mode="json", exclude={"scenario"}) if adapter.native else {}
+    return Provenance(adapter.name, seed, gamma, greedy, arguments)
 
 
 def _make_env(env_id: str, episodes: int, arguments: dict[str, Any]) -> VectorEnv:
@@ -200,7 +209,8 @@ def evaluate_each(
     seeds = seed + np.tile(np.arange(episodes), count)
     columns = _in_batches(lambda rows: policy_of(policies[rows]), adapter, seeds, gamma, None)
     parts = [np.split(column, count) for column in columns]
-    return [Evaluation(adapter.objectives, (), *part) for part in zip(*parts, strict=True)]
+    about = _provenance(adapter, seed, gamma, greedy=True)
+    return [Evaluation(adapter.objectives, (), *part, provenance=about) for part in zip(*parts, strict=True)]
 
 
 def _in_batches(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from mo_deepdrive.evaluation.evaluation_files import Provenance, read_episodes, save_as_run
 from mo_deepdrive.evaluation.metrics import (
     ARRIVED,
     COLLISION,
@@ -16,6 +17,7 @@ from mo_deepdrive.evaluation.metrics import (
     LENGTH,
     OUR_ENDS,
     SUCCESS,
+    TOTAL_UTILITY_ESR,
     USUAL_FAILURES,
     UTILITY_ESR,
     UTILITY_SER,
@@ -30,15 +32,19 @@ from mo_deepdrive.evaluation.metrics import (
     summarise,
     vehicle_prefix,
 )
+from mo_deepdrive.evaluation.splits import describe_episodes
 from mo_deepdrive.evaluation.statistics import Estimate, mean, rate, utility_of_mean
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from mo_deepdrive.utilities import Utility
 
 
-@dataclass
+@dataclass(repr=False)
 class Evaluation:
     """E episodes of one policy with V vehicles.
 
@@ -51,6 +57,8 @@ class Evaluation:
         succeeded: (E, V) whether the goal was reached.
         ends: (E, V) why the episode ended; None where the environment does not say.
         largest: (E, V, d) largest magnitude of each objective in one decision.
+        provenance: environment, seeds and discount; None if the evaluation was not made by
+            :func:`mo_deepdrive.evaluation.evaluate`.
     """
 
     objectives: tuple[str, ...]
@@ -61,6 +69,61 @@ class Evaluation:
     succeeded: NDArray[np.bool_]
     ends: NDArray[Any]
     largest: NDArray[np.float64]
+    provenance: Provenance | None = field(default=None, kw_only=True)
+
+    def __repr__(self) -> str:
+        """A line on what was driven, and one per vehicle with the mean scores."""
+        episodes, vehicles, _ = self.returns.shape
+        about, driven = self.provenance, f"{episodes} episodes"
+        if about is not None:
+            driven = f"{describe_episodes(episodes, about.seed)} of {about.env_id}"
+        lines = [f"Evaluation: {driven}, {vehicles} vehicle{'' if vehicles == 1 else 's'}"]
+        if vehicles > 1:
+            team = [f"{name} {samples.mean():.4g}" for name, samples in self.team_samples().items()]
+            lines.append(f"  together: {', '.join(team)}")
+        for v in range(vehicles):
+            scores = [f"{SUCCESS} {self.succeeded[:, v].mean():.4g}"]
+            if self.utilities:
+                scores.append(f"{UTILITY_ESR} {self.episode_utilities(v).mean():.4g} ({self.utilities[v].name})")
+            means = zip(self.objectives, self.returns[:, v].mean(axis=0), strict=True)
+            scores.append("mean returns " + ", ".join(f"{name} {value:.4g}" for name, value in means))
+            lines.append(f"  {vehicle_prefix(v, vehicles).replace('/', ': ')}{'; '.join(scores)}")
+        return "\n".join(lines)
+
+    def save(self, directory: str | Path, *, name: str, seed: int, steps: int = 0, greedy: bool | None = None) -> Path:
+        """Write a new directory that ``mo-deepdrive table`` and ``plot`` read as that of a run.
+
+        Args:
+            directory: it must not exist; its parents are made.
+            name: label of the algorithm. Evaluations with the same label, task and ``steps`` are one row, over seeds.
+            seed: by which the policy was trained.
+            steps: environment steps of its training.
+            greedy: whether the policy takes its most likely (or mean) action or samples; as evaluated if None, which
+                for a function means greedy.
+
+        Returns:
+            The directory, from which :meth:`load` reads the evaluation again.
+
+        Raises:
+            ValueError: if the directory exists, an argument is not valid, or the environment is not known.
+            OSError: if it cannot be written; nothing is left then.
+        """
+        if greedy is None:
+            greedy = self.provenance is None or self.provenance.greedy
+        return save_as_run(self, directory, name=name, seed=seed, steps=steps, greedy=greedy)
+
+    @classmethod
+    def load(cls, directory: str | Path, *, utilities: Sequence[Utility] | None = None) -> Evaluation:
+        """The evaluation that :meth:`save` wrote; no code is run from the files.
+
+        Args:
+            directory: of the evaluation.
+            utilities: one per vehicle, in place of those that were saved; needed for those made of a function.
+
+        Raises:
+            ValueError: if it is missing or broken, or has a utility that this package cannot make.
+        """
+        return cls(**read_episodes(directory, utilities))
 
     def episode_utilities(self, v: int = 0) -> NDArray[np.float64]:
         """(E,) utility of every undiscounted return of vehicle ``v``; its mean is the ESR value."""
@@ -69,6 +132,18 @@ class Evaluation:
     def worst_off_utilities(self) -> NDArray[np.float64]:
         """(E,) the least utility of an undiscounted return among the vehicles, in every episode."""
         return np.asarray(np.min([self.episode_utilities(v) for v in range(self.returns.shape[1])], axis=0))
+
+    def team_samples(self) -> dict[str, NDArray[Any]]:
+        """(E,) what is measured of all vehicles together, by metric; means are the metrics."""
+        samples: dict[str, NDArray[Any]] = {
+            SUCCESS: self.joint_succeeded,
+            end_by(COLLISION): np.array([COLLISION in ends for ends in self.ends.tolist()]),
+        }
+        if self.utilities:
+            each = [self.episode_utilities(v) for v in range(self.returns.shape[1])]
+            samples[TOTAL_UTILITY_ESR] = cast("NDArray[Any]", np.sum(each, axis=0))
+            samples[WORST_OFF_UTILITY_ESR] = self.worst_off_utilities()
+        return samples
 
     @property
     def joint_objectives(self) -> tuple[str, ...]:
@@ -106,15 +181,13 @@ class Evaluation:
     def metrics(self) -> dict[str, float]:
         """Every metric by name (:mod:`mo_deepdrive.evaluation.metrics`).
 
-        With several vehicles the names begin with ``vehicle_0/`` and so on, and ``success`` is the share of episodes in
-        which all of them arrived.
+        With several vehicles the names begin with ``vehicle_0/`` and so on, and :meth:`team_samples` has those of all
+        together.
         """
         metrics: dict[str, float] = {}
         vehicles = self.returns.shape[1]
         if vehicles > 1:
-            metrics[SUCCESS] = float(self.joint_succeeded.mean())
-            if self.utilities:
-                metrics[WORST_OFF_UTILITY_ESR] = float(self.worst_off_utilities().mean())
+            metrics |= {name: float(samples.mean()) for name, samples in self.team_samples().items()}
         for v in range(vehicles):
             summary = summarise(
                 self.objectives,
@@ -134,7 +207,7 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     """Every metric of an evaluation with its interval; with several vehicles prefixed by ``vehicle_0/`` and so on.
 
     With several vehicles ``success`` is the share of episodes in which all arrived, ``end/collision`` of those in which
-    any collided.
+    any collided, ``total_utility_esr`` the sum of the utilities, ``worst_off_utility_esr`` the least of them.
 
     Means and utilities have bootstrap intervals over episodes, rates have Wilson's; the largest magnitudes in one
     decision have none.
@@ -142,10 +215,8 @@ def estimate_metrics(evaluation: Evaluation) -> dict[str, Estimate]:
     estimates: dict[str, Estimate] = {}
     vehicles = evaluation.returns.shape[1]
     if vehicles > 1:
-        estimates[SUCCESS] = rate(np.asarray(evaluation.succeeded.all(axis=1)))
-        estimates[end_by(COLLISION)] = rate(np.array([COLLISION in ends for ends in evaluation.ends.tolist()]))
-        if evaluation.utilities:
-            estimates[WORST_OFF_UTILITY_ESR] = mean(evaluation.worst_off_utilities())
+        for name, samples in evaluation.team_samples().items():
+            estimates[name] = rate(samples) if samples.dtype == np.bool_ else mean(samples)
     for v in range(vehicles):
         prefix = vehicle_prefix(v, vehicles)
         estimates |= {prefix + name: value for name, value in _estimate_vehicle(evaluation, v).items()}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes, write_json
+from mo_deepdrive.evaluation.evaluation_files import EVALUATION_FILE as EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import (
     ADDITIVE_EPSILON,
     CARDINALITY,
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.evaluation.evaluation import Evaluation
 
-FRONT_FILE, EVALUATION_FILE = "front.csv", "evaluation.json"
+FRONT_FILE = "front.csv"
 CONDITION = "condition/"  # prefix of columns of front.csv
 LARGEST = 1e100  # magnitude of a number, of which products remain finite
 

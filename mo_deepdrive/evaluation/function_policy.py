@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.spaces import Box, Discrete
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,11 +32,15 @@ class FunctionPolicy:
         env: the environment in the shapes of agents.
         utilities: one per vehicle; empty if no utility is known.
         gamma: discount factor of the accrued reward.
+
+    Raises:
+        TypeError: for what cannot be called in this way.
     """
 
     def __init__(
         self, function: PolicyFunction, env: EnvAdapter, utilities: Sequence[Utility] = (), gamma: float = 0.99
     ):
+        _check_signature(function)
         self.env = env
         self.utilities = utilities
         self.gamma = gamma
@@ -53,13 +59,60 @@ class FunctionPolicy:
         """Actions of the function, in the shapes of agents.
 
         Raises:
-            ValueError: for actions of the wrong shape.
+            ValueError: for actions of the wrong shape or type, or outside of the environment's.
         """
         accrued, discounts = accrued_reward.value.copy(), accrued_reward.discounts.copy()
         if self.env.vehicles == 1:
             accrued, discounts = accrued[:, 0], discounts[:, 0]
-        actions = np.asarray(self._function(self.env.environment_observations(observations), accrued, discounts))
-        expected = (len(observations), *(self.env.vector_env.action_space.shape or ())[1:])
+        returned = self._function(self.env.environment_observations(observations), accrued, discounts)
+        return self.env.policy_actions(self._checked(returned, len(observations)))
+
+    def _checked(self, returned: Any, episodes: int) -> NDArray[Any]:
+        """What the function returned as an array of actions."""
+        space = self.env.vector_env.single_action_space
+        expected = (episodes, *(space.shape or ()))
+        numbers = "numbers" if isinstance(space, Box) else "integers"
+        wanted = f"expected {expected} {numbers}, an action for each of {episodes} episodes"
+        try:
+            actions = np.asarray(returned)
+        except Exception as error:  # of any library's arrays
+            reason = " ".join(str(error).partition(". ")[0].split())
+            raise ValueError(f"the policy returned {type(returned).__name__}, no array: {reason}; {wanted}") from error
         if actions.shape != expected:
-            raise ValueError(f"the policy returned actions of shape {actions.shape}; expected {expected}")
-        return self.env.policy_actions(actions)
+            raise ValueError(f"the policy returned actions of shape {actions.shape}; {wanted}")
+        if actions.dtype.kind not in ("fiu" if isinstance(space, Box) else "iu"):
+            raise ValueError(f"the policy returned actions of dtype {actions.dtype}; {wanted}")
+        if isinstance(space, Box):
+            fine, allowed = np.isfinite(actions), "finite"
+        else:
+            first = np.asarray(space.start)  # type: ignore[attr-defined]
+            count = np.asarray(space.n if isinstance(space, Discrete) else space.nvec)  # type: ignore[attr-defined]
+            fine = (actions >= first) & (actions < first + count)
+            allowed = f"from {first.min()} to {(first + count).max() - 1}"
+        if not fine.all():
+            raise ValueError(f"the policy returned the action {actions[~fine][0]}; it must be {allowed}")
+        return actions
+
+
+CALL = "policy(observations, accrued, discounts)"
+
+
+def _check_signature(function: Any) -> None:
+    """Refuse what cannot be called as policies are, before an episode has been driven."""
+    name = getattr(function, "__name__", type(function).__name__)
+    if not callable(function):
+        raise TypeError(
+            f"policy = {function!r} must be an agent or a function {CALL} -> actions, "
+            "such as lambda observations, *_: model.predict(observations)[0]"
+        )
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of a function without one, as some that are compiled
+        return
+    try:
+        signature.bind(*"oad")
+    except TypeError:
+        raise TypeError(
+            f"policy = {name}{signature} cannot be called as {CALL}, with arrays (N, o), (N, d) and (N,) of N episodes;"
+            " write *_ for what it does not need"
+        ) from None

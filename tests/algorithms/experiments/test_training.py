@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import algorithms.experiments.config
 from algorithms import MOA2C
+from algorithms.common.yaml_io import dump
+from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import read_status
 from algorithms.experiments.run_files import broken_files
 from algorithms.experiments.training import reopen, train_and_finish
-from tests.helpers.short_runs import assert_same_run, job, metrics, printed, quiet
+from tests.helpers.short_runs import VALUES, assert_same_run, job, metrics, printed, quiet
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -206,3 +209,77 @@ def test_a_gap_that_is_noticed_again_before_a_checkpoint_is_noted_once(tmp_path:
     checkpoint.unlink()
     assert perform(wanted) == "trained"
     assert "metrics_gap" not in read_status(wanted.path)  # it was trained from the beginning
+
+
+CONSTANT: dict[str, dict[str, Any]] = {
+    "mo_a2c": {},
+    "pcn": {"hidden": [8, 8], "warmup_episodes": 4, "gradient_steps": 2},
+    "conditioned_mo_ppo": {"entropy_end": 0.01, "cost_growth": 0.0, "max_policies": 4},
+}
+GUIDES = {"vehicle_0": {"driver": "one_waypoint_linear-ppo"}}
+
+
+def of_length(folder: Path, steps: int, algorithm: str, *, guides: Any = None, **settings: Any) -> Job:
+    """A job of an algorithm, which learns for this number of steps."""
+    known = algorithm not in ("pcn", "conditioned_mo_ppo")
+    size = {} if algorithm == "pcn" else {"steps": 8, "hidden": [8]}
+    arguments = {"time_limit": 1} if guides else {"time_limit": 1, "fixed_destination": True}
+    values = {
+        **VALUES,
+        "environment": {**VALUES["environment"], "arguments": arguments},
+        "utility": VALUES["utility"] if known else None,
+        "algorithm": {"name": algorithm, **size, **settings},
+        "training": {**VALUES["training"], "total_timesteps": steps, "guides": guides or {}},
+        "evaluation": {**VALUES["evaluation"], "interval": 320},
+        "logging": {**VALUES["logging"], "checkpoint_interval": 96},
+    }
+    return Job("", make_experiment(values), folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", CONSTANT)
+def test_a_finished_run_is_trained_longer_as_if_it_had_been_to_be_so_long(tmp_path: Path, algorithm: str) -> None:
+    whole, first = (of_length(tmp_path / f"{n}", n, algorithm, **CONSTANT[algorithm]) for n in (TOTAL, 320))
+    perform(whole)
+    perform(first)
+    run, agent = reopen(str(first.path), total_timesteps=TOTAL)
+    assert read_status(first.path)["state"] == "running"
+    assert train_and_finish(run, agent, quiet(), resumed=True) is None
+    run.unlock()
+    for name in ("config.yaml", "checkpoint.safetensors", "evaluation.json"):
+        assert (first.path / name).read_bytes() == (whole.path / name).read_bytes(), name
+    assert broken_files(first.path) == []
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "settings", "steps", "message"),
+    [
+        ("mo_a2c", {"learning_rate_end": 0.0}, 960, "cannot be trained longer, .*: algorithm.learning_rate_end = 0.0"),
+        ("a2c", {"entropy_end": 0.1}, 960, "algorithm.entropy_end = 0.1"),
+        ("mocac", {"cost_growth": 0.5}, 960, "algorithm.cost_growth = 0.5"),
+        ("pcn", {"hidden": [8, 8], "learning_rate_end": 0.1}, 960, "algorithm.learning_rate_end = 0.1"),
+        ("conditioned_mo_ppo", {}, 960, "algorithm.entropy_end = 0.001, algorithm.cost_growth = 0.15"),
+        ("ppo", {"guides": GUIDES}, 960, "training.guides.vehicle_0.until = 0.5"),
+        ("mo_a2c", {}, 96, "training.total_timesteps = 96 must be more than the 320 of the run"),
+        ("mo_a2c", {}, "many", "'training.total_timesteps' = 'many': Input should be a valid integer"),
+    ],
+)
+def test_runs_that_depend_on_their_length_are_not_trained_longer(
+    tmp_path: Path, algorithm: str, settings: dict[str, Any], steps: Any, message: str
+) -> None:
+    text = dump(of_length(tmp_path / "run", 320, algorithm, **settings).experiment.to_dict())
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        reopen(str(tmp_path), total_timesteps=steps)
+    assert {path.name for path in tmp_path.iterdir()} <= {"config.yaml", ".lock"}
+    assert (tmp_path / "config.yaml").read_text() == text
+
+
+def test_a_run_is_not_trained_without_the_logger_that_it_asks_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(algorithms.experiments.config.importlib.util, "find_spec", lambda _: None)
+    values = {**VALUES, "logging": {**VALUES["logging"], "wandb": {"project": "p"}}}
+    with pytest.raises(ValueError, match=r"logging\.wandb needs wandb: pip install 'mo-deepdrive\[wandb\]'"):
+        perform(Job("", make_experiment(values), tmp_path / "run"))
+    assert not (tmp_path / "run" / "checkpoint.safetensors").exists()

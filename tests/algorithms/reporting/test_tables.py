@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.reporting.tables import estimate_metrics, evaluation_table, write_evaluation
+from algorithms.reporting.tables import estimate_metrics, evaluation_table
 from mo_deepdrive.evaluation.evaluation import Evaluation
+from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.utilities import Utility, make_utility
 

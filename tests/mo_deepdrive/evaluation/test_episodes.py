@@ -394,7 +394,11 @@ def test_every_vehicle_has_its_own_metrics_and_utility() -> None:
     found = evaluate(A2C(env, utilities), make_env(INTERSECTION, 4, SHORT), episodes=4, greedy=False)
     metrics = found.metrics()
     of_both = {name for name in metrics if not name.startswith(("vehicle_0/", "vehicle_1/"))}
-    assert of_both == {"success", "worst_off_utility_esr"}
+    assert of_both == {"success", "end/collision", "total_utility_esr", "worst_off_utility_esr"}
+    assert {name: metrics[name] for name in of_both} == pytest.approx(
+        {name: each.value for name, each in found.estimates().items() if name in of_both}
+    )
+    assert metrics["total_utility_esr"] == pytest.approx(sum(metrics[f"vehicle_{v}/utility_esr"] for v in (0, 1)))
     for v, utility in enumerate(utilities):
         values = [float(utility(found.returns[i, v])) for i in range(4)]
         assert metrics[f"vehicle_{v}/utility_esr"] == pytest.approx(np.mean(values))
@@ -502,6 +506,13 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
         (idle, {"utility": make_utility("linear", OBJECTIVES[::-1], weights=[1.0] * 4)}, ValueError, "in this order"),
         (idle, {"env_kwargs": {"time_limt": 3.0}}, TypeError, "did you mean 'time_limit'"),
         ("ppo", {}, TypeError, "policy = 'ppo' must be an agent or a function"),
+        (
+            lambda observation: 0,
+            {},
+            TypeError,
+            r"<lambda>\(observation\) cannot be called as policy\(obs",
+        ),
+        (lambda a, b, c, d: 0, {}, TypeError, r"<lambda>\(a, b, c, d\) cannot be called as policy\(observations, accr"),
     ],
 )
 def test_invalid_arguments_are_refused(policy: Any, options: Any, error: type[Exception], message: str) -> None:
