@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 from typing import TYPE_CHECKING
 
 import numba
@@ -103,3 +105,24 @@ def test_fewer_threads_stay_fewer() -> None:
     with limited_threads():
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == 1
+
+
+def _train() -> None:
+    env = make_env("mo-deepdrive-one-waypoint-v0", num_envs=2)
+    agent = A2C(env, make_utility("one_waypoint_linear", SCENARIOS["one_waypoint"].objectives))
+    agent.train(100)
+    with pytest.raises(ValueError, match="threads = 2 must be 1 in a forked process"):
+        set_threads(2)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no forks")
+@pytest.mark.usefixtures("two_threads")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_trains_although_its_parent_has_threads() -> None:
+    torch.randn(500, 500) @ torch.randn(500, 500)
+    torch.randn(10**6).exp()
+    process = multiprocessing.get_context("fork").Process(target=_train, daemon=True)
+    process.start()
+    process.join(120)
+    assert process.exitcode == 0  # None if it hangs
