@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import numba
@@ -107,22 +108,35 @@ def test_fewer_threads_stay_fewer() -> None:
     assert torch.get_num_threads() == 1
 
 
-def _train() -> None:
-    env = make_env("mo-deepdrive-one-waypoint-v0", num_envs=2)
-    agent = A2C(env, make_utility("one_waypoint_linear", SCENARIOS["one_waypoint"].objectives))
-    agent.train(100)
-    with pytest.raises(ValueError, match="threads = 2 must be 1 in a forked process"):
+FORKED = """
+import multiprocessing, sys, torch
+
+def train():
+    from algorithms import A2C
+    from algorithms.common.threads import set_threads
+    from mo_deepdrive.evaluation.env_adapter import make_env
+    A2C(make_env("mo-deepdrive-one-waypoint-v0", num_envs=2), "one_waypoint_linear").train(100)
+    try:
         set_threads(2)
+    except ValueError as error:
+        print(error)
+
+torch.set_num_threads(2)
+torch.randn(500, 500) @ torch.randn(500, 500)
+torch.randn(10**6).exp()
+if "before" in sys.argv:
+    train()
+process = multiprocessing.get_context("fork").Process(target=train)
+process.start()
+process.join()
+sys.exit(process.exitcode)
+"""
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no forks")
-@pytest.mark.usefixtures("two_threads")
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_a_forked_process_trains_although_its_parent_has_threads() -> None:
-    torch.randn(500, 500) @ torch.randn(500, 500)
-    torch.randn(10**6).exp()
-    process = multiprocessing.get_context("fork").Process(target=_train, daemon=True)
-    process.start()
-    process.join(120)
-    assert process.exitcode == 0  # None if it hangs
+@pytest.mark.parametrize("trained", ["before", "never before"])
+def test_a_forked_process_trains_although_its_parent_has_threads(trained: str) -> None:
+    command = [sys.executable, "-c", FORKED, trained]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert ("threads = 2 must be 1 in a forked process" in done.stdout) == (trained == "before")
