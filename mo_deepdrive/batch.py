@@ -223,16 +223,20 @@ class WorldBatch:
                 f"integers in [0, {len(self.table)})",
             )
         )
-        if actions.dtype.kind not in kinds:
-            raise ValueError(f"actions have dtype {actions.dtype}; expected {allowed}")
-        actions = np.ascontiguousarray(actions, dtype=dtype)
+        given = actions
+        if given.dtype.kind not in kinds:
+            first = given.reshape(-1)[0]
+            raise ValueError(f"actions such as {first!r} have dtype {given.dtype}; expected {allowed}")
+        # Numbers too large for the type become others that are refused, too.
+        with np.errstate(over="ignore"):
+            actions = np.ascontiguousarray(given, dtype=dtype)
         row = (
             action_sets.find_infinite(actions)
             if self.continuous
             else action_sets.find_unknown(actions, len(self.table))
         )
         if row >= 0:
-            raise ValueError(f"action {actions[row].tolist()} of world {row} is not allowed; expected {allowed}")
+            raise ValueError(f"action {given[row].tolist()} of world {row} is not allowed; expected {allowed}")
         return actions
 
     def _run(self, part: Part, actions: NDArray[Any]) -> None:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
+from mo_deepdrive.plain_values import plain
 from mo_deepdrive.scenarios import SCENARIOS
 
 ActionType = Literal["discrete", "discrete-16", "continuous"]
@@ -21,7 +22,7 @@ Traffic = Literal["none", "light", "default", "dense"]
 
 
 class Settings(BaseModel):
-    """Base of every settings model: strict, immutable, and closed to unknown keys.
+    """Base of every settings model: strict but for NumPy's numbers, immutable, and closed to unknown keys.
 
     Attributes:
         renamed: old names of fields, refused with the new one.
@@ -29,6 +30,12 @@ class Settings(BaseModel):
 
     renamed: ClassVar[Mapping[str, str]] = {}
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _of_numpy(cls, values: Any) -> Any:
+        """NumPy's numbers and arrays are as good as Python's."""
+        return plain(values)
 
 
 S = TypeVar("S", bound=Settings)

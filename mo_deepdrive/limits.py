@@ -12,6 +12,7 @@ import numpy as np
 
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import FAR
+from mo_deepdrive.plain_values import is_finite
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.map import MAP_SIZE
 from mo_deepdrive.simulation.state import (
@@ -95,7 +96,7 @@ def objective_bound(name: str, config: EnvConfig) -> float:
     if isinstance(bound, str):
         return limits(config)[bound]
     value = bound(config) if callable(bound) else bound
-    if not (isinstance(value, (int, float)) and 0 < value < np.inf):
+    if not (is_finite(value) and value > 0):
         raise ValueError(f"objective {name!r}: its bound is {value!r}; it must be a positive number")
     return float(value)
 

@@ -8,13 +8,13 @@ sign. ``cost_sign="paper"`` returns the magnitudes themselves.
 from __future__ import annotations
 
 import inspect
-import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mo_deepdrive.names import check_name
+from mo_deepdrive.plain_values import is_finite, with_plain_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,13 +110,16 @@ def register_objective(objective: Objective) -> None:
     Raises:
         ValueError: for an invalid field, or another objective of the same name.
     """
+    objective = with_plain_fields(objective)
     check_name(objective.name, "objective")
     for field, fine, allowed in (
-        ("sign", objective.sign in (-1, 1), "+1 (more is better) or -1 (a cost)"),
+        ("sign", is_finite(objective.sign) and objective.sign in (-1, 1), "+1 (more is better) or -1 (a cost)"),
         ("scale", _is_positive(objective.scale), "a positive number"),
         ("bound", callable(objective.bound) or _is_positive(objective.bound), "a positive number or a function"),
+        ("signed", isinstance(objective.signed, bool), "True or False"),
+        ("needs_others", isinstance(objective.needs_others, bool), "True or False"),
         ("measure", _is_measure(objective.measure), "a function of (vehicles, v, params)"),
-        ("reference", objective.reference is None or _is_finite(objective.reference), "a finite number or None"),
+        ("reference", objective.reference is None or is_finite(objective.reference), "a finite number or None"),
     ):
         if not fine:
             raise ValueError(f"objective {objective.name!r}: {field} = {getattr(objective, field)!r} must be {allowed}")
@@ -127,12 +130,8 @@ def register_objective(objective: Objective) -> None:
         raise ValueError(f"objective {objective.name!r} is registered already, with other fields; choose another name")
 
 
-def _is_finite(value: object) -> bool:
-    return isinstance(value, (int, float)) and math.isfinite(value)
-
-
-def _is_positive(value: object) -> bool:
-    return isinstance(value, (int, float)) and 0 < value < math.inf
+def _is_positive(value: Any) -> bool:
+    return is_finite(value) and bool(value > 0)
 
 
 def _is_measure(value: object) -> bool:

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
-from mo_deepdrive.quiet_pygame import pygame
+from mo_deepdrive.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Record
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 FRAMES_PER_DECISION = 3
 END_HOLD = 1.5  # s for which the last frame of an episode is shown
 SEEDS = 2**31
-INVISIBLE_DRIVERS = ("dummy", "offscreen")  # SDL's video drivers without a display
 
 
 class Keys(NamedTuple):

@@ -9,4 +9,6 @@ with contextlib.redirect_stdout(io.StringIO()):
     import pygame
     from pygame import gfxdraw
 
-__all__ = ["gfxdraw", "pygame"]
+__all__ = ["INVISIBLE_DRIVERS", "gfxdraw", "pygame"]
+
+INVISIBLE_DRIVERS = ("dummy", "offscreen")  # SDL's video drivers without a display

@@ -8,6 +8,7 @@ Everything is drawn at twice the size and scaled down, which smooths edges, on s
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,7 @@ from mo_deepdrive.drawing import (
 from mo_deepdrive.measures import make_measures
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, signs
 from mo_deepdrive.params import chosen_objectives, make_params
-from mo_deepdrive.quiet_pygame import pygame
+from mo_deepdrive.quiet_pygame import INVISIBLE_DRIVERS, pygame
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation.map import MAP_CENTRE, MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, ENDS, KERNEL_NAMES, MAX_WAYPOINTS, OTHER_VEHICLE, RUNNING, TIME_LIMIT
@@ -273,7 +274,8 @@ class Viewer:
     def draw(self, world: NDArray[Any]) -> NDArray[np.uint8]:
         """The frame of ``world`` (vehicles,) of dtype VEHICLE: a new RGB array (height, width, 3).
 
-        With "human" it is also shown in the window, unless the user has closed it.
+        With "human" it is also shown in the window, unless the user has closed it or there is no display. Of pygame's
+        events only QUIT is taken; a user's program gets the others.
         """
         self._trace.follow(world, self._magnitudes(world))
         self._draw_map(world)
@@ -303,17 +305,32 @@ class Viewer:
             pygame.display.quit()
 
     def _show(self) -> None:
+        try:
+            window = self._window()
+        except pygame.error as error:
+            self._warn_of_no_window(f"SDL says {str(error)!r}")
+            self._dismissed = True
+            return
+        window.blit(self._frame, (0, 0))
+        pygame.display.flip()
+        self._clock.tick(self.config.decision_frequency)
+        if pygame.event.get(pygame.QUIT):
+            self._dismissed = True
+            self.close()
+
+    def _window(self) -> pygame.Surface:
         pygame.display.init()
         window = pygame.display.get_surface()
         if window is None:
             window = pygame.display.set_mode(FRAME_SIZE)
             pygame.display.set_caption(f"MO-DeepDrive: {self.scenario.title}")
-        window.blit(self._frame, (0, 0))
-        pygame.display.flip()
-        self._clock.tick(self.config.decision_frequency)
-        if any(event.type == pygame.QUIT for event in pygame.event.get()):
-            self._dismissed = True
-            self.close()
+            if (driver := pygame.display.get_driver()) in INVISIBLE_DRIVERS:
+                self._warn_of_no_window(f"SDL has only {driver!r}")
+        return window
+
+    @staticmethod
+    def _warn_of_no_window(reason: str) -> None:
+        warnings.warn(f"render_mode='human' has no display and shows no window ({reason})", stacklevel=2)
 
     def _draw_map(self, world: NDArray[Any]) -> None:
         reach = reach_of(world)

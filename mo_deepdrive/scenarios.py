@@ -18,6 +18,7 @@ import numpy as np
 
 from mo_deepdrive.names import check_name, nearest
 from mo_deepdrive.objectives import INDEX
+from mo_deepdrive.plain_values import finite_numbers, with_plain_fields
 from mo_deepdrive.simulation.map import HALF_LANE, MAP_CENTRE, MAP_ORIGIN, MAP_UNIT
 from mo_deepdrive.simulation.state import LANE_WIDTH, MAX_VEHICLES, MAX_WAYPOINTS
 
@@ -191,6 +192,7 @@ def register_scenario(scenario: Scenario) -> None:
     Raises:
         ValueError: for an invalid field, or another scenario of the same name.
     """
+    scenario = with_plain_fields(scenario)
     check_name(scenario.name, "scenario")
     if problem := _problem(scenario):
         raise ValueError(f"scenario {scenario.name!r}: {problem}")
@@ -247,10 +249,16 @@ def _problem(scenario: Scenario) -> str:
 def _with_tuples(scenario: Scenario) -> Scenario:
     """The same scenario with nested tuples, which can be compared, instead of arrays and lists."""
     routes = tuple(
-        replace(route, start=_tuple(route.start), waypoints=tuple(_tuple(point) for point in route.waypoints))
+        replace(
+            route,
+            start=_tuple(route.start),
+            waypoints=tuple(_tuple(point) for point in route.waypoints),
+            start_span=float(route.start_span),
+        )
         for route in scenario.routes
     )
-    return replace(scenario, routes=routes, destination_span=_tuple(scenario.destination_span))
+    objectives, span = tuple(scenario.objectives), _tuple(scenario.destination_span)
+    return replace(scenario, routes=routes, objectives=objectives, destination_span=span)
 
 
 def _tuple(numbers: Any) -> Any:
@@ -259,8 +267,5 @@ def _tuple(numbers: Any) -> Any:
 
 def _shape(value: Any) -> tuple[int, ...] | None:
     """The shape of finite numbers; None for anything else."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        return None
-    return array.shape if array.dtype.kind in "iuf" and np.isfinite(array).all() else None
+    numbers = finite_numbers(value)
+    return None if numbers is None else numbers.shape

@@ -14,6 +14,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -23,12 +24,13 @@ from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.plain_values import finite_numbers, is_finite
 
 Function = Callable[[Any], Any]
 
 
 class Utility:
-    """A named utility over d objectives.
+    """A named utility over d objectives, which can be pickled if its function can; all of :func:`make_utility` can.
 
     Attributes:
         name: the registered name or the path.
@@ -243,14 +245,10 @@ def _in_order(name: str, argument: str, values: Any, objectives: Sequence[str], 
 def _vector(name: str, argument: str, values: Any, d: int) -> list[float]:
     if values is None:
         raise ValueError(f"utility {name!r} needs the argument {argument!r}: {d} numbers")
-    try:
-        given = () if isinstance(values, Mapping) else values
-        numbers = [float(value) for value in given if not isinstance(value, (bool, np.bool_))]
-    except (TypeError, ValueError, OverflowError):
-        numbers = []
-    if len(numbers) != d or not all(math.isfinite(number) for number in numbers):
+    numbers = finite_numbers(values)
+    if numbers is None or numbers.shape != (d,):
         raise ValueError(f"{argument} = {values!r} must be {d} finite numbers for utility {name!r}")
-    return numbers
+    return [float(number) for number in numbers]
 
 
 def _like(values: list[float], returns: Any) -> Any:
@@ -259,10 +257,20 @@ def _like(values: list[float], returns: Any) -> Any:
     return returns.new_tensor(values)
 
 
+def _weighted_sum(w: list[float], returns: Any) -> Any:
+    return (returns * _like(w, returns)).sum(-1)
+
+
 def linear(objectives: Sequence[str], weights: Any = None) -> Utility:
     """sum_i w_i R_i, with weights w (d,), or by the names of objectives (0 for those that are not named)."""
     w = _vector("linear", "weights", _in_order("linear", "weights", weights, objectives, 0.0), len(objectives))
-    return Utility("linear", objectives, lambda returns: (returns * _like(w, returns)).sum(-1), w)
+    return Utility("linear", objectives, partial(_weighted_sum, w), w)
+
+
+def _chebyshev(w: list[float], z: list[float], rho: float, returns: Any) -> Any:
+    gaps = _like(w, returns) * (_like(z, returns) - returns)
+    worst = gaps.max(-1) if isinstance(gaps, np.ndarray) else gaps.amax(-1)
+    return -(worst + rho * gaps.sum(-1))
 
 
 def augmented_chebyshev(
@@ -275,15 +283,15 @@ def augmented_chebyshev(
     name, d = "augmented_chebyshev", len(objectives)
     w = _vector(name, "weights", _in_order(name, "weights", weights, objectives, 0.0), d)
     z = _vector(name, "ideal", _in_order(name, "ideal", ideal, objectives), d)
-    if isinstance(rho, bool) or not (isinstance(rho, (int, float)) and 0 <= rho < math.inf):
+    if not is_finite(rho) or rho < 0:
         raise ValueError(f"rho = {rho!r} must be finite and not negative")
+    return Utility("augmented_chebyshev", objectives, partial(_chebyshev, w, z, float(rho)))
 
-    def function(returns: Any) -> Any:
-        gaps = _like(w, returns) * (_like(z, returns) - returns)
-        worst = gaps.max(-1) if isinstance(gaps, np.ndarray) else gaps.amax(-1)
-        return -(worst + rho * gaps.sum(-1))
 
-    return Utility("augmented_chebyshev", objectives, function)
+def _gini(w: list[float], s: list[float], returns: Any) -> Any:
+    scaled = returns / _like(s, returns)
+    ordered = np.sort(scaled, axis=-1) if isinstance(scaled, np.ndarray) else scaled.sort(-1).values
+    return (ordered * _like(w, returns)).sum(-1)
 
 
 def generalised_gini(objectives: Sequence[str], weights: Any = None, scales: Any = None) -> Utility:
@@ -298,13 +306,7 @@ def generalised_gini(objectives: Sequence[str], weights: Any = None, scales: Any
         raise ValueError(f"weights = {w} of generalised_gini must be non-increasing and non-negative")
     if any(scale <= 0.0 for scale in s):
         raise ValueError(f"scales = {s} of generalised_gini must be positive")
-
-    def function(returns: Any) -> Any:
-        scaled = returns / _like(s, returns)
-        ordered = np.sort(scaled, axis=-1) if isinstance(scaled, np.ndarray) else scaled.sort(-1).values
-        return (ordered * _like(w, returns)).sum(-1)
-
-    return Utility("generalised_gini", objectives, function)
+    return Utility("generalised_gini", objectives, partial(_gini, w, s))
 
 
 STANDARD: dict[str, Callable[..., Utility]] = {
@@ -337,7 +339,7 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
     if cost_sign not in ("maximise", "paper"):
         raise ValueError(f"cost_sign = {cost_sign!r} must be 'maximise' or 'paper'")
     if ":" in name:
-        return Utility(name, objectives, _custom(name, arguments))
+        return Utility(name, objectives, _Named(name, arguments))
     if name in STANDARD:
         try:
             utility = STANDARD[name](objectives, **arguments)
@@ -357,14 +359,13 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
     signs = [1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[objective]].sign) for objective in objectives]
     if name in LINEAR:
         weights = [LINEAR[name][objective] * sign for objective, sign in zip(objectives, signs, strict=True)]
-        return Utility(name, objectives, lambda returns: (returns * _like(weights, returns)).sum(-1), weights)
+        return Utility(name, objectives, partial(_weighted_sum, weights), weights)
     formula = NONLINEAR[name][1] if budget is None else budget.utility
+    return Utility(name, objectives, partial(_of_magnitudes, formula, dict(zip(objectives, signs, strict=True))))
 
-    def function(returns: Any) -> Any:
-        magnitudes = {objective: returns[..., i] * signs[i] for i, objective in enumerate(objectives)}
-        return formula(magnitudes)
 
-    return Utility(name, objectives, function)
+def _of_magnitudes(formula: Callable[[dict[str, Any]], Any], signs: dict[str, float], returns: Any) -> Any:
+    return formula({objective: returns[..., i] * sign for i, (objective, sign) in enumerate(signs.items())})
 
 
 def _warn_of_rewarded_costs(utility: Utility) -> None:
@@ -384,9 +385,10 @@ def _with_budgets(name: str, budgets: Mapping[str, Any]) -> ComfortBudget:
     for each, value in budgets.items():
         if each not in BUDGETS:
             raise ValueError(f"utility {name!r} takes no arguments but {', '.join(BUDGETS)}; got {each!r}")
-        if isinstance(value, bool) or not (isinstance(value, (int, float)) and 0.0 <= value < math.inf):
+        if not is_finite(value) or value < 0:
             raise ValueError(f"{each} = {value!r} of utility {name!r} must be finite and at least 0")
-    return replace(COMFORT_BUDGETS[name], **budgets)
+    changed: dict[str, Any] = {each: float(value) for each, value in budgets.items()}
+    return replace(COMFORT_BUDGETS[name], **changed)
 
 
 def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> None:
@@ -423,8 +425,17 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
             raise ValueError(f"utility {utility.name!r} gives shape {found} for {given}, not {shape[:-1]}")
 
 
-def _custom(path: str, arguments: dict[str, Any]) -> Function:
-    function: Function = import_named("utility", path)
-    if not callable(function):
-        raise ValueError(f"utility {path!r} is not callable")
-    return (lambda returns: function(returns, **arguments)) if arguments else function
+class _Named:
+    """A user's function and its further arguments; a copy or another process imports it again, by its path."""
+
+    def __init__(self, path: str, arguments: dict[str, Any]):
+        self._path, self._arguments = path, arguments
+        self._function: Callable[..., Any] = import_named("utility", path)
+        if not callable(self._function):
+            raise ValueError(f"utility {path!r} is not callable")
+
+    def __call__(self, returns: Any) -> Any:
+        return self._function(returns, **self._arguments)
+
+    def __reduce__(self) -> tuple[type[_Named], tuple[str, dict[str, Any]]]:
+        return _Named, (self._path, self._arguments)

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from algorithms.common.perceptron import Perceptron
+from algorithms.common.threads import limited_threads
 from mo_deepdrive.importing import import_named
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class _Linear(nn.Linear):
         """Leave them: torch's own initialisation would draw from the global generator."""
 
 
+@limited_threads()
 def mlp(
     inputs: int,
     hidden: Sequence[int],
@@ -59,6 +61,7 @@ def mlp(
     return Perceptron(*layers) if activation == "relu" else nn.Sequential(*layers)
 
 
+@limited_threads()
 def make_network(
     config: NetworkSettings, inputs: int, outputs: int, generator: torch.Generator, *, output_gain: float = 1.0
 ) -> nn.Module:

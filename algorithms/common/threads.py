@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from threadpoolctl import LibController
 
 _count = _wanted = 1
+_process = os.getpid()
 blas_libraries = ThreadpoolController().select(user_api="blas").lib_controllers
 
 
@@ -29,13 +31,30 @@ def set_threads(count: int) -> None:
 
     An idle thread spins for milliseconds, on a core that others need, unless ``GOMP_SPINCOUNT`` is 6000 or so when the
     process starts; the command line sees to that.
+
+    Raises:
+        ValueError: for more than one thread in a forked process: it has none of the threads that its parent may have
+            started, and would wait for them for ever.
     """
     global _count, _wanted
+    if count > 1 and os.getpid() != _process:
+        raise ValueError(f"threads = {count} must be 1 in a forked process; one started by 'spawn' can have more")
     _wanted = count
     _count = min(count, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]  # Numba has no types
     numba.set_num_threads(_count)
     torch.set_num_threads(count)
     threadpool_limits(1, user_api="blas")
+
+
+def _begin_fork() -> None:
+    """Use one thread in a forked process for all that torch and compiled code do, not for training alone."""
+    global _count
+    _count = 1
+    torch.set_num_threads(1)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_begin_fork)
 
 
 def threads() -> int:

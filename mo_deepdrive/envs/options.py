@@ -8,6 +8,7 @@ import numpy as np
 
 from mo_deepdrive.names import nearest
 from mo_deepdrive.params import cars_in_traffic
+from mo_deepdrive.plain_values import finite_numbers, whole_number
 from mo_deepdrive.scenarios import FARTHEST, SCENARIOS, Scenario
 from mo_deepdrive.simulation.placing import pin_nothing
 from mo_deepdrive.simulation.state import SPAWN, with_room
@@ -38,8 +39,8 @@ def option_names(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.ndarray:
-    numbers = _array(value)
-    if numbers.shape != shape or not np.isfinite(numbers).all():
+    numbers = finite_numbers(value)
+    if numbers is None or numbers.shape != shape:
         raise ValueError(f"reset option {name!r} = {value!r} must be {form}: finite numbers in m and rad")
     if (np.abs(numbers[..., :2]) > FARTHEST).any():
         raise ValueError(f"reset option {name!r} = {value!r} must have coordinates in [-{FARTHEST:g}, {FARTHEST:g}] m")
@@ -49,26 +50,18 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...], form: str) -> np.nda
     return numbers
 
 
-def _array(value: Any) -> np.ndarray:
-    """The numbers of ``value``; none if it has anything else."""
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return np.array([])
-
-
 def _pin_cars(pins: Any, options: Mapping[str, Any], config: EnvConfig) -> None:
     """Set the number of oncoming cars and what is known of their drivers, the first car first."""
     scenario = SCENARIOS[config.scenario]
-    cars = options.get("cars", cars_in_traffic(config))
-    if isinstance(cars, bool) or not isinstance(cars, (int, np.integer)) or not 0 <= cars <= scenario.cars:
-        raise ValueError(f"reset option 'cars' = {cars!r} must be a number of oncoming cars from 0 to {scenario.cars}")
+    allowed = f"a number of oncoming cars from 0 to {scenario.cars}"
+    given = options.get("cars", cars_in_traffic(config))
+    cars = whole_number("reset option 'cars'", given, 0, scenario.cars, allowed)
     pins.n_cars = cars
     for name, (field, (low, high), unit) in DRIVERS.items():
         if name in options:
             value = options[name]
-            numbers = _array(value)
-            if numbers.ndim != 1 or not 1 <= len(numbers) <= cars:
+            numbers = finite_numbers(value)
+            if numbers is None or numbers.ndim != 1 or not 1 <= len(numbers) <= cars:
                 raise ValueError(f"reset option {name!r} = {value!r} must have one number per car, at most {cars}")
             if not ((numbers >= low) & (numbers <= high)).all():
                 raise ValueError(f"reset option {name!r} = {value!r} must have numbers in [{low:g}, {high:g}] {unit}")

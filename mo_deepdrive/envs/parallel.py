@@ -85,12 +85,12 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         keep_finished: bool = False,
         **options: Any,
     ):
-        if not isinstance(keep_finished, bool):
+        if not isinstance(keep_finished, (bool, np.bool_)):
             raise ValueError(f"keep_finished = {keep_finished!r} must be True or False")
         config = parse_arguments(scenario, options)
         self.config = config
         self.render_mode = render_mode
-        self.keep_finished = keep_finished
+        self.keep_finished = bool(keep_finished)
         self.world = World(config, render_mode)
         self.batch = self.world.batch
         self.metadata = {

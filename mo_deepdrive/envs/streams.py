@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.utils import seeding
 
+from mo_deepdrive.plain_values import whole_number
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -22,9 +24,7 @@ def checked_seed(seed: Any, name: str = "seed") -> int | None:
     """
     if seed is None:
         return None
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise ValueError(f"{name} = {seed!r} must be None or a non-negative integer")
-    return int(seed)
+    return whole_number(name, seed, 0, allowed="None or a non-negative integer")
 
 
 class Streams:

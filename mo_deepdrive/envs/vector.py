@@ -17,6 +17,7 @@ from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams, checked_seed
+from mo_deepdrive.plain_values import whole_number
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 
 if TYPE_CHECKING:
@@ -26,9 +27,7 @@ END_NAMES = np.array(ENDS, dtype=object)
 
 
 def _positive(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"{name} = {value!r} must be a positive integer")
-    return int(value)
+    return whole_number(name, value, 1, allowed="a positive integer")
 
 
 def _form(array: Any) -> str:

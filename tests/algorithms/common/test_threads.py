@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import numba
@@ -103,3 +106,37 @@ def test_fewer_threads_stay_fewer() -> None:
     with limited_threads():
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == 1
+
+
+FORKED = """
+import multiprocessing, sys, torch
+
+def train():
+    from algorithms import A2C
+    from algorithms.common.threads import set_threads
+    from mo_deepdrive.evaluation.env_adapter import make_env
+    A2C(make_env("mo-deepdrive-one-waypoint-v0", num_envs=2), "one_waypoint_linear").train(100)
+    try:
+        set_threads(2)
+    except ValueError as error:
+        print(error)
+
+torch.set_num_threads(2)
+torch.randn(500, 500) @ torch.randn(500, 500)
+torch.randn(10**6).exp()
+if "before" in sys.argv:
+    train()
+process = multiprocessing.get_context("fork").Process(target=train)
+process.start()
+process.join()
+sys.exit(process.exitcode)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no forks")
+@pytest.mark.parametrize("trained", ["before", "never before"])
+def test_a_forked_process_trains_although_its_parent_has_threads(trained: str) -> None:
+    command = [sys.executable, "-c", FORKED, trained]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert ("threads = 2 must be 1 in a forked process" in done.stdout) == (trained == "before")
