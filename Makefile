@@ -25,8 +25,8 @@ SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTI
 # The tests that need nothing but the development environment.
 HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
-.PHONY: install train test tests test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser test-install \
-	test-lowest mutants lint benchmark docs linkcheck clean
+.PHONY: install train test tests test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser \
+	test-install test-lowest mutants lint benchmark docs linkcheck clean
 
 install: $(READY)
 
@@ -66,8 +66,8 @@ $(INTEGRATIONS_READY): pyproject.toml constraints.txt constraints-peers.txt cons
 		--editable ".[integrations]" pytest pytest-xdist hypothesis
 	touch $@
 
-# The lowest versions that pyproject.toml allows, which only uv finds: without UV, pip installs it. PyTorch's lowest build for
-# CPUs alone is not on PyPI, so it is the usual one, or LOWEST_TORCH="torch==2.5.0+cpu" with PyTorch's index.
+# The lowest versions that pyproject.toml allows, which only uv finds: without UV, pip installs it. Only PyTorch is the usual
+# one, since its CPU builds are not on PyPI; with PyTorch's index, LOWEST_TORCH="torch==2.5.0+cpu" is its lowest.
 LOWEST_TORCH ?= $(shell grep '^torch==' constraints.txt)
 LOWEST_UV = $(or $(UV),$(LOWEST_VENV)/bin/uv) pip install --quiet --python $(LOWEST_VENV)/bin/python
 $(LOWEST_READY): pyproject.toml constraints.txt
@@ -129,8 +129,8 @@ test-browser: $(READY)
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install
 
-# With the lowest versions: environments and their APIs, short training with each algorithm, evaluation, files, a table. Numba
-# does not share a cache with another version of itself.
+# With the lowest versions: environments and their APIs, short training with each algorithm, evaluation, checkpoints, a
+# table. Versions of Numba do not share a cache.
 LOWEST_TESTS = $(addprefix tests/,mo_deepdrive/envs mo_deepdrive/evaluation algorithms/test_agent.py algorithms/test_pcn.py \
 	algorithms/test_mocac.py algorithms/test_mappo.py algorithms/test_conditioned_mo_ppo.py \
 	algorithms/common/test_checkpoints.py algorithms/experiments/test_key_listing.py scripts/test_table.py)
@@ -148,8 +148,8 @@ test-peers: $(PEERS_READY)
 test-integrations: $(INTEGRATIONS_READY)
 	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/integrations --numprocesses 2 --dist worksteal
 
-# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv, or with SAMPLE= every mutant
-# of a group. Each group has its own clone, so `make --jobs 2 mutants` uses two cores.
+# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv. `make mutants-pareto`
+# is one group, with SAMPLE= all its mutants. Each has a clone of its own, so `make --jobs 2 mutants` uses two cores.
 SAMPLE = 1
 MUTANTS = advantages pareto scenarios simulation sweeps
 mutants: $(MUTANTS:%=mutants-%)

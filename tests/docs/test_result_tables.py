@@ -569,21 +569,6 @@ def speeds(row: Row) -> dict[str, list[float]]:
     return {"measured": rates(*(f"{name}, mo_gymnasium.make" for name in ("OneWaypoint", "LeftTurn", "minecart-v0")))}
 
 
-def mutants(row: Row) -> dict[str, list[float]]:
-    tested = [mutant for mutant in records("mutants.csv") if row["group"] in ("all", mutant["group"])]
-    killed, equivalent, survived = (
-        sum(mutant["outcome"] in outcomes for mutant in tested)
-        for outcomes in (("killed", "timeout"), ("equivalent",), ("survived",))
-    )
-    return {
-        "mutants": [len(tested)],
-        "killed": [killed],
-        "equivalent": [equivalent],
-        "survived": [survived],
-        "score": [100 * killed / (len(tested) - equivalent)],
-    }
-
-
 # ------------------------------------------------------------------------------------------------------------- tables
 
 
@@ -655,7 +640,6 @@ TABLES = [
     Table("docs/results/parity.md", "config | vehicle | before", parity),
     Table("docs/results/parity.md", "config | vehicle | that commit", parity_of_the_commit),
     Table("README.md", "what | measured", speeds),
-    Table("CONTRIBUTING.md", "group | mutants", mutants),
 ]
 
 
