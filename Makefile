@@ -8,6 +8,7 @@ PEERS_VENV ?= .venv-peers
 INTEGRATIONS_VENV ?= .venv-integrations
 MUTANTS_VENV ?= .venv-mutants
 DOCS_VENV ?= .venv-docs
+LOWEST_VENV ?= .venv-lowest
 # `make install UV=uv` is faster: uv unpacks a package once for all environments, pip once for each.
 UV ?=
 install_in = $(if $(UV),$(UV) pip install --quiet --python $(1)/bin/python,\
@@ -19,12 +20,13 @@ PEERS_READY = $(PEERS_VENV)/.ready
 INTEGRATIONS_READY = $(INTEGRATIONS_VENV)/.ready
 MUTANTS_READY = $(MUTANTS_VENV)/.ready
 DOCS_READY = $(DOCS_VENV)/.ready
+LOWEST_READY = $(LOWEST_VENV)/.ready
 SPHINX = $(DOCS_VENV)/bin/python -m sphinx -W --keep-going --quiet $(SPHINX_OPTIONS)
 # The tests that need nothing but the development environment.
 HERE = --ignore tests/browser --ignore tests/cluster --ignore tests/install --ignore tests/integrations
 
-.PHONY: install train test test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser test-install \
-	mutants lint benchmark docs linkcheck clean
+.PHONY: install train test tests test-fast test-processes test-ray test-peers test-integrations test-cluster test-browser \
+	test-install test-lowest mutants lint benchmark docs linkcheck clean
 
 install: $(READY)
 
@@ -64,6 +66,19 @@ $(INTEGRATIONS_READY): pyproject.toml constraints.txt constraints-peers.txt cons
 		--editable ".[integrations]" pytest pytest-xdist hypothesis
 	touch $@
 
+# The lowest versions that pyproject.toml allows, which only uv finds: without UV, pip installs it. Only PyTorch is the usual
+# one, since its CPU builds are not on PyPI; with PyTorch's index, LOWEST_TORCH="torch==2.5.0+cpu" is its lowest.
+LOWEST_TORCH ?= $(shell grep '^torch==' constraints.txt)
+LOWEST_UV = $(or $(UV),$(LOWEST_VENV)/bin/uv) pip install --quiet --python $(LOWEST_VENV)/bin/python
+$(LOWEST_READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv --clear $(LOWEST_VENV)
+	$(if $(UV),,$(call install_in,$(LOWEST_VENV)) uv)
+	$(LOWEST_UV) $(LOWEST_TORCH)
+	$(LOWEST_UV) --resolution lowest-direct --only-binary :all: --no-binary mo-deepdrive \
+		--editable ".[train,wandb,sweep,momaland,minari]"
+	$(LOWEST_UV) --constraint constraints.txt pytest hypothesis
+	touch $@
+
 # Cosmic Ray installs 16 further packages.
 $(MUTANTS_READY): pyproject.toml constraints.txt constraints-mutants.txt
 	$(PYTHON) -m venv $(MUTANTS_VENV)
@@ -87,7 +102,9 @@ lint: $(READY)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/codespell
 
-test: lint
+test: lint tests
+
+tests: $(READY)
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist worksteal $(HERE) -m "not processes"
 
 # For the inner loop: no lint, nothing that takes longer than a second, and few examples per property.
@@ -112,6 +129,15 @@ test-browser: $(READY)
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install
 
+# With the lowest versions: environments and their APIs, short training with each algorithm, evaluation, checkpoints, a
+# table. Versions of Numba do not share a cache.
+LOWEST_TESTS = $(addprefix tests/,mo_deepdrive/envs mo_deepdrive/evaluation algorithms/test_agent.py algorithms/test_pcn.py \
+	algorithms/test_mocac.py algorithms/test_mappo.py algorithms/test_conditioned_mo_ppo.py \
+	algorithms/common/test_checkpoints.py algorithms/experiments/test_key_listing.py scripts/test_table.py)
+test-lowest: $(LOWEST_READY)
+	NUMBA_CACHE_DIR=$(abspath $(LOWEST_VENV))/numba $(LOWEST_VENV)/bin/python -m pytest $(LOWEST_TESTS) \
+		-m "not slow and not processes" --hypothesis-profile fast
+
 test-ray: $(RAY_READY)
 	$(RAY_VENV)/bin/python -m pytest tests/ray
 
@@ -122,9 +148,22 @@ test-peers: $(PEERS_READY)
 test-integrations: $(INTEGRATIONS_READY)
 	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/integrations --numprocesses 2 --dist worksteal
 
-# Which small changes of the code the tests notice; more options in MUTANTS, such as MUTANTS="--workers 2 --resume".
-mutants: $(MUTANTS_READY)
-	$(MUTANTS_VENV)/bin/python -m tests.mutation.mutants $(MUTANTS)
+# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv. `make mutants-pareto`
+# is one group, with SAMPLE= all its mutants. Each has a clone of its own, so `make --jobs 2 mutants` uses two cores.
+SAMPLE = 1
+MUTANTS = advantages pareto scenarios simulation sweeps
+mutants: $(MUTANTS:%=mutants-%)
+	$(MUTANTS_VENV)/bin/python -m tests.mutation.sample record $(MUTANTS:%=$(MUTANTS_VENV)/%.sqlite)
+
+mutants-%: $(MUTANTS_READY)
+	rm -rf $(MUTANTS_VENV)/clone-$* $(MUTANTS_VENV)/$*.sqlite
+	git clone --quiet . $(MUTANTS_VENV)/clone-$*
+	cd $(MUTANTS_VENV)/clone-$* && export PYTHONPATH="$$PWD" PATH="$(abspath $(MUTANTS_VENV))/bin:$$PATH" && \
+		cosmic-ray init tests/mutation/$*.toml ../$*.sqlite && \
+		cr-filter-operators ../$*.sqlite tests/mutation/operators.toml && \
+		$(if $(SAMPLE),python -m tests.mutation.sample keep ../$*.sqlite &&) \
+		cosmic-ray baseline tests/mutation/$*.toml && \
+		cosmic-ray exec tests/mutation/$*.toml ../$*.sqlite
 
 benchmark: $(READY)
 	$(VENV)/bin/python scripts/benchmark.py
@@ -138,5 +177,6 @@ linkcheck: $(DOCS_READY)
 	$(SPHINX) -b linkcheck -d docs/_build/doctrees docs docs/_build/linkcheck
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) docs/_build docs/_pictures docs/_static/explore_*.html \
+	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) $(LOWEST_VENV) \
+		docs/_build docs/_pictures docs/_static/explore_*.html \
 		.mypy_cache .ruff_cache .pytest_cache

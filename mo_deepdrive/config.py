@@ -48,7 +48,8 @@ def _settings_in(annotation: Any) -> Any:
 
 
 def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+    # In Python 3.10 list[int] is an instance of type, too.
+    return get_origin(annotation) is None and isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def _model_at(model: Any, path: tuple[int | str, ...]) -> type[Settings] | None:

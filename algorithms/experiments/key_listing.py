@@ -116,7 +116,8 @@ def _plain(text: str) -> str:
 
 def _section(annotation: Any) -> tuple[str, type[BaseModel]] | None:
     """The settings model in an annotation, and what comes before its keys: ``NAME.`` in a mapping of them."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    # In Python 3.10 list[int] is an instance of type, too.
+    if get_origin(annotation) is None and isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "", annotation
     for each in get_args(annotation):
         found = _section(each)

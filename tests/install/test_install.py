@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tarfile
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -20,13 +21,9 @@ from algorithms import zoo
 from algorithms.commands import COMMANDS
 from tests.helpers.paths import REPOSITORY
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 pytestmark = pytest.mark.slow
 
 TIMEOUT = 600
-CONSTRAINTS = ["--constraint", str(REPOSITORY / "constraints.txt")]
 WRONG = "raise SystemExit('imported from the working directory')\n"
 SHORT = ["--training.total_timesteps=4096", "--training.num_envs=16", "--evaluation.final_episodes=4"]
 SHORT += ["--evaluation.episodes=2", "--utility.name=own_utility:utility"]
@@ -88,9 +85,13 @@ class Installed:
         assert done.returncode == code, f"{program} {' '.join(arguments)}\n{done.stdout}\n{done.stderr}"
         return done
 
-    def pip(self, *arguments: str) -> str:
-        """Run pip; returns its output."""
-        return self.run("python", "-m", "pip", "--disable-pip-version-check", *arguments).stdout
+    def install(self, *packages: str) -> None:
+        """Install packages in the tested versions, by the uv of ``make UV=uv``, which is faster, or by pip."""
+        uv = shutil.which(os.environ.get("UV", ""))
+        python = str(self.bin / "python")
+        by_uv = [str(Path(uv or "").absolute()), "pip", "install", "--python", python]
+        pip = by_uv if uv else [python, "-m", "pip", "install"]
+        self.run(*pip, "--quiet", "--constraint", str(REPOSITORY / "constraints.txt"), *packages)
 
     def command(self, *arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
         """Run ``mo-deepdrive``."""
@@ -108,7 +109,7 @@ def make_environment(folder: Path) -> Installed:
 def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sdist, and the wheel that is built from it."""
     tools = make_environment(tmp_path_factory.mktemp("tools"))
-    tools.pip("install", "--quiet", *CONSTRAINTS, "build", "twine")
+    tools.install("build", "twine")
     output = tools.folder / "dist"
     tools.run("python", "-m", "build", "--outdir", str(output), str(REPOSITORY))
     assert sorted(path.suffix for path in output.iterdir()) == [".gz", ".whl"]
@@ -122,7 +123,7 @@ def core(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
     """The wheel without extras."""
     installed = make_environment(tmp_path_factory.mktemp("installed"))
     (wheel,) = dist.glob("*.whl")
-    installed.pip("install", "--quiet", *CONSTRAINTS, str(wheel))
+    installed.install(str(wheel))
     for name in ("algorithms", "mo_deepdrive"):
         (installed.folder / name).mkdir()
         (installed.folder / name / "__init__.py").write_text(WRONG)
@@ -135,7 +136,7 @@ def core(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
 def everything(core: Installed, dist: Path) -> Installed:
     """The same environment with ``[train]``, and a run in the folder ``run``."""
     (wheel,) = dist.glob("*.whl")
-    core.pip("install", "--quiet", *CONSTRAINTS, f"{wheel}[train]")
+    core.install(f"{wheel}[train]")
     said = core.command("train", "--config", "one_waypoint/mo_a2c_linear", "--output", "run", *SHORT).stdout
     assert "finished: run" in said
     return core
@@ -178,7 +179,8 @@ def test_the_tests_pass_from_the_sdist(dist: Path, tmp_path: Path) -> None:
 
 
 def test_the_core_is_light_and_has_every_environment(core: Installed, tmp_path: Path) -> None:
-    packages = {each["name"].lower() for each in json.loads(core.pip("list", "--format=json"))}
+    listed = core.run("python", "-m", "pip", "list", "--format=json").stdout
+    packages = {each["name"].lower() for each in json.loads(listed)}
     assert len(packages - {"pip", "setuptools", "mo-deepdrive"}) <= 22, packages
     assert not packages & {"torch", "ray", "wandb", "matplotlib", "tensorboard", "polars", "rich"}
     assert Installed(core.bin, tmp_path).run("python", "-c", ENVIRONMENTS).stdout == "True (4,)\n"
