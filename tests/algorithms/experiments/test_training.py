@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from algorithms import MOA2C
+from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.jobs import Job, perform
-from algorithms.experiments.run_directory import read_status
-from algorithms.experiments.run_files import broken_files
+from algorithms.experiments.run_directory import Run, read_status
+from algorithms.experiments.run_files import changed_files
 from algorithms.experiments.training import reopen, train_and_finish
 from tests.helpers.short_runs import assert_same_run, job, metrics, printed, quiet
 
@@ -66,7 +67,7 @@ def test_missing_rows_are_noticed_when_a_run_is_resumed_and_kept_in_its_status(
     assert f"warning: {gap}; the run is continued" in " ".join(printed(console).split())
     status = read_status(wanted.path)
     assert (status["state"], status["step"], status["metrics_gap"]) == ("finished", TOTAL, gap)
-    assert broken_files(wanted.path) == []
+    assert changed_files(wanted.path) == []
 
 
 def test_a_gap_is_kept_by_later_processes_and_noted_once(tmp_path: Path) -> None:
@@ -169,3 +170,25 @@ def test_a_gap_that_is_noticed_again_before_a_checkpoint_is_noted_once(tmp_path:
     checkpoint.unlink()
     assert perform(wanted) == "trained"
     assert "metrics_gap" not in read_status(wanted.path)  # it was trained from the beginning
+
+
+def files(path: Path) -> dict[str, bytes]:
+    """The contents of the files in a directory."""
+    return {each.name: each.read_bytes() for each in path.iterdir() if each.is_file()}
+
+
+def test_a_run_that_is_renamed_stops_and_leaves_another_one_at_its_path_alone(tmp_path: Path) -> None:
+    wanted, others = job(tmp_path), {}
+
+    def rename(step: int, _: object) -> None:
+        if step >= 320 and not others:
+            wanted.path.rename(tmp_path / "renamed")
+            other = Run.create(wanted.experiment, wanted.path)
+            (other.path / "metrics.csv").write_text("step\n")
+            others.update({"run": other, "files": files(other.path)})
+
+    with pytest.raises(Moved, match=r"^training stopped at step \d+: run directory '.*seed0' was renamed, .* is now$"):
+        perform(wanted, watch=rename)
+    others["run"].unlock()
+    assert files(wanted.path) == others["files"]
+    assert perform(Job("renamed", wanted.experiment, tmp_path / "renamed")) == "trained"
