@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive import actions as action_sets
 from mo_deepdrive.limits import check_state
+from mo_deepdrive.machine import check_memory
 from mo_deepdrive.measures import make_measures
 from mo_deepdrive.observation import layout
 from mo_deepdrive.params import chosen_objectives, make_params
@@ -101,7 +102,10 @@ class WorldBatch:
         self.params = make_params(config)
         vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars
         size = len(layout(self.scenario))
-        self.state = np.zeros((worlds, vehicles), dtype=with_room(VEHICLE, obstacles, cars))
+        dtype = with_room(VEHICLE, obstacles, cars)
+        numbers = size + len(self.objectives) + 2 * 3  # of observations, rewards and controls
+        check_memory(f"num_envs = {worlds}", worlds * vehicles * (dtype.itemsize + 4 * numbers))
+        self.state = np.zeros((worlds, vehicles), dtype=dtype)
         self.state["end"] = ENDS.index("time_limit")
         self.observations = np.zeros((worlds, vehicles, size), dtype=np.float32)
         self.rewards = np.zeros((worlds, vehicles, len(self.objectives)), dtype=np.float32)

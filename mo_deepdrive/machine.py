@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 ROOT = Path("/")
 CGROUPS = "sys/fs/cgroup"
 KIB, GIB = 2**10, 2**30
+LITTLE = GIB // 4  # bytes that are not worth a look
 CACHES = ("active_file", "inactive_file")  # in a cgroup's memory.stat: what the kernel takes back when it needs memory
 
 
@@ -63,8 +64,7 @@ def check_memory(what: str, needed: float) -> None:
     Raises:
         ValueError: with both numbers, if there is less than that.
     """
-    available = available_memory()
-    if needed > available:
+    if needed > LITTLE and needed > (available := available_memory()):
         raise ValueError(
             f"{what} takes at least {needed / GIB:,.1f} GiB of memory; {available / GIB:,.1f} GiB are available"
         )

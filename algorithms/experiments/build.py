@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from mo_deepdrive.evaluation.front import check_reference_point
 from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name
 from mo_deepdrive.evaluation.policy import check_same_task
 from mo_deepdrive.evaluation.team import Population
+from mo_deepdrive.machine import check_memory
 from mo_deepdrive.names import nearest
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
@@ -33,6 +35,9 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.policy import Policy
 
 
+MANY_ENVS = 10_000  # whose memory is estimated before it is allocated
+ACTIVATION = 10  # bytes per hidden unit of actor and critic and sample
+EPISODE_STEPS = 100  # that the longest one of many random episodes has at the least
 DIGEST_LENGTH = 16  # hexadecimal digits that identify the checkpoint of a driver
 
 
@@ -52,7 +57,10 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
         ValueError: if environment, utility and hyperparameters do not fit together.
     """
     algorithm = agent_class(experiment.algorithm["name"])
-    env = make_environment(experiment.environment, num_envs or experiment.training.num_envs)
+    num_envs = num_envs or experiment.training.num_envs
+    if num_envs >= MANY_ENVS:
+        check_memory(f"training.num_envs = {num_envs}", training_memory(experiment, num_envs))
+    env = make_environment(experiment.environment, num_envs)
     adapter = EnvAdapter(env)
     options: dict[str, Any] = {}
     if experiment.utility is None:
@@ -76,6 +84,28 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
         device=experiment.training.device,
         **experiment.hyperparameters,
     )
+
+
+def training_memory(experiment: Experiment, num_envs: int) -> float:
+    """Bytes that the rollouts of a training run take at the least.
+
+    What was measured was a third more, for every algorithm. The networks' activations are counted on the CPU alone.
+
+    Args:
+        experiment: the run.
+        num_envs: number of parallel environments.
+    """
+    env = EnvAdapter(make_environment(experiment.environment, 1))
+    settings, arguments = experiment.hyperparameters, experiment.environment.arguments
+    sample: float = 8 * env.observation_size + 24 * len(env.objectives) + 32
+    if ":" in experiment.algorithm["name"]:  # a user's own, of which nothing is known
+        steps = 1.0
+    elif "steps" in settings:
+        steps = settings["steps"]
+        sample += ACTIVATION * sum(settings["hidden"]) if experiment.training.device == "cpu" else 0
+    else:  # whole episodes
+        steps = min(EPISODE_STEPS, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
+    return num_envs * env.vehicles * steps * sample
 
 
 def load_policy(run: Run, *, partners: bool = True) -> Any:

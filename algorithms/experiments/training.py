@@ -228,9 +228,14 @@ def train(
                 after_update=after_update,
             )
             save("trained" if interrupts.received is None else "interrupted")
-    except Moved as error:
-        raise Moved(f"training stopped at step {agent.step:,}: {error}; resume it from where it is now") from None
-    except OSError as error:
+    except (OSError, Moved) as error:
+        try:
+            run.check_place()
+        except Moved as moved:
+            text = f"training stopped at step {agent.step:,}: {moved}; resume it from where it is now"
+            raise Moved(text) from None
+        if isinstance(error, Moved):
+            raise
         _set_failed(run, saved, str(error))
         rest = (
             f"the checkpoint of step {saved:,} is intact" if run.checkpoint.exists() else "there is no checkpoint yet"

@@ -15,7 +15,7 @@ from algorithms.experiments.run_directory import imported_paths, is_run, read_st
 from algorithms.sweeps.manifest import ManifestRow, expand, is_sweep, iterate_manifest, read_manifest, write_manifest
 from algorithms.sweeps.run_scores import read_scores
 from algorithms.sweeps.verification import discard, verify
-from mo_deepdrive.machine import available_cores
+from mo_deepdrive.machine import GIB, available_cores, available_memory, check_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
     from algorithms.experiments.jobs import Job
     from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings, SweepSettings
+
+
+WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
 
 
 @dataclass(frozen=True)
@@ -198,8 +201,8 @@ class SweepRunner:
         if backend.name == "local":
             from algorithms.experiments.worker_pool import perform_all
 
-            default = max(1, int(available_cores() / settings.resources.cpus))
-            return perform_all(jobs, backend.workers or default, monitor, retries=settings.retries, stop=stop)
+            workers = self._local_workers([job for job in jobs if not job.done])
+            return perform_all(jobs, workers, monitor, retries=settings.retries, stop=stop)
         if backend.name == "ray":
             from algorithms.sweeps.ray_tune import run_on_ray
 
@@ -215,6 +218,26 @@ class SweepRunner:
         from algorithms.sweeps.slurm import run_on_slurm
 
         return run_on_slurm(jobs, settings, self._directory, monitor, stop=stop, wait=backend.wait)
+
+    def _local_workers(self, jobs: Sequence[Job]) -> int:
+        """The number of workers: the given one, or as many as there are cores and memory for.
+
+        Raises:
+            ValueError: if the given ones take more memory than there is.
+        """
+        from algorithms.experiments.build import training_memory
+
+        if not jobs:  # another process has just finished the last one
+            return 1
+        smallest = min((job.experiment for job in jobs), key=lambda experiment: experiment.training.num_envs)
+        num_envs = smallest.training.num_envs
+        each = WORKER_MEMORY + training_memory(smallest, num_envs)
+        if self._backend.workers is not None:
+            workers = min(self._backend.workers, len(jobs))
+            check_memory(f"--workers {workers} with training.num_envs = {num_envs}", workers * each)
+            return workers
+        cores = available_cores() / self._settings.resources.cpus
+        return max(1, math.floor(min(cores, available_memory() / each)))
 
     def _report_removed_runs(self, rows: Sequence[ManifestRow]) -> None:
         """Tell the user about runs of the previous manifest that the sweep no longer has."""

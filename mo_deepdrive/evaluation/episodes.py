@@ -17,6 +17,7 @@ from mo_deepdrive.evaluation.evaluation_files import Provenance
 from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.policy import Policy, check_same_task, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
+from mo_deepdrive.machine import check_memory
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 # Parallel environments: this package's cost next to nothing, others a Python step each.
 OUR_ENVS, OTHER_ENVS = 256, 8
+EPISODE_BYTES = 40  # of results per episode, at the least
 
 
 def evaluate(
@@ -81,6 +83,7 @@ def evaluate(
     if not 0.0 <= gamma <= 1.0:
         raise ValueError(f"gamma = {gamma} must be between 0 and 1")
     first = first_seed(split, seed, episodes)
+    check_memory(f"episodes = {episodes}", episodes * EPISODE_BYTES)
     if not isinstance(env, str):
         if env_kwargs is not None:
             raise ValueError("env_kwargs are for an environment given by its id")
@@ -205,6 +208,7 @@ def evaluate_each(
     """
     adapter = EnvAdapter(env)
     check_same_task(policy_of(np.zeros(1, dtype=np.intp)).env, adapter)
+    check_memory(f"{episodes} episodes of each of {count} policies", count * episodes * EPISODE_BYTES)
     policies = np.repeat(np.arange(count), episodes)
     seeds = seed + np.tile(np.arange(episodes), count)
     columns = _in_batches(lambda rows: policy_of(policies[rows]), adapter, seeds, gamma, None)

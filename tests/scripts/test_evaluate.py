@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from algorithms.experiments.run_files import broken_files
+from algorithms.experiments.run_files import changed_files
 from mo_deepdrive.evaluation.front import Front
 from tests.helpers.script_runs import (
     PICTURES,
@@ -127,7 +127,7 @@ def test_evaluate_warns_of_a_changed_policy_and_renews_the_record_of_its_own_res
     code, out, error = call("evaluate", run, "--episodes", 2, "--output", run)
     assert (code, error) == (0, ""), out + error
     assert (run / "evaluation.json").read_bytes() != (finished / "evaluation.json").read_bytes()
-    assert broken_files(run) == []
+    assert changed_files(run) == []
     (run / "config.yaml").write_text((run / "config.yaml").read_text() + "\n")
     code, out, error = call("evaluate", run, "--episodes", 2)
     size = (finished / "config.yaml").stat().st_size

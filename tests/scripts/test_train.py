@@ -397,10 +397,10 @@ def test_what_makes_a_run_impossible_to_resume_is_one_line(
         refused(call("train", "--resume", run), "metrics.csv' has a row of step 'abc'")
     else:
 
-        def deny(path: Path) -> None:
+        def deny(*_: object) -> None:
             raise error
 
-        monkeypatch.setattr("algorithms.experiments.run_directory.open_lock", deny)
+        monkeypatch.setattr("algorithms.experiments.run_directory.own_path", deny)
         refused(call("train", "--resume", run), "Permission denied: '.lock'")
 
 

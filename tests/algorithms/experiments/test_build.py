@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from algorithms import MOA2C
-from algorithms.experiments.build import build, load_policy, make_environment
+from algorithms.experiments.build import build, load_policy, make_environment, training_memory
 from algorithms.experiments.config import EnvironmentSettings, make_experiment
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.machine import GIB
 from tests.helpers.short_runs import VALUES
 
 if TYPE_CHECKING:
@@ -88,3 +89,20 @@ def test_a_loaded_policy_acts_like_the_trained_one_and_knows_its_steps(tmp_path:
     accrued_reward = AccruedReward.begin(5, 1, 4)
     actions = [agent.act(observations, accrued_reward, None) for agent in (trained, policy)]
     np.testing.assert_array_equal(*actions)
+
+
+@pytest.mark.parametrize("name", ["mo_a2c", "mo_ppo", "pcn", "conditioned_mo_ppo"])
+def test_environments_that_do_not_fit_into_memory_are_refused_before_they_are_made(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    training = {"total_timesteps": 10**7, "num_envs": 1_000_000}
+    values = {**VALUES, "algorithm": {"name": name}, "training": training}
+    if name in ("pcn", "conditioned_mo_ppo"):
+        del values["utility"]
+    monkeypatch.setattr("mo_deepdrive.machine.available_memory", lambda: 2 * GIB)
+    with pytest.raises(
+        ValueError, match=r"^training\.num_envs = 1000000 takes at least [\d.]+ GiB of memory; 2\.0 GiB"
+    ):
+        build(make_experiment(values))
+    few = make_experiment({**values, "training": {**training, "num_envs": 10_000}})
+    assert training_memory(few, 10_000) < GIB

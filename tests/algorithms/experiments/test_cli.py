@@ -140,6 +140,27 @@ def test_a_directory_is_refused_where_it_cannot_be_made(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "output", "rest"),
+    [
+        (["--output=~/a"], "HOME/a", []),
+        (["--output", "~/a"], "HOME/a", []),
+        (["--output=~"], "HOME", []),
+        (["--output", "~"], "HOME", []),
+        (["--a.b=~/c", "--a.d=~", "--a.e", "~"], None, ["--a.b=HOME/c", "--a.d=~", "--a.e", "~"]),
+        (["--output=a~/~"], "a~/~", []),
+    ],
+)
+def test_a_tilde_in_an_option_is_the_home_directory_and_alone_in_a_key_null(
+    monkeypatch: pytest.MonkeyPatch, arguments: list[str], output: str | None, rest: list[str]
+) -> None:
+    monkeypatch.setenv("HOME", "HOME")
+    parser = make_parser("")
+    add_training_arguments(parser)
+    options, overrides = parse_training_arguments(parser, arguments)
+    assert (options.output, overrides) == (output, rest)
+
+
 def test_named_numbers_are_read() -> None:
     assert named_numbers("--w", ["b=2", "a=-1e3"], ("a", "b", "c")) == {"b": 2.0, "a": -1000.0}
 

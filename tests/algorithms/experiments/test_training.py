@@ -14,9 +14,10 @@ import algorithms.experiments.config
 from algorithms import MOA2C
 from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
+from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.jobs import Job, perform
-from algorithms.experiments.run_directory import read_status
-from algorithms.experiments.run_files import broken_files
+from algorithms.experiments.run_directory import Run, read_status
+from algorithms.experiments.run_files import changed_files
 from algorithms.experiments.training import reopen, train_and_finish
 from tests.helpers.short_runs import VALUES, assert_same_run, job, metrics, printed, quiet
 
@@ -70,7 +71,7 @@ def test_missing_rows_are_noticed_when_a_run_is_resumed_and_kept_in_its_status(
     assert f"warning: {gap}; the run is continued" in " ".join(printed(console).split())
     status = read_status(wanted.path)
     assert (status["state"], status["step"], status["metrics_gap"]) == ("finished", TOTAL, gap)
-    assert broken_files(wanted.path) == []
+    assert changed_files(wanted.path) == []
 
 
 def test_metrics_and_status_that_are_lost_together_are_noticed_by_the_checkpoint(tmp_path: Path) -> None:
@@ -248,7 +249,7 @@ def test_a_finished_run_is_trained_longer_as_if_it_had_been_to_be_so_long(tmp_pa
     run.unlock()
     for name in ("config.yaml", "checkpoint.safetensors", "evaluation.json"):
         assert (first.path / name).read_bytes() == (whole.path / name).read_bytes(), name
-    assert broken_files(first.path) == []
+    assert changed_files(first.path) == []
 
 
 @pytest.mark.parametrize(
@@ -283,3 +284,25 @@ def test_a_run_is_not_trained_without_the_logger_that_it_asks_for(
     with pytest.raises(ValueError, match=r"logging\.wandb needs wandb: pip install 'mo-deepdrive\[wandb\]'"):
         perform(Job("", make_experiment(values), tmp_path / "run"))
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
+
+
+def files(path: Path) -> dict[str, bytes]:
+    """The contents of the files in a directory."""
+    return {each.name: each.read_bytes() for each in path.iterdir() if each.is_file()}
+
+
+def test_a_run_that_is_renamed_stops_and_leaves_another_one_at_its_path_alone(tmp_path: Path) -> None:
+    wanted, others = job(tmp_path), {}
+
+    def rename(step: int, _: object) -> None:
+        if step >= 320 and not others:
+            wanted.path.rename(tmp_path / "renamed")
+            other = Run.create(wanted.experiment, wanted.path)
+            (other.path / "metrics.csv").write_text("step\n")
+            others.update({"run": other, "files": files(other.path)})
+
+    with pytest.raises(Moved, match=r"^training stopped at step \d+: run directory '.*seed0' was renamed, .* is now$"):
+        perform(wanted, watch=rename)
+    others["run"].unlock()
+    assert files(wanted.path) == others["files"]
+    assert perform(Job("renamed", wanted.experiment, tmp_path / "renamed")) == "trained"

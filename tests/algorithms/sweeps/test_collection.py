@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import gc
 import os
 import shutil
 from pathlib import Path
@@ -183,6 +185,50 @@ def test_a_full_disk_leaves_no_half_written_files(
     assert collect(tmp_path).metrics.collect().height == 18 * 24
     assert written.items() <= parts(tmp_path).items()
     assert not list((tmp_path / "collected").rglob("*.tmp"))
+
+
+def test_a_sweep_that_cannot_be_written_is_collected_elsewhere(
+    tmp_path: Path, grid: list[ManifestRow], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_sweep(tmp_path / "sweep", grid)
+    whole = collect(tmp_path / "sweep").latest_scores()
+    shutil.rmtree(tmp_path / "sweep" / "collected")
+    make = Path.mkdir
+
+    def read_only(path: Path, *arguments: Any, **options: Any) -> None:
+        if path.is_relative_to(tmp_path / "sweep"):
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        make(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "mkdir", read_only)
+    collection = collect(tmp_path / "sweep")
+    (warning,) = collection.warnings
+    assert warning.startswith("the collected results are not stored: [Errno 30] Read-only file system: ")
+    assert collection.latest_scores()[1].equals(whole[1])
+    assert not (tmp_path / "sweep" / "collected").exists()
+    temporary = collection.folder
+    del collection
+    gc.collect()
+    assert not temporary.exists()
+
+
+@pytest.mark.parametrize("linked", ["collected", "collected/metrics", "collected/.lock"])
+def test_nothing_is_collected_through_a_link(tmp_path: Path, grid: list[ManifestRow], linked: str) -> None:
+    make_sweep(tmp_path / "sweep", grid[:1])
+    mine = tmp_path / "mine"
+    (mine / "metrics").mkdir(parents=True)
+    for name in ("part-000.parquet", "metrics/part-000.parquet", ".old.tmp"):
+        (mine / name).write_text("mine")
+    link = tmp_path / "sweep" / linked
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(mine)
+    with pytest.raises(ValueError, match=rf"leads to '{mine}.*; nothing is written or deleted through a link inside a"):
+        collect(tmp_path / "sweep")
+    assert {path.read_text() for path in mine.rglob("*") if path.is_file()} == {"mine"}
+    assert len(list(mine.rglob("*"))) == 4
+    link.unlink()
+    (tmp_path / "link").symlink_to(tmp_path / "sweep")
+    assert len(collect(tmp_path / "link").scored) == 1
 
 
 # --------------------------------------------------------------------------------------------- broken and missing files

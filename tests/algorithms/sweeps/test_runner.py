@@ -16,8 +16,9 @@ from rich.console import Console
 from algorithms.commands.reproduce import main as reproduce
 from algorithms.reproduction import pipeline
 from algorithms.sweeps.manifest import read_manifest
-from algorithms.sweeps.runner import Backend, SweepRunner, available_cores
+from algorithms.sweeps.runner import Backend, SweepRunner
 from algorithms.sweeps.sweep_settings import load_sweep
+from mo_deepdrive.machine import available_cores
 from tests.helpers.sweep_files import write_sweep
 
 if TYPE_CHECKING:
