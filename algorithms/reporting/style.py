@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -126,9 +127,10 @@ def surround(figure: Figure, heading: str, notes: Sequence[str], handles: Sequen
     Args:
         figure: with its panels.
         heading: the title, one line.
-        notes: lines below it.
+        notes: lines below it, which are wrapped at the width of the figure.
         handles: of the legend.
     """
+    notes = [line for note in notes for line in wrap(note, int(figure.get_figwidth() / text_width(" ")))]
     widths = np.array([text_width(str(handle.get_label())) + 0.62 for handle in handles])
     columns = len(handles)
     while columns > 1 and sum(part.max() for part in np.array_split(widths, columns)) > figure.get_figwidth():
