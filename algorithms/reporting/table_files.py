@@ -29,6 +29,9 @@ _LATEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
+    "|": r"\textbar{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
 }
 
 
@@ -71,7 +74,7 @@ def _latex(rows: Rows, labels: int, note: str) -> str:
     shared, rows, labels = lift_labels(rows, labels)
 
     def line(cells: Sequence[str]) -> str:
-        texts = [re.sub(r"[\\&%$#_{}~^]", lambda found: _LATEX[found[0]], cell) for cell in cells]
+        texts = ["".join(_LATEX.get(each, each) for each in " ".join(cell.split())) for cell in cells]
         texts[labels:] = [re.sub(r"-(?=\d)", "$-$", text) for text in texts[labels:]]  # a minus, not a hyphen
         return " & ".join(texts) + r" \\"
 
