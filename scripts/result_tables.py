@@ -36,7 +36,7 @@ from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 # No result are the layers of a network, 64-32, and the second number of "9 of 10".
@@ -135,7 +135,7 @@ def open_results() -> sqlite3.Connection:
         for k, part in enumerate(path.read_text(encoding="utf-8").split("\n\n")):
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
-    functions = {
+    functions: dict[str, Callable[..., Any]] = {
         "id": lambda title: TITLES[title].id,
         "scenario": lambda title: TITLES[title].name,
         "slug": lambda title: title.lower().replace("-", "_"),
