@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from result_file import check_folder
+from result_file import check_folder, check_least
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -38,8 +38,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--beam", type=int, default=4096, help="states simulated at a time (default: %(default)s)")
     options = parser.parse_args(arguments)
     for name, least in (("scenarios", 1), ("seed", 0), ("beam", len(LETTERS))):
-        if getattr(options, name) < least:
-            parser.error(f"--{name} {getattr(options, name)} must be at least {least}")
+        check_least(parser, options, least, name)
     check_folder(parser, options.output)
     return options
 

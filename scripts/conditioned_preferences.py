@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_PREFERENCES = 10_000
-ALL, THIRDS = "all", ("lowest", "highest")
 PREFERENCES_SEED = 1  # of the preferences; those of the front have another
+ALL, THIRDS = "all", ("lowest", "highest")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
+from conditioned_preferences import PREFERENCES_SEED
 from result_file import check_folder, read_results, write_results
 from rich.console import Console
 from rich.table import Table
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from algorithms.experiments.config import Experiment
     from mo_deepdrive.evaluation.evaluation import Evaluation
 
-PREFERENCES_SEED = 1  # of the preferences; those of the front have another
 SPECIALIST_SEED = 0
 CONFIGS = ("one_waypoint/conditioned_drawn", "static_obstacle/conditioned_drawn", "left_turn/conditioned")
 NETWORK, SPECIALIST = "network", "specialist"

@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from result_file import check_least
 from rich.console import Console
 
 from algorithms.experiments.cli import make_parser
@@ -34,9 +35,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=50, metavar="N", help="per driver (default: %(default)s)")
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of the table and the picture")
     options = parser.parse_args(arguments)
-    for name in ("drivers", "rules", "episodes"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name} {getattr(options, name)} must be at least 1")
+    check_least(parser, options, 1, "drivers", "rules", "episodes")
     if options.output is not None and not options.output.is_dir():
         parser.error(f"--output {options.output} is not a folder")
     return options

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 import tuned_comparison
+from result_file import check_least
 from rich.console import Console
 from rich.table import Table
 from tuned_comparison import RATES, TUNING_SEED, Result, Run
@@ -129,8 +130,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, help="of every run, instead of the task's")
     arguments = parser.parse_args(argv)
     tuned_comparison.check_arguments(parser, arguments)
-    if arguments.steps is not None and arguments.steps < 1:
-        parser.error(f"--steps {arguments.steps} must be at least 1")
+    check_least(parser, arguments, 1, "steps")
     learners = [(task, method, arguments.steps or TASKS[task].steps) for task in arguments.only for method in METHODS]
     seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
     with exit_on_error(ValueError, OSError):

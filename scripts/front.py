@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from result_file import check_folder
+from result_file import check_folder, check_least
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -45,9 +45,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     add("--output", type=Path, metavar="FILE", help="write to FILE instead of replacing the shipped front")
     add_trust_argument(parser)
     options = parser.parse_args(arguments)
-    for name in ("decisions", "seed", "episodes"):
-        if getattr(options, name) < 0:
-            parser.error(f"--{name} {getattr(options, name)} must be at least 0")
+    check_least(parser, options, 0, "decisions", "seed", "episodes")
     check_folder(parser, options.output)
     return options
 

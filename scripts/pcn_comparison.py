@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import paired_benchmark
 import torch
-from result_file import check_folder, read_results, write_results
+from result_file import check_folder, check_least, read_results, write_results
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -191,10 +191,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, help="of every run, instead of the environment's")
     parser.add_argument("--output", type=Path, help="CSV file of every run, continued if it exists")
     arguments = parser.parse_args(argv)
-    for name in ("seeds", "steps"):
-        value = getattr(arguments, name)
-        if value is not None and value < 1:
-            parser.error(f"--{name} {value} must be at least 1")
+    check_least(parser, arguments, 1, "seeds", "steps")
     check_folder(parser, arguments.output)
     for name in arguments.learners:
         reason = PEERS[name].unavailable_reason() if name in PEERS else None

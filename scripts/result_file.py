@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin,
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser
+    from argparse import ArgumentParser, Namespace
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
@@ -64,6 +64,14 @@ def write_results(path: Path | None, results: Sequence[Any], about: Mapping[str,
 
     rows = [[cell(getattr(result, name), form) for name, (_, form) in columns.items()] for result in results]
     atomic_write(path, csv_bytes([[*columns, *about], *([*row, *map(str, about.values())] for row in rows)]))
+
+
+def check_least(parser: ArgumentParser, options: Namespace, least: int, *names: str) -> None:
+    """Exit with a message unless the named options are at least ``least``; those that are None do not count."""
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and value < least:
+            parser.error(f"--{name} {value} must be at least {least}")
 
 
 def check_folder(parser: ArgumentParser, path: Path | None) -> None:

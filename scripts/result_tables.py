@@ -23,10 +23,10 @@ import re
 import sqlite3
 import sys
 from itertools import takewhile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from paired_benchmark import REPOSITORY
 
 import mo_deepdrive
 from algorithms.experiments.cli import make_parser
@@ -36,9 +36,9 @@ from mo_deepdrive.evaluation.statistics import mean
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
-REPOSITORY = Path(__file__).resolve().parent.parent
 # No result are the layers of a network, 64-32, and the second number of "9 of 10".
 NUMBER = re.compile(r"(?<![\w.,])(?<!\d-)(?<! of )-?\d+(?:,\d{3})*(?:\.\d+)?(?:e-\d+)?(?!\w|-\d)")
 MARKED = re.compile(r"<!-- numbers:(?P<query>.*?)-->\n\n(?P<table>(?:\|[^\n]*\n)+)", re.DOTALL)
@@ -135,7 +135,7 @@ def open_results() -> sqlite3.Connection:
         for k, part in enumerate(path.read_text(encoding="utf-8").split("\n\n")):
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
-    functions = {
+    functions: dict[str, Callable[..., Any]] = {
         "id": lambda title: TITLES[title].id,
         "scenario": lambda title: TITLES[title].name,
         "slug": lambda title: title.lower().replace("-", "_"),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import paired_benchmark
-from result_file import check_folder, read_results, write_results
+from result_file import check_folder, check_least, read_results, write_results
 from rich.progress import track
 
 if TYPE_CHECKING:
@@ -137,7 +137,5 @@ def add_arguments(parser: ArgumentParser, tasks: Sequence[str]) -> None:
 
 def check_arguments(parser: ArgumentParser, arguments: Namespace) -> None:
     """Exit with a message unless the options that the comparisons share are valid."""
-    for name in ("seeds", "workers"):
-        if getattr(arguments, name) < 1:
-            parser.error(f"--{name} {getattr(arguments, name)} must be at least 1")
+    check_least(parser, arguments, 1, "seeds", "workers")
     check_folder(parser, arguments.output)

@@ -29,7 +29,7 @@ import torch
 from gymnasium import spaces
 from gymnasium.envs.classic_control import CartPoleEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
-from result_file import check_folder, write_results
+from result_file import check_folder, check_least, write_results
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -394,8 +394,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", choices=LEARNERS, default=list(LEARNERS), help="learners; default: all")
     parser.add_argument("--output", type=Path, help="also write every run to this CSV file")
     arguments = parser.parse_args(argv)
-    if arguments.seeds < 1:
-        parser.error(f"--seeds {arguments.seeds} must be at least 1")
+    check_least(parser, arguments, 1, "seeds")
     for name in ("limit", "cartpole"):
         if not getattr(arguments, name) > 0.0:
             parser.error(f"--{name} {getattr(arguments, name)} must be positive")

@@ -16,25 +16,14 @@ if TYPE_CHECKING:
 ROWS = [pytest.param(row, id=f"{library.name}: {row.tests[0]}") for library, rows in matrix() for row in rows]
 
 
-def source_of(row: Row, name: str) -> str:
-    """The test, with comments."""
-    text = (REPOSITORY / row.file).read_text(encoding="utf-8")
-    functions = (node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef) and node.name == name)
-    function = next(functions, None)
-    assert function is not None, f"{row.file} has no {name}"
-    return "\n".join(text.splitlines()[function.lineno - 1 : function.end_lineno])
-
-
 def test_the_page_has_the_tables_that_the_tests_declare() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "run python -m tests.integrations.matrix"
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_what_a_row_says_is_asserted(row: Row) -> None:
-    sources = [source_of(row, name) for name in row.tests]
-    assert bool(row.breaks) == bool(row.whose)
-    if row.breaks and "tests/ray" not in row.file:
-        assert any(sign in source for source in sources for sign in ("pytest.raises(", "# breaks"))
+def test_the_tests_of_a_row_exist(row: Row) -> None:
+    tests = ast.parse((REPOSITORY / row.file).read_text(encoding="utf-8")).body
+    assert set(row.tests) <= {node.name for node in tests if isinstance(node, ast.FunctionDef)}
 
 
 def test_every_test_file_with_a_library_is_on_the_page() -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numba
 import numpy as np
 
+from algorithms.driving.left_turn_rules import CURVATURE_PER_STEER, DRAG
 from algorithms.planning.plans import FULL_SCALE
 from mo_deepdrive.actions import CURL, DECAY, DECREASE, INCREASE, MAINTAIN, OFFSET, SPEED_CHANGE
 from mo_deepdrive.observation import OWN
@@ -22,9 +23,6 @@ from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-YAW_PER_STEER = 8.4  # steady yaw rate (rad/s) per rad of steer and m/s
-DRAG = 0.06  # deceleration by friction (m/s^2) per m/s
 
 _COLUMN = {entry.name: column for column, entry in enumerate(OWN)}
 NEXT_ANGLE, AFTER_DISTANCE = _COLUMN["next_angle"], _COLUMN["after_distance"]
@@ -95,7 +93,7 @@ def follow_rule(seen: NDArray[Any], rule: np.record, time: float, table: NDArray
     speed = abs(np.float64(seen[SPEED]))
     steer = 0.0
     if abs(error) >= rule.dead_zone:
-        steer = rule.gain * error / (YAW_PER_STEER * max(speed, 0.3))
+        steer = rule.gain * error / (CURVATURE_PER_STEER * max(speed, 0.3))
         steer = min(max(steer, -rule.max_steer), rule.max_steer)
     pushes = seen[THROTTLE] > 0.0
     target = rule.target_speed if driving >= 0.0 else 0.0

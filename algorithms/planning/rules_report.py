@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 RISK_AVERSE = "left_turn_risk_averse"
 # Of the table, in order. Time and comfort are those of the episodes that arrive: a collision ends an episode early.
-SHARES = ("arrived", "collision", "near_miss")
 AMOUNTS = ("time", "g_force", "jerk", "lane_violation")
 UTILITIES = ("left_turn_linear", "left_turn_comfort_budget", RISK_AVERSE)
 OBJECTIVES = [*SCENARIO.objectives, "near_miss"]  # in this order

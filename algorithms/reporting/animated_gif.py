@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from algorithms.reporting.captions import caption_strip
-from algorithms.reporting.video_grid import scaled
+from algorithms.reporting.video_grid import GAP, scaled
 from mo_deepdrive.atomic_io import atomic_write
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 Frame = NDArray[np.uint8]  # (height, width, 3), RGB
-GAP = 4  # pixels between two clips
 COLOURS = 255  # of the palette; one further index marks pixels that do not change
 
 

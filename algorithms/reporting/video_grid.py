@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 Frame = NDArray[np.uint8]  # (height, width, 3), RGB
 
-MAX_WIDTH = 1600  # pixels of the video; wider ones are scaled down
 GAP = 4  # pixels between tiles that are side by side
+MAX_WIDTH = 1600  # pixels of the video; wider ones are scaled down
 
 
 def write_video_grid(

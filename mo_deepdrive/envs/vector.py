@@ -17,6 +17,7 @@ from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.envs import spaces as env_spaces
 from mo_deepdrive.envs.options import make_pins
 from mo_deepdrive.envs.streams import Streams, checked_seed
+from mo_deepdrive.envs.world import KnownFront
 from mo_deepdrive.plain_values import whole_number
 from mo_deepdrive.simulation.state import ARRIVED, ENDS
 
@@ -60,7 +61,7 @@ class Transition:
     ends: NDArray[np.int64]
 
 
-class DrivingVectorEnv(VectorEnv):
+class DrivingVectorEnv(KnownFront, VectorEnv):
     """N independent worlds of one scenario, stepped together in compiled code.
 
     ## Description
@@ -328,25 +329,6 @@ class DrivingVectorEnv(VectorEnv):
     def telemetry(self) -> tuple[tuple[dict[str, float], ...], ...]:
         """A dict per world and vehicle: pose, motion, controls, comfort and progress, in SI units."""
         return tuple(self.batch.telemetry(row) for row in range(self.num_envs))
-
-    def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
-        """The best-known front of one world, by MO-Gymnasium's name; it is not proven to be optimal.
-
-        It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
-        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
-
-        Args:
-            gamma: discount factor in [0, 1].
-
-        Returns:
-            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
-
-        Raises:
-            ValueError: if there is no best-known front, with what it would require.
-        """
-        from mo_deepdrive.reference_fronts import pareto_front
-
-        return pareto_front(self.config, gamma)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the future, as plain arrays; :meth:`set_state` resumes from it exactly."""

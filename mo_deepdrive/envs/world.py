@@ -133,7 +133,32 @@ class World:
         return {**self.__dict__, "_viewer": None}
 
 
-class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
+class KnownFront:
+    """Environments whose best-known front may be known."""
+
+    config: EnvConfig
+
+    def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
+        """The best-known front of one world, by MO-Gymnasium's name; it is not proven to be optimal.
+
+        It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
+        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
+
+        Args:
+            gamma: discount factor in [0, 1].
+
+        Returns:
+            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
+
+        Raises:
+            ValueError: if there is no best-known front, with what it would require.
+        """
+        from mo_deepdrive.reference_fronts import pareto_front
+
+        return pareto_front(self.config, gamma)
+
+
+class WorldEnv(KnownFront, gymnasium.Env[NDArray[np.float32], Any]):
     """Base of the Gymnasium environments with a single world; a subclass implements ``reset`` and ``step``.
 
     Args:
@@ -161,25 +186,6 @@ class WorldEnv(gymnasium.Env[NDArray[np.float32], Any]):
         generator, used = (self.np_random, self._np_random_seed) if seed is None else seeding.np_random(seed)
         self.world.place(generator, options)
         self._np_random, self._np_random_seed = generator, used
-
-    def pareto_front(self, gamma: float) -> list[NDArray[np.float64]]:
-        """The best-known front of this environment, by MO-Gymnasium's name; it is not proven to be optimal.
-
-        It exists for environments that are the same in every episode (``fixed_destination=True``, and in StaticObstacle
-        ``fixed_obstacle=True``), with all other arguments at their defaults and without reset options.
-
-        Args:
-            gamma: discount factor in [0, 1].
-
-        Returns:
-            The returns (d,) of K non-dominated policies, in this environment's objectives and signs.
-
-        Raises:
-            ValueError: if there is no best-known front, with what it would require.
-        """
-        from mo_deepdrive.reference_fronts import pareto_front
-
-        return pareto_front(self.config, gamma)
 
     def telemetry(self) -> tuple[dict[str, float], ...]:
         """A dict per vehicle: pose, motion, controls, comfort and progress, in SI units."""

@@ -1,4 +1,4 @@
-"""The compatibility matrix: what the tests of this folder declare, as the tables of ``docs/compatibility.md``.
+"""What runs of other libraries: what the tests of this folder declare, as the tables of ``docs/compatibility.md``.
 
 A test file has a ``LIBRARY``, and its tests have rows::
 
@@ -65,32 +65,23 @@ class Row:
 
     Attributes:
         what: of the library.
-        how: what to write, if it does not work as it is, or not in the obvious way.
-        breaks: what fails, which the test asserts; empty if nothing does.
-        whose: whose limitation or bug that is.
+        how: what to write, where that is not obvious, or the library takes something else.
         tests: names of the tests.
         file: theirs, relative to the repository.
     """
 
     what: str
     how: str
-    breaks: str
-    whose: str
     tests: tuple[str, ...]
     file: str
 
-    @property
-    def works(self) -> str:
-        """``yes``, ``changed`` (as described in ``how``) or ``no``."""
-        return "yes" if not self.breaks else "changed" if self.how else "no"
 
-
-def row(what: str, *, how: str = "", breaks: str = "", whose: str = "") -> Callable[[Test], Test]:
+def row(what: str, *, how: str = "") -> Callable[[Test], Test]:
     """Declare the row of the matrix that a test checks."""
 
     def declare(test: Test) -> Test:
         file = f"tests/integrations/{test.__module__.rpartition('.')[2]}.py"
-        test.row = Row(what, how, breaks, whose, (test.__name__,), file)  # type: ignore[attr-defined]
+        test.row = Row(what, how, (test.__name__,), file)  # type: ignore[attr-defined]
         return test
 
     return declare
@@ -102,12 +93,10 @@ def _rllib() -> tuple[Library, list[Row]]:
     how = f"`mo_deepdrive.envs.rllib.DrivingMultiAgentEnv`, in an environment with Gymnasium {older} (`make test-ray`)"
     file = "tests/ray/test_rllib.py"
     rows = [
-        Row("PPO, one vehicle", "", "", "", ("test_ppo_trains_one_vehicle",), file),
+        Row("PPO, one vehicle", "", ("test_ppo_trains_one_vehicle",), file),
         Row(
             "PPO, two vehicles with a policy each",
             "`policy_mapping_fn=lambda agent, episode, **_: agent`",
-            "",
-            "",
             (
                 "test_ppo_trains_two_vehicles_with_separate_utilities_if_one_leaves_early",
                 "test_ppo_trains_on_samples_of_another_process",
@@ -117,8 +106,6 @@ def _rllib() -> tuple[Library, list[Row]]:
         Row(
             "vector rewards",
             'a utility, as `env_config={"utility": ...}` or MO-Gymnasium\'s `LinearReward`; the vector is in `infos`',
-            "rewards are scalars",
-            "RLlib",
             ("test_ppo_trains_on_a_gymnasium_id_that_mo_gymnasium_scalarises",),
             file,
         ),
@@ -163,25 +150,16 @@ def _anchor(title: str) -> str:
 
 def tables() -> str:
     """The generated part of the page."""
-    overview = [
-        _line("library", "version", "works", "how", "what does not work, and whose it is"),
-        "|---|---|---|---|---|",
-    ]
+    overview = [_line("library", "version", "how"), "|---|---|---|"]
     sections = []
     for library, rows in matrix():
         version = library.version() if library.module else ""
         title = f"{library.name} {version}".strip()
-        broken = [f"{each.what} ({each.whose})" for each in rows if each.works == "no"]
-        counts = [(sum(each.works == works for each in rows), works) for works in ("yes", "changed", "no")]
-        working = ", ".join(f"{number} {works}" for number, works in counts if number)
-        name = f"[{library.name}](#{_anchor(title)})"
-        overview.append(_line(name, version, working, library.how, "; ".join(broken) or "-"))
-        sections += [f"## {title}", "", f"How: {library.how}.", ""]
-        sections += [_line("", "works", "how", "what breaks", "whose", "test"), "|---|---|---|---|---|---|"]
+        overview.append(_line(f"[{library.name}](#{_anchor(title)})", version, library.how))
+        sections += [f"## {title}", "", _line("what runs", "how", "test"), "|---|---|---|"]
         for each in rows:
             links = ", ".join(f"[`{test}`](../{each.file})" for test in each.tests)
-            cells = (each.what, each.works, each.how, each.breaks, each.whose)
-            sections.append(_line(*(cell or "-" for cell in cells), links))
+            sections.append(_line(each.what, each.how or "-", links))
         sections.append("")
     return "\n".join([*overview, "", *sections])
 

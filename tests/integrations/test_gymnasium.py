@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium import wrappers
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import vector as vector_wrappers
@@ -80,15 +81,12 @@ SINGLE: dict[str, Callable[[], Any]] = {
 # Wrappers that compute with a float; each is given the function that makes the environment.
 SCALAR: dict[str, Callable[[Any], Any]] = {
     "ArrayConversion": lambda env: wrappers.ArrayConversion(env, env_xp=np, target_xp=np),
-    "JaxToNumpy": lambda env: wrappers.JaxToNumpy(env),
-    "JaxToTorch": lambda env: wrappers.JaxToTorch(env),
     "MaxAndSkipObservation": lambda env: wrappers.MaxAndSkipObservation(env, 3),
     "NormalizeReward": lambda env: wrappers.NormalizeReward(env),
     "NumpyToTorch": lambda env: wrappers.NumpyToTorch(env),
     "RepeatAction": lambda env: wrappers.RepeatAction(env, 3),
 }
-CONVERTERS = ("ArrayConversion", "JaxToNumpy", "JaxToTorch", "NumpyToTorch")
-JAX = ("JaxToNumpy", "JaxToTorch")
+CONVERTERS = ("ArrayConversion", "NumpyToTorch")
 NEEDS = {"ResizeObservation": "cv2", "HumanRendering": "cv2", "RecordVideo": "moviepy"}
 
 
@@ -145,46 +143,15 @@ def test_episode_statistics_have_the_vector_return() -> None:
 @row(
     f"wrappers that compute with the reward as a float: {names(SCALAR)}",
     how="`UtilityReward` or MO-Gymnasium's `LinearReward` inside; for some MO-Gymnasium has one with vector rewards",
-    breaks="TypeError in the first step: only 0-dimensional arrays can be converted to Python scalars",
-    whose="Gymnasium: rewards are scalars",
 )
 @pytest.mark.parametrize("name", SCALAR)
 def test_a_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
     require(name)
-    if name in JAX:
-        pytest.importorskip("jax")
-    torch = pytest.importorskip("torch")
-    env = SCALAR[name](single())
-    # The wrapper from JAX are for environments in JAX; they convert the actions, too.
-    action = {"NumpyToTorch": torch.tensor(3), "JaxToTorch": torch.tensor(3)}.get(name, np.array(3))
+    env = SCALAR[name](scalar())
+    action = torch.tensor(3) if name == "NumpyToTorch" else np.array(3)
     env.reset(seed=0)
-    with pytest.raises(TypeError, match="arrays can be converted to Python scalars"):
-        env.step(action)
-    if name not in JAX:
-        env = SCALAR[name](scalar())
-        env.reset(seed=0)
-        for _ in range(5):
-            assert np.shape(env.step(action)[1]) == ()
-
-
-@row(
-    "`Autoreset`",
-    how="`make_vec`, or `UtilityReward` inside",
-    breaks="the reward of the step that resets is the scalar 0.0",
-    whose="Gymnasium: rewards are scalars",
-)
-def test_autoreset_has_a_scalar_reward_in_the_step_that_resets() -> None:
-    env = wrappers.Autoreset(single())
-    env.reset(seed=0)
-    shapes = [np.shape(env.step(0)[1]) for _ in range(21)]
-    assert shapes == [(4,)] * 20 + [()]  # breaks
-
-
-@row("`AtariPreprocessing`", breaks="needs the observations of an Atari game", whose="Gymnasium: made for Atari")
-def test_atari_preprocessing_is_for_atari() -> None:
-    pytest.importorskip("cv2")
-    with pytest.raises(ValueError, match="frame-skip"):
-        wrappers.AtariPreprocessing(pictures()).reset(seed=0)
+    for _ in range(5):
+        assert np.shape(env.step(action)[1]) == ()
 
 
 # ------------------------------------------------------------------------------------------------------------- vector
@@ -219,8 +186,6 @@ VECTOR_SCALAR: dict[str, Callable[[Any], Any]] = {
     "NormalizeReward": lambda env: vector_wrappers.NormalizeReward(env),
     "RecordEpisodeStatistics": lambda env: vector_wrappers.RecordEpisodeStatistics(env),
 }
-VECTOR_IMAGES = ("GrayscaleObservation", "ResizeObservation")
-VECTOR_DICT = ("FilterObservation",)
 
 
 def drive_vector(env: Any, shape: tuple[int, ...]) -> None:
@@ -244,104 +209,28 @@ def test_a_vector_wrapper_runs(name: str) -> None:
 @row(
     f"vector wrappers with one reward per environment: {names(VECTOR_SCALAR)}",
     how="the utility first: `TransformReward(envs, lambda rewards: rewards @ weights)`; statistics also MO-Gymnasium's",
-    breaks="ValueError: operands could not be broadcast together with shapes (N,) (N, d)",
-    whose="Gymnasium: rewards are scalars",
 )
 @pytest.mark.parametrize("name", VECTOR_SCALAR)
 def test_a_vector_wrapper_of_scalar_rewards_needs_the_utility(name: str) -> None:
-    with pytest.raises((ValueError, TypeError), match=r"shape|dimensional"):
-        drive_vector(VECTOR_SCALAR[name](vector()), (3, 4))
     drive_vector(VECTOR_SCALAR[name](vector_wrappers.TransformReward(vector(), lambda r: r @ np.ones(4))), (3,))
-
-
-@row(
-    f"vector wrappers: {names(dict.fromkeys(CONVERTERS))}",
-    breaks="at the end of an episode: object arrays in `infos`, which also Gymnasium makes of texts, are not converted",
-    whose="Gymnasium",
-)
-@pytest.mark.parametrize("name", CONVERTERS)
-def test_a_vector_converter_does_not_take_texts_in_infos(name: str) -> None:
-    require(name)
-    if name in JAX:
-        pytest.importorskip("jax")
-    torch = pytest.importorskip("torch")
-    options = {"env_xp": np, "target_xp": np} if name == "ArrayConversion" else {}
-    env = getattr(vector_wrappers, name)(vector(), **options)
-    env.reset(seed=0)
-    action = torch.zeros(3, dtype=torch.int64) if name.endswith("Torch") else np.zeros(3, dtype=np.int64)
-    if name in JAX:
-        action = env.action_space.sample() if name == "JaxToNumpy" else action
-    for _ in range(19):
-        env.step(action)
-    with pytest.raises(BufferError, match="DLPack only supports"):
-        env.step(action)
-
-
-def test_the_texts_of_gymnasiums_own_vector_environment_are_not_converted_either() -> None:
-    require("ArrayConversion")
-    env = vector_wrappers.ArrayConversion(gymnasium.vector.SyncVectorEnv([scalar] * 2), env_xp=np, target_xp=np)
-    env.reset(seed=0)
-    for _ in range(19):
-        env.step(np.array([0, 0]))
-    with pytest.raises(BufferError, match="DLPack only supports"):
-        env.step(np.array([0, 0]))
-
-
-@row(
-    f"vector wrappers: {names(dict.fromkeys(VECTOR_DICT + VECTOR_IMAGES))}",
-    breaks="need observations in a dict, or images",
-    whose="Gymnasium: made for other observations",
-)
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [("FilterObservation", (["state"],)), ("GrayscaleObservation", ()), ("ResizeObservation", ((8, 8),))],
-)
-def test_a_vector_wrapper_of_images_or_dicts_refuses_the_observations(name: str, arguments: tuple[Any, ...]) -> None:
-    with pytest.raises(ValueError, match=r"only usable with `Dict`|requires an image|2D or 3D image"):
-        getattr(vector_wrappers, name)(vector(), *arguments)
 
 
 @row(
     "vector wrappers on the vector environment of Intersection",
     how="wrappers of observations, actions and rewards work; for the others `parallel_env()`, or the turn-based id",
-    breaks="`RecordEpisodeStatistics`, `NormalizeReward` and `RecordVideo` need flags (N,); Intersection has one per "
-    "vehicle, (N, 2)",
-    whose="mo-deepdrive: two vehicles are no `VectorEnv` in the strict sense",
 )
-@pytest.mark.parametrize("name", [*VECTOR_SCALAR, "RecordVideo"])
-def test_flags_per_vehicle_break_wrappers_with_one_flag_per_environment(name: str) -> None:
-    def make(**options: Any) -> Any:
-        return vector(INTERSECTION, **options)
-
-    if name == "RecordVideo":
-        pytest.importorskip("moviepy")
-    env = VECTOR[name](make) if name in VECTOR else VECTOR_SCALAR[name](make())
-    with pytest.raises(ValueError, match=r"shape|truth value"):
-        drive_vector(env, (3, 2, 6))
-    for other in ("NormalizeObservation", "ClipReward", "RescaleAction", "DictInfoToList"):
-        drive_vector(VECTOR[other](make), (3, 2, 6))
-
-
-def test_every_wrapper_of_gymnasium_is_covered() -> None:
-    assert set(wrappers.__all__) - {"vector"} == {*SINGLE, *SCALAR, "Autoreset", "AtariPreprocessing"}
-    assert set(vector_wrappers.__all__) == {*VECTOR, *VECTOR_SCALAR, *CONVERTERS, *VECTOR_IMAGES, *VECTOR_DICT}
+@pytest.mark.parametrize("name", ["NormalizeObservation", "ClipReward", "RescaleAction", "DictInfoToList"])
+def test_a_vector_wrapper_runs_with_two_vehicles(name: str) -> None:
+    drive_vector(VECTOR[name](lambda **options: vector(INTERSECTION, **options)), (3, 2, 6))
 
 
 @row(
     "`SyncVectorEnv`, `AsyncVectorEnv`",
     how="`UtilityReward` in each; for vector rewards `make_vec(id)` or MO-Gymnasium's `MOSyncVectorEnv`",
-    breaks="with vector rewards: setting an array element with a sequence",
-    whose="Gymnasium: rewards are scalars",
 )
 @pytest.mark.parametrize("kind", [gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv])
 def test_gymnasiums_vector_environments_take_scalar_rewards(kind: Any) -> None:
-    if kind is gymnasium.vector.SyncVectorEnv:
-        env = kind([single] * 2)
-        env.reset(seed=0)
-        with pytest.raises((ValueError, TypeError), match=r"array element|scalar"):
-            env.step(np.array([3, 3]))
-    env = kind([scalar] * 2)
-    drive_vector(env, (2,))
+    drive_vector(kind([scalar] * 2), (2,))
 
 
 @row("`make_vec(id, vectorization_mode=...)`", how="the default is this package's compiled vector environment")

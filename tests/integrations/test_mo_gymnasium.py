@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import mo_gymnasium.wrappers
-import mo_gymnasium.wrappers.vector
 import numpy as np
 import pytest
 from mo_gymnasium.wrappers import (
@@ -15,8 +13,8 @@ from mo_gymnasium.wrappers import (
     MONormalizeReward,
     MORecordEpisodeStatistics,
 )
-from mo_gymnasium.wrappers.vector import MOAsyncVectorEnv, MOSyncVectorEnv
 from mo_gymnasium.wrappers.vector import MORecordEpisodeStatistics as VectorStatistics
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from tests.integrations.envs import INTERSECTION, LEFT_TURN, ONE_WAYPOINT, single, vector
 from tests.integrations.matrix import Library, row
@@ -87,16 +85,6 @@ def test_the_vector_environment_agrees_with_the_native_one() -> None:
     assert expected[1].shape == (3, 4)
 
 
-@row(
-    "`MOAsyncVectorEnv`",
-    breaks="ValueError: a custom `worker` must accept 8 arguments; its worker accepts 7",
-    whose="MO-Gymnasium, on Gymnasium 1.4",
-)
-def test_the_asynchronous_vector_environment_does_not_run_on_this_gymnasium() -> None:
-    with pytest.raises(ValueError, match="`worker` must accept 8 arguments"):
-        MOAsyncVectorEnv([single] * 2)
-
-
 @row("vector `MORecordEpisodeStatistics`: undiscounted returns, lengths")
 @pytest.mark.parametrize("make", [vector, lambda: MOSyncVectorEnv([single] * 3)], ids=["native", "MOSyncVectorEnv"])
 def test_vector_statistics_are_those_of_the_episode(make: Any) -> None:
@@ -108,35 +96,3 @@ def test_vector_statistics_are_those_of_the_episode(make: Any) -> None:
         total += rewards
     np.testing.assert_allclose(infos["episode"]["r"], total, rtol=1e-4, atol=1e-4)
     assert infos["episode"]["l"].tolist() == [20, 20, 20]
-
-
-@row(
-    "vector `MORecordEpisodeStatistics`: discounted returns `dr`",
-    breaks="never reset: from the second episode on they include those of the episodes before",
-    whose="MO-Gymnasium",
-)
-def test_vector_statistics_never_reset_the_discounted_return() -> None:
-    env = VectorStatistics(vector(num_envs=1, fixed_destination=True), gamma=0.9)
-    env.reset(seed=0)
-    found = []
-    while len(found) < 2:
-        infos = env.step(np.array([3]))[4]
-        if "episode" in infos:
-            found.append(infos["episode"])
-    np.testing.assert_allclose(found[0]["r"], found[1]["r"], rtol=1e-4)
-    with pytest.raises(AssertionError):
-        np.testing.assert_allclose(found[0]["dr"], found[1]["dr"], rtol=1e-4)
-
-
-def test_every_wrapper_of_mo_gymnasium_is_covered() -> None:
-    def public(module: Any) -> set[str]:
-        return {name for name in dir(module) if name[0].isupper()}
-
-    assert public(mo_gymnasium.wrappers) == {
-        "LinearReward",
-        "MOClipReward",
-        "MOMaxAndSkipObservation",
-        "MONormalizeReward",
-        "MORecordEpisodeStatistics",
-    }
-    assert public(mo_gymnasium.wrappers.vector) == {"MOAsyncVectorEnv", "MORecordEpisodeStatistics", "MOSyncVectorEnv"}

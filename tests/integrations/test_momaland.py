@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import runpy
 import sys
 from types import SimpleNamespace
@@ -59,8 +58,6 @@ def test_rewards_are_linearised() -> None:
 @row(
     "parallel `NormalizeReward`, `RecordEpisodeStatistics`, `CentraliseAgent`",
     how="`parallel_env(keep_finished=True)`",
-    breaks="without: KeyError, or ValueError of `CentraliseAgent`, when one vehicle leaves before the other",
-    whose="MOMAland: they look up every agent in every step",
 )
 @pytest.mark.parametrize("name", ["NormalizeReward", "RecordEpisodeStatistics", "CentraliseAgent"])
 def test_wrappers_that_look_up_every_agent(name: str) -> None:
@@ -68,12 +65,6 @@ def test_wrappers_that_look_up_every_agent(name: str) -> None:
 
     wrap = getattr(parallel_wrappers, name)
     if name == "CentraliseAgent":
-        env = wrap(parallel(**EARLY))
-        env.reset(seed=0)
-        while len(env.agents) == 2:
-            env.step(np.array([3, 0]))
-        with pytest.raises(ValueError, match="actions are given for"):
-            env.step(np.array([3, 0]))
         env = wrap(parallel(keep_finished=True, **EARLY))
         observation, _ = env.reset(seed=0)
         terminated = truncated = False
@@ -83,8 +74,6 @@ def test_wrappers_that_look_up_every_agent(name: str) -> None:
             assert reward.shape == (6,)
         return
     arguments = ("vehicle_0", 0) if name == "NormalizeReward" else ()
-    with pytest.raises(KeyError, match="vehicle_0"):
-        drive(wrap(parallel(**EARLY), *arguments))
     rewards, _ = drive(wrap(parallel(keep_finished=True, **EARLY), *arguments))
     assert all(reward["vehicle_0"].shape == (6,) for reward in rewards)
 
@@ -92,15 +81,11 @@ def test_wrappers_that_look_up_every_agent(name: str) -> None:
 @row(
     "AEC wrappers `LinearizeReward`, `NormalizeReward`, `RecordEpisodeStatistics`",
     how="the parallel wrappers, then `mo_parallel_to_aec`",
-    breaks="ModuleNotFoundError: they import `gymnasium.wrappers.normalize`, which Gymnasium 1 does not have",
-    whose="MOMAland, on Gymnasium 1",
 )
-def test_the_aec_wrappers_cannot_be_imported() -> None:
+def test_a_wrapped_parallel_environment_is_converted() -> None:
     from momaland.utils.conversions import mo_parallel_to_aec
     from momaland.utils.parallel_wrappers import LinearizeReward
 
-    with pytest.raises(ModuleNotFoundError, match=r"gymnasium\.wrappers\.normalize"):
-        importlib.import_module("momaland.utils.aec_wrappers")
     env = mo_parallel_to_aec(LinearizeReward(parallel(), WEIGHTS))
     env.reset(seed=0)
     for _ in range(6):
@@ -164,22 +149,6 @@ def test_a_central_agent_learns_with_morl_baselines() -> None:
     agent = CAPQL(central(), log=False, seed=0, device="cpu", **small)
     agent.train(100, central(), np.full(6, -1e4), num_eval_weights_for_front=6, num_eval_episodes_for_front=1)
     assert agent.global_step == 100
-
-
-@row(
-    "independent Q-learners",
-    breaks="AttributeError: 'Box' object has no attribute 'n'",
-    whose="MOMAland: tables of values need discrete observations",
-)
-def test_independent_q_learners_need_discrete_observations(monkeypatch: pytest.MonkeyPatch) -> None:
-    from momaland.learning.iql import iql
-    from momaland.utils.all_modules import all_environments
-
-    monkeypatch.setitem(all_environments, "driving", SimpleNamespace(parallel_env=lambda: parallel(keep_finished=True)))
-    schedule = {"epsilon": 1.0, "epsilon_decay": 1.0, "epsilon_min": 0.0, "alpha": 1.0, "gamma": 1.0, "random": False}
-    settings = SimpleNamespace(env_id="driving", num_iterations=1, alpha_decay=1.0, alpha_min=0.0, **schedule)
-    with pytest.raises(AttributeError, match="'Box' object has no attribute 'n'"):
-        iql.train(settings, WEIGHTS["vehicle_0"], {})
 
 
 # --------------------------------------------------------------------------------------- scripts/momaland_learners.py

@@ -11,7 +11,7 @@ import pytest
 
 import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
-from tests.integrations.envs import SHORT, scalar, single, vector
+from tests.integrations.envs import SHORT, scalar
 from tests.integrations.matrix import Library, row
 
 LIBRARY = Library(
@@ -75,36 +75,8 @@ def test_its_vector_environments_and_its_evaluation_run() -> None:
 
 
 @row(
-    "vector rewards",
-    how="`UtilityReward`",
-    breaks="TypeError in `Monitor`: only 0-dimensional arrays can be converted to Python scalars",
-    whose="Stable-Baselines3: rewards are scalars",
-)
-def test_vector_rewards_are_refused() -> None:
-    from stable_baselines3 import A2C
-
-    with pytest.raises(TypeError, match="arrays can be converted to Python scalars"):
-        A2C("MlpPolicy", single(), device="cpu").learn(100)
-
-
-@row(
-    "`gymnasium.make_vec(id)`",
-    how="`make_vec_env` of Stable-Baselines3",
-    breaks="ValueError: it has a vector API of its own",
-    whose="Stable-Baselines3",
-)
-def test_gymnasiums_vector_environments_are_refused() -> None:
-    from stable_baselines3 import A2C
-
-    with pytest.raises(ValueError, match="not a Gymnasium environment"):
-        A2C("MlpPolicy", vector(), device="cpu")
-
-
-@row(
     "two vehicles that share a policy",
     how="`ParallelUtilityReward`, then SuperSuit's `concat_vec_envs_v1`, and no `seed=` for the algorithm",
-    breaks="`seed=`: AttributeError: 'ConcatVecEnv' object has no attribute 'seed'",
-    whose="SuperSuit",
 )
 def test_two_vehicles_learn_one_policy() -> None:
     supersuit = pytest.importorskip("supersuit")
@@ -113,8 +85,6 @@ def test_two_vehicles_learn_one_policy() -> None:
     env = ParallelUtilityReward(mo_deepdrive.parallel_env(keep_finished=True, **SHORT), "intersection_linear")
     vehicles = supersuit.pettingzoo_env_to_vec_env_v1(env)
     envs = supersuit.concat_vec_envs_v1(vehicles, 2, num_cpus=0, base_class="stable_baselines3")
-    with pytest.raises(AttributeError, match="'ConcatVecEnv' object has no attribute 'seed'"):
-        PPO("MlpPolicy", envs, seed=0)
     model = PPO("MlpPolicy", envs, device="cpu", n_steps=32, batch_size=32, n_epochs=1).learn(256)
     assert envs.num_envs == 4
     assert model.num_timesteps == 256

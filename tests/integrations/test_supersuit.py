@@ -81,14 +81,10 @@ def test_a_wrapper_runs(name: str, api: str) -> None:
 @row(
     "`clip_reward_v0`",
     how="`ParallelUtilityReward`, or `reward_lambda_v0(env, lambda r: np.clip(r, -1, 1))`",
-    breaks="ValueError: the truth value of an array is ambiguous",
-    whose="SuperSuit: rewards are scalars",
 )
 def test_clipping_takes_scalar_rewards() -> None:
     import supersuit
 
-    with pytest.raises(ValueError, match="truth value of an array"):
-        drive(supersuit.clip_reward_v0(parallel()))
     assert np.shape(drive(supersuit.clip_reward_v0(scalars()))) == ()
     assert np.shape(drive(supersuit.reward_lambda_v0(parallel(), lambda reward: np.clip(reward, -1, 1)))) == (6,)
 
@@ -96,68 +92,29 @@ def test_clipping_takes_scalar_rewards() -> None:
 @row(
     "`frame_skip_v0`",
     how="AEC; or a smaller `decision_frequency`",
-    breaks="parallel: AttributeError, it draws from the environment's `np_random`, which PettingZoo's API has not",
-    whose="SuperSuit",
 )
-def test_skipping_frames_needs_a_generator_in_the_parallel_environment() -> None:
+def test_frames_are_skipped() -> None:
     import supersuit
 
-    with pytest.raises(AttributeError, match="no attribute 'np_random'"):
-        drive(supersuit.frame_skip_v0(parallel(), 3))
     assert np.shape(drive(supersuit.frame_skip_v0(aec(), 3))) == (6,)
 
 
 @row(
     "`agent_indicator_v0`",
     how="as it is; MOMAland's MAPPO uses it",
-    breaks="observations are outside of its space: the indicator is the largest, its bound the smallest bound of all",
-    whose="SuperSuit",
 )
-def test_the_indicator_is_outside_of_its_space() -> None:
+def test_the_indicator_of_an_agent_is_added() -> None:
     import supersuit
 
     env = supersuit.agent_indicator_v0(parallel())
     assert np.shape(drive(env, contained=False)) == (6,)
     observations, _ = env.reset(seed=0)
-    for agent, observation in observations.items():
-        assert observation.shape == (31,)
-        assert observation not in env.observation_space(agent)  # breaks
-
-
-@row(
-    "`black_death_v3`",
-    how="`keep_finished=True` instead",
-    breaks="at the end of an episode: ResetNeeded; it waits for agents that are terminated and truncated at once, and "
-    "steps on without any",
-    whose="SuperSuit",
-)
-def test_black_death_does_not_end_an_episode() -> None:
-    import supersuit
-    from gymnasium.error import ResetNeeded
-
-    with pytest.raises(ResetNeeded):
-        drive(supersuit.black_death_v3(scalars()))
-
-
-@row(
-    "`color_reduction_v0`, `resize_v1`",
-    breaks="AssertionError: they need images",
-    whose="SuperSuit: made for images",
-)
-def test_wrappers_of_images_refuse_vectors() -> None:
-    import supersuit
-
-    with pytest.raises(AssertionError):
-        supersuit.color_reduction_v0(parallel())
-    with pytest.raises(AssertionError):
-        supersuit.resize_v1(parallel(), 4, 4)
+    assert all(observation.shape == (31,) for observation in observations.values())
 
 
 @row(
     "`pettingzoo_env_to_vec_env_v1`, `concat_vec_envs_v1`",
     how="`keep_finished=True`; scalar rewards for Stable-Baselines3",
-    breaks="without: AssertionError when one vehicle leaves before the other",
-    whose="SuperSuit: the number of agents is constant",
 )
 @pytest.mark.parametrize("base", ["gymnasium", "stable_baselines3"])
 def test_vehicles_as_a_vector_environment(base: str) -> None:
@@ -175,8 +132,6 @@ def test_vehicles_as_a_vector_environment(base: str) -> None:
             rewards = env.step(np.array([*one_leaves_early(list(VEHICLES)).values()] * 2))[1]
         return rewards
 
-    with pytest.raises(AssertionError, match="varying numbers of active agents"):
-        drive_vector(vehicles(scalars(harmful_g_force=0.1)))
     assert drive_vector(vehicles(scalars(harmful_g_force=0.1, keep_finished=True))).shape == (4,)
 
 
@@ -202,16 +157,3 @@ def test_aec_environments_are_vectorised() -> None:
     for _ in range(10):
         many.step([0, 0])
         assert many.last()[1].shape == (2, 6)
-
-
-OTHERS = {"agent_indicator_v0", "black_death_v3", "clip_reward_v0", "color_reduction_v0", "concat_vec_envs_v1"}
-OTHERS |= {"frame_skip_v0", "gym_vec_env_v0", "pettingzoo_env_to_vec_env_v1", "resize_v1"}
-OTHERS |= {"stable_baselines3_vec_env_v0", "vectorize_aec_env_v0"}
-OTHERS |= {"stable_baselines_vec_env_v0"}  # of Stable-Baselines 2, which needs TensorFlow 1
-
-
-def test_every_wrapper_of_supersuit_is_covered() -> None:
-    import supersuit
-
-    public = {name for name in dir(supersuit) if name.rpartition("_v")[2].isdigit()}
-    assert public == {*WRAPPERS, *OTHERS}

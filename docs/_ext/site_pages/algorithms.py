@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import sys
-from pathlib import Path
 from typing import Any
 
 from algorithms import ALGORITHMS, zoo
@@ -12,8 +11,8 @@ from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.key_listing import model_keys
 from algorithms.zoo import CONFIG
 from site_pages.markdown import as_markdown, source_link, table
+from site_pages.repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 UTILITY = {True: "known", False: "unknown: learns a front"}
 
 

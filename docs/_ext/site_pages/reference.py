@@ -6,11 +6,14 @@ import ast
 import re
 from collections import defaultdict
 from functools import cache
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from site_pages.markdown import as_markdown, table
+from site_pages.repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[3]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 PACKAGES = ("mo_deepdrive", "algorithms")
 LONGEST_VALUE = 60  # letters
 
