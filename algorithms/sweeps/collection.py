@@ -249,6 +249,8 @@ def collect(sweep: Path) -> Collection:
         raise ValueError(
             f"sweep {str(sweep)!r} is empty: its manifest has no runs; mo-deepdrive sweep writes the manifest"
         )
+    for row in rows:
+        experiment_record(row.config, f"config of run {row.id} in the manifest of {str(sweep)!r}")
     folder = sweep / FOLDER
     with _locked(folder):
         status = {row.id: read_status(sweep / row.directory) for row in rows}
