@@ -122,12 +122,14 @@ def choice_table(
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, rate
+    from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, of_three, rate
 
     chosen, *others = order[: RUNNERS_UP + 1]
     episodes = len(evaluations[0].returns)
     intervals = episodes >= MIN_SAMPLES
-    how = f"{episodes} episode{'' if episodes == 1 else 's'} each" + (", 95% intervals" if intervals else "")
+    how = f"{episodes} episode{'' if episodes == 1 else 's'} each" + (
+        f", 95% intervals{of_three([episodes], 'episodes')}" if intervals else ""
+    )
     table = Table(
         title=f"{len(front)} polic{'y' if len(front) == 1 else 'ies'} by {criterion.name}; {how}",
         title_justify="left",

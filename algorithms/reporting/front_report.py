@@ -17,7 +17,7 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import FRONT_FILE, Front, best_known_front, measure_front
 from mo_deepdrive.evaluation.metrics import FRONT, name_and_unit
 from mo_deepdrive.evaluation.pareto import farthest_point_subset
-from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, of_three
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -149,7 +149,7 @@ def front_table(front: Front, measured: Mapping[str, float], title: str, width: 
         share = [f"{front.success[k]:.0%}"] if arrivals else []
         rows.append([str(k), *cells, *share, f"{front.length[k]:.0f}"])
     how = f"{front.episodes} episode{'' if front.episodes == 1 else 's'} each"
-    how += ", 95% intervals" if front.episodes >= MIN_SAMPLES else ""
+    how += f", 95% intervals{of_three([front.episodes], 'episodes')}" if front.episodes >= MIN_SAMPLES else ""
     count = f"{len(front)} policies"
     if len(chosen) < len(front):
         count = f"{len(chosen)} of {count}, which cover the front" + (f" ({whole})" if whole else "")

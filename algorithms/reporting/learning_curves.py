@@ -28,6 +28,7 @@ from algorithms.reporting.style import (
     surround,
     widened,
 )
+from mo_deepdrive.evaluation.front import LARGEST
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     EXPECTED_UTILITY,
@@ -154,7 +155,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
     """The mean over runs of a metric, at the steps of the first run up to the last step that all of them have reached.
 
     Args:
-        runs: columns of metrics.csv; those without the metric are ignored.
+        runs: columns of metrics.csv; those without the metric are ignored, as are values above 1e100.
         name: of the metric.
 
     Returns:
@@ -164,7 +165,7 @@ def curve(runs: Sequence[Columns], name: str) -> tuple[NDArray[Any], NDArray[Any
     series = []
     for columns in runs:
         if name in columns:
-            known = np.isfinite(columns[name])
+            known = np.abs(columns[name]) <= LARGEST  # neither NaN nor what an axis cannot show
             if known.any():
                 series.append((columns[STEP][known], columns[name][known]))
     if not series:

@@ -8,22 +8,31 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from gymnasium import registry
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
 from algorithms.common.metrics_file import Columns, read_metrics
 from algorithms.common.yaml_io import read_mapping
 from mo_deepdrive.config import EnvConfig, Settings, parse
-from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.front import EVALUATION_FILE, LARGEST
 from mo_deepdrive.evaluation.statistics import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 LEFT_OUT = "left out: "  # at the beginning of a line about a run
-LARGEST = 2**63 - 1  # integer of a Parquet file
+INTEGER = 2**63 - 1  # the largest of a Parquet file
+
+
+def _score(value: float) -> float:
+    if abs(value) > LARGEST:
+        raise ValueError(f"must be at most {LARGEST:g} in magnitude")
+    return value
+
+
+Score = Annotated[float, AfterValidator(_score)]
 
 
 class Recorded(Settings):
@@ -70,7 +79,7 @@ class AlgorithmRecord(Recorded):
 class TrainingRecord(Recorded):
     """The seed of a run, and its environment steps where it was trained here."""
 
-    seed: int = Field(ge=-LARGEST, le=LARGEST)
+    seed: int = Field(ge=-INTEGER, le=INTEGER)
     total_timesteps: int | None = None
 
 
@@ -120,9 +129,9 @@ def label_of(section: EnvironmentRecord | UtilityRecord | None) -> str:
 class EstimateRecord(Recorded):
     """A value and its interval over evaluation episodes."""
 
-    value: float
-    low: float | None = None
-    high: float | None = None
+    value: Score
+    low: Score | None = None
+    high: Score | None = None
 
 
 class FinalEvaluation(Recorded):

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
 from algorithms.reporting.style import DIM, INK, algorithm_colours, figure_style, save_figure, surround, widened
-from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean
+from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, of_three
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -70,7 +70,7 @@ def plot_effects(scores: Sequence[VariedScores], path: str | Path, title: str, r
     """
     notes = [
         "dots: runs; circles: means of the runs that share a value, or have neighbouring ones, with 95% intervals of "
-        f"{MIN_SAMPLES} runs or more"
+        f"{MIN_SAMPLES} runs or more{of_three([MIN_SAMPLES], 'runs')}"
     ]
     notes += [remark] if remark else []
     colours = algorithm_colours(name for each in scores for name in each.algorithms)

@@ -20,7 +20,7 @@ from mo_deepdrive.evaluation.metrics import (
     return_of,
     split_name,
 )
-from mo_deepdrive.evaluation.statistics import Estimate, rate
+from mo_deepdrive.evaluation.statistics import Estimate, of_three, rate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -54,7 +54,8 @@ def evaluation_table(evaluations: Mapping[str, Evaluation], title: str) -> Table
         never = rate(np.zeros(len(evaluation.returns), dtype=np.bool_))
         if any(map(_is_end, columns[policy])):
             columns[policy] = {**dict.fromkeys(filter(_is_end, names), never), **columns[policy]}
-    result = Table(title=f"{title}; 95% intervals", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    how = f"95% intervals{of_three((len(each.returns) for each in evaluations.values()), 'episodes')}"
+    result = Table(title=f"{title}; {how}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     result.add_column("", overflow="fold")
     if any(_is_end(name) for estimates in columns.values() for name in estimates):
         result.caption = f"{SUCCESS}: the share of arrivals; other ends ({END}...) that no episode had are left out."

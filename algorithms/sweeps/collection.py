@@ -256,6 +256,8 @@ def collect(sweep: Path) -> Collection:
         raise ValueError(
             f"sweep {str(sweep)!r} is empty: its manifest has no runs; mo-deepdrive sweep writes the manifest"
         )
+    for row in rows:
+        experiment_record(row.config, f"config of run {row.id} in the manifest of {str(sweep)!r}")
     folder = own_path(sweep, f"{FOLDER}/metrics").parent
     try:
         return _collect(sweep, rows, folder)

@@ -17,7 +17,6 @@ from algorithms.experiments.config import Experiment, make_experiment, override
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.registry import directory_name
 from algorithms.experiments.shipped import find_config
-from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 from mo_deepdrive.atomic_io import atomic_write, own_path
@@ -280,7 +279,6 @@ def _check_row(row: ManifestRow) -> None:
         if not isinstance(value, allowed) or isinstance(value, bool):
             types = " or ".join(each.__name__ for each in allowed)
             raise ValueError(f"{name} = {value!r} must be of type {types}")
-    experiment_record(row.config, "config")
     folder, _, name = row.directory.partition("/")
     if folder != RUNS or name in ("", ".", "..") or "/" in name:
         raise ValueError(f"directory = {row.directory!r} must be {RUNS}/NAME")

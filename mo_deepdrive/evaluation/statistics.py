@@ -50,12 +50,12 @@ class Estimate:
         return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
 
 
-def of_three(sizes: Iterable[int]) -> str:
-    """What a note on bootstrap intervals of means must add where some sample has three values; else nothing.
+def of_three(sizes: Iterable[int], what: str = "seeds") -> str:
+    """What a note on bootstrap intervals of means must add where a sample has three values of ``what``; else nothing.
 
-    The mean of resamples of three is their least value in 1 of 27 cases, which is more than the 2.5% of a tail.
+    The mean of a resample of three is the lowest of them with probability 1/27, which is more than the 2.5% of a tail.
     """
-    return " (with three seeds: from the lowest to the highest)" if MIN_SAMPLES in sizes else ""
+    return f" (with three {what}: from the lowest to the highest)" if MIN_SAMPLES in sizes else ""
 
 
 def bootstrap(samples: ArrayLike, statistic: Callable[..., Any] = np.mean) -> tuple[NDArray[Any], NDArray[Any]]:

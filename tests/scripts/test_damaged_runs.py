@@ -34,7 +34,11 @@ METRICS = {
     "a long line": (b"step," + b"x" * 200_000 + b"\n", "is not a CSV file: field larger than field limit"),
 }
 NO_ROWS = {"empty": b"", "header alone": HEADER, "torn row alone": HEADER + b"0,1."}
-FINE = {"torn row": HEADER + b"0,1.0\n10,2", "ragged row": HEADER + b"0,1.0\n5\n10,2.0\n"}
+FINE = {
+    "torn row": HEADER + b"0,1.0\n10,2",
+    "huge values": HEADER + b"0,1e308\n5,-1e308\n7,inf\n8,nan\n10,2.0\n",
+    "ragged row": HEADER + b"0,1.0\n5\n10,2.0\n",
+}
 SCORES: dict[str, tuple[Any, str]] = {
     "no JSON": ("{", "is not a final evaluation: Expecting property name"),
     "nested": ("[" * 100_000, "is not a final evaluation: it is nested too deeply"),
@@ -49,6 +53,10 @@ SCORES: dict[str, tuple[Any, str]] = {
         )
         for value, kind in (("3", "valid"), (None, "valid"), (True, "valid"), (float("nan"), "finite"))
     },
+    "a huge value": (
+        {"policies": {"greedy": {"utility_esr": {"value": 1e300}}}},
+        "'policies.greedy.utility_esr.value' = 1e+300: must be at most 1e+100 in magnitude",
+    ),
     "no value": ({"policies": {"greedy": {"utility_esr": {}}}}, "'policies.greedy.utility_esr.value' is missing"),
 }
 CONFIGS: dict[str, tuple[Any, str]] = {
@@ -133,7 +141,7 @@ def test_runs_with_damaged_configs_or_metrics_are_left_out_of_figures(call: Call
     for folder, name, faults in (("configs", "config.yaml", CONFIGS), ("metrics", "metrics.csv", METRICS)):
         code, out, error = call("plot", tmp_path / folder, good, tmp_path / "fine", "--output", "curves.png")
         assert code == 0
-        assert out.startswith("mo_a2c: 3 seeds\n")
+        assert out.startswith("mo_a2c: 4 seeds\n")
         check(error, tmp_path / folder, name, faults)
         (tmp_path / "curves.png").unlink()
         refused(call("plot", tmp_path / folder, "--output", "curves.png"), "no run whose metrics can be drawn")
