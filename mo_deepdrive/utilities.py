@@ -60,7 +60,8 @@ class Utility:
                 f"utility {self.name!r} takes {len(self.objectives)} objectives {self.objectives}; "
                 f"the returns have {returns.shape[-1] if returns.ndim else 'no axis'}"
             )
-        values = self._function(_real(returns))
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            values = self._function(_real(returns))
         self._check_finite(returns, values)
         return values
 

@@ -94,7 +94,8 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         try:
             run_peer(run, console)
         except BaseException as error:
-            run.set_status("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", 0)
+            failed = not isinstance(error, KeyboardInterrupt)
+            run.set_status("failed" if failed else "interrupted", 0, str(error) if failed else None)
             raise
     print(f"finished: {run.path}")
     return 0

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.cli import INSTALLED, check_file, make_parser, warn
-from algorithms.experiments.run_files import changed_files
+from algorithms.experiments.run_files import changed_files, diverged
 from algorithms.sweeps.manifest import is_sweep
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def intact_runs(paths: list[Path], warn: Callable[[str], None]) -> list[Path]:
 
     runs = []
     for run in find_runs(paths, warn):
-        problems = changed_files(run, ["config.yaml", EVALUATION_FILE])
+        problems = changed_files(run, ["config.yaml", EVALUATION_FILE]) or diverged(run)
         if not problems and read_status(run).get("state", "finished") != "finished":
             problems = ["its training is not finished"]
         if problems:

@@ -5,6 +5,10 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
+
 from mo_deepdrive.atomic_io import read_json_object
 
 if TYPE_CHECKING:
@@ -53,6 +57,16 @@ def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
             if problem is not None:
                 found.append(f"{name}: {problem}")
     return found
+
+
+def diverged(run: Path) -> list[str]:
+    """A line if a number in the checkpoint of a run is not finite: its scores are then those of no policy."""
+    try:
+        tensors = load_file(run / "checkpoint.safetensors")
+    except (OSError, SafetensorError):  # missing or broken, as changed_files says
+        return []
+    wrong = [name for name, array in tensors.items() if array.dtype.kind == "f" and not np.isfinite(array).all()]
+    return [f"checkpoint.safetensors: {wrong[0]!r} is not finite"] if wrong else []
 
 
 def _record(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from mo_deepdrive.evaluation.metrics import STEPS_PER_SECOND, TRAIN, summarise
+from mo_deepdrive.faults import check_vehicles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -96,6 +97,7 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             self.action_space = spaces.Discrete(adapter.actions, seed=seed)
         self._returns = np.zeros(len(adapter.objectives))
         self._length = 0
+        self._decisions = adapter.decisions()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode; without ``seed``, the first episode uses the constructor's seed."""
@@ -103,13 +105,21 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._first_seed = None
         self._returns = np.zeros(len(self._adapter.objectives))
         self._length = 0
+        self._decisions = self._adapter.decisions()
         return self._observation(raw), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
-        """Take one step; the vector reward (d,) is in units of ``reward_scales``."""
+        """Take one step; the vector reward (d,) is in units of ``reward_scales``.
+
+        Raises:
+            NotFinite: for a reward or an observation that is not finite.
+            EndlessEpisode: as :meth:`EnvAdapter.decisions`.
+        """
+        next(self._decisions)
         chosen = self._adapter.environment_actions(np.asarray(action)[None, None])[0]
         raw, reward, terminated, truncated, info = self.env.step(chosen)
         vector = np.asarray(reward)
+        check_vehicles("reward", vector[None, None], self._adapter.name, self._adapter.objectives)
         if self._recorder is not None:
             self._returns += vector
             self._length += 1
@@ -125,5 +135,6 @@ class PeerEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         )
 
     def _observation(self, raw: Any) -> NDArray[np.float32]:
-        observation = self._adapter.policy_observations(np.asarray(raw)[None])[0, 0]
-        return np.asarray(observation / self._observation_scales, dtype=np.float32)
+        observations = self._adapter.policy_observations(np.asarray(raw)[None])
+        check_vehicles("observation", observations, self._adapter.name)
+        return np.asarray(observations[0, 0] / self._observation_scales, dtype=np.float32)

@@ -13,7 +13,7 @@ import torch
 from algorithms.common.advantages import utility_gradient
 from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
-from mo_deepdrive.evaluation import evaluate
+from mo_deepdrive.evaluation import env_adapter, evaluate
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.faults import EndlessEpisode, Fault, NotFinite
 from mo_deepdrive.objectives import Objective, register_objective
@@ -131,12 +131,19 @@ def first_action(observations: Any, *_: Any) -> Any:
     return np.zeros(len(observations), dtype=np.int64)
 
 
+@pytest.fixture
+def fifty_decisions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let an episode of another library's environment have at most 50 decisions."""
+    monkeypatch.setattr(env_adapter, "LONGEST_EPISODE", 50)
+
+
+@pytest.mark.usefixtures("fifty_decisions")
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
         ({"reward": math.nan, "after": 3}, NotFinite, "foul-v0, environment 0: reward 'gain' = nan"),
         ({"observation": math.inf, "after": 3}, NotFinite, "foul-v0, environment 0: observation component 0 ="),
-        ({"length": 0}, EndlessEpisode, "an episode of foul-v0 has not ended after 10,000 decisions; limit its length"),
+        ({"length": 0}, EndlessEpisode, "an episode of foul-v0 has not ended after 50 decisions; limit its length"),
         ({"length": 9, "max_episode_steps": 5}, None, ""),
     ],
 )
@@ -150,6 +157,7 @@ def test_an_evaluation_refuses_what_is_not_finite_and_ends(
         evaluate(first_action, FOUL, episodes=2, env_kwargs=arguments)
 
 
+@pytest.mark.usefixtures("fifty_decisions")
 def test_episodes_for_a_front_have_an_end_too() -> None:
     agent = foul_agent("pcn", FOUL, {"length": 0, "max_episode_steps": 6})
     agent.begin()

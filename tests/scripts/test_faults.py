@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import re
 import signal
 import subprocess
 import time
@@ -48,28 +50,20 @@ def config(tmp_path: Path) -> Path:
             "--utility={name: tests.helpers.foul:late_root, arguments: {}}",
             "utility 'tests.helpers.foul:late_root' = nan",
         ),
-        ("--evaluation.gamma=1", ""),
     ],
 )
 def test_a_run_that_went_wrong_fails_in_one_line_and_keeps_its_last_checkpoint(
     config: Path, tmp_path: Path, call: Call, option: str, message: str
 ) -> None:
-    code, out, error = call("train", "--config", config, "--output", "run", option)
-    if not message:
-        assert code == 0, out + error
-        return
+    code, _, error = call("train", "--config", config, "--output", "run", option)
     assert code == 1
-    lines = [line for line in error.splitlines() if "Warning" not in line and not line.startswith("  ")]
-    assert len(lines) == 1, error
-    assert lines[0].startswith("error: in the update after step ")
-    assert message in lines[0]
+    (line,) = error.splitlines()
+    assert re.match(r"error: in the (update after|evaluation at) step [\d,]+: ", line)
+    assert message in line
     found = status(tmp_path / "run")
-    assert (found["state"], found["reason"]) == ("failed", lines[0].removeprefix("error: "))
+    assert (found["state"], found["reason"]) == ("failed", line.removeprefix("error: "))
     if found["step"]:
         read_checkpoint(tmp_path / "run" / "checkpoint.safetensors", {})
-        code, out, error = call("evaluate", "run", "--episodes", "2", "--trust")
-        assert code == 1 if "reward" in message or "observation" in message else 0, error
-        assert "Traceback" not in error
 
 
 def test_commands_refuse_a_checkpoint_that_has_diverged(finished: Path, tmp_path: Path, call: Call) -> None:
@@ -81,14 +75,16 @@ def test_commands_refuse_a_checkpoint_that_has_diverged(finished: Path, tmp_path
     file = run / "checkpoint.safetensors"
     tensors, identity = load_file(file), read_checkpoint(file, {})[1]
     tensors["vehicle_0.actor.body.0.weight"].fill_(math.nan)
-    save_file(tensors, file, {"checkpoint": __import__("json").dumps(identity)})
+    save_file(tensors, file, {"checkpoint": json.dumps(identity)})
     refused(call("evaluate", run), "has 'vehicle_0.actor.body.0.weight' with nan; every number must be finite")
+    code, _, error = call("table", run)
+    assert (code, "checkpoint.safetensors: 'vehicle_0.actor.body.0.weight' is not finite" in error) == (2, True)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 @pytest.mark.parametrize("where", ["evaluation", "warm-up"])
 def test_ctrl_c_ends_an_evaluation_without_an_end(config: Path, tmp_path: Path, where: str) -> None:
-    options = ["--environment.arguments={length: 0, pause: 0.002}", "--output", "run"]
+    options = ["--environment.arguments={length: 0, pause: 0.01}", "--output", "run"]
     if where == "warm-up":
         config.write_text(yaml.safe_dump({**VALUES, "utility": None, "algorithm": {"name": "pcn"}}))
     process = subprocess.Popen(
@@ -106,7 +102,7 @@ def test_ctrl_c_ends_an_evaluation_without_an_end(config: Path, tmp_path: Path, 
         started = time.monotonic()
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=TIMEOUT)
-        assert time.monotonic() - started < 15.0
+        assert time.monotonic() - started < 60.0
     finally:
         process.kill()
     assert process.returncode == 130, out + error
