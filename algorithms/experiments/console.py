@@ -65,9 +65,8 @@ class LiveDisplay:
 
     def __init__(self, console: Console, name: str, render: Callable[[], RenderableType]):
         self._accessory = Accessory(f"{name} is not shown", lambda text: print_line(console, text))
-        # Without a thread, whose errors nobody would catch.
-        live = Live(console=console, get_renderable=render, auto_refresh=False) if console.is_terminal else None
-        self._live = live
+        self._console, self._render = console, render
+        self._live: Live | None = None
 
     @property
     def shown(self) -> bool:
@@ -75,8 +74,11 @@ class LiveDisplay:
         return self._live is not None
 
     def start(self) -> None:
-        """Show it."""
-        self._attempt(lambda live: live.start(refresh=True))
+        """Show it from the next :meth:`refresh` or printed line on."""
+        if self._console.is_terminal:
+            with self._accessory:  # no thread refreshes it, whose errors nobody would catch
+                self._live = Live(console=self._console, get_renderable=self._render, auto_refresh=False)
+            self._attempt(lambda live: live.start())
 
     def refresh(self) -> None:
         """Show it as it is now."""

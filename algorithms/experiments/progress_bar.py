@@ -144,6 +144,7 @@ class ProgressReporter:
     def __enter__(self) -> ProgressReporter:
         self._start_time = self._print_time = perf_counter()
         self._display.start()
+        self._display.refresh()
         return self
 
     def __exit__(

@@ -47,6 +47,7 @@ def run(words: Sequence[str], output: int, cwd: Path, **variables: str) -> tuple
         env={**environment(), **variables},
         timeout=TIMEOUT,
         check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # which a shell's background job ignores
     )
     os.close(output)
     return done.returncode, done.stderr

@@ -29,6 +29,16 @@ def test_plot_draws_runs(finished: Path, tmp_path: Path, call: Call) -> None:
     refused(call("plot", finished, "--output", "nowhere/x.png"), "--output 'nowhere/x.png'", "nowhere' is not a direc")
 
 
+def test_plot_fails_in_one_line_where_matplotlib_does(
+    finished: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("no\nfonts")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", broken)
+    assert call("plot", finished) == (1, "", "error: the curves could not be drawn: RuntimeError: no fonts\n")
+
+
 def test_a_folder_stands_for_the_runs_in_it(finished: Path, tmp_path: Path, call: Call) -> None:
     folder = tmp_path / "experiment"
     shutil.copytree(finished, folder / "seeds" / "one")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import matplotlib
 import pytest
+from matplotlib.figure import Figure
 
 from algorithms import ALGORITHMS
 from algorithms.reporting.style import (
@@ -12,8 +16,13 @@ from algorithms.reporting.style import (
     algorithm_colours,
     algorithm_order,
     curve_styles,
+    figure_style,
+    save_figure,
     widened,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_every_algorithm_has_one_colour_that_no_other_has() -> None:
@@ -46,3 +55,14 @@ def test_curves_of_one_algorithm_have_its_shades_and_different_markers() -> None
 def test_an_axis_spans_a_tenth_of_the_magnitude_at_least() -> None:
     assert widened(0.998, 1.0, 1.0) == pytest.approx((0.949, 1.049))
     assert widened(0.0, 1.0, 1.0) == (0.0, 1.0)
+
+
+def test_figures_do_not_depend_on_a_users_settings(tmp_path: Path) -> None:
+    written = []
+    for settings in ({}, {"lines.linewidth": 9.0, "savefig.bbox": "tight", "text.usetex": True, "axes.titlesize": 30}):
+        with matplotlib.rc_context(settings), figure_style():
+            figure = Figure()
+            figure.subplots().plot([0, 1])
+            save_figure(figure, tmp_path / "figure.png")
+        written.append((tmp_path / "figure.png").read_bytes())
+    assert written[0] == written[1]

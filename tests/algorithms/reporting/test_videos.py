@@ -22,6 +22,7 @@ from algorithms.reporting.videos import (
     video_writer,
 )
 from mo_deepdrive.actions import action_names
+from mo_deepdrive.atomic_io import leftovers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -173,7 +174,7 @@ def test_an_environment_without_render_modes_cannot_be_rendered(
     check_renderable(ONE)
     console = Console(width=200, record=True)
     assert not film(build(experiment), experiment, tmp_path / "video.mp4", console, seed=0)
-    assert console.export_text().startswith("no video: environment 'commute:commute-v0' cannot be rendered: ")
+    assert console.export_text().startswith("warning: no video: environment 'commute:commute-v0' cannot be rendered: ")
     assert not [warning for warning in recwarn if "render" in str(warning.message)]
     assert not list(tmp_path.iterdir())
 
@@ -201,3 +202,13 @@ def test_a_video_that_could_not_be_written_whole_leaves_the_former_one(tmp_path:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == b"former"
     assert [each.name for each in tmp_path.iterdir()] == ["video.mp4"]
+
+
+def test_what_a_killed_process_leaves_of_a_video_is_found_when_its_run_is_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Path] = []
+    monkeypatch.setattr("algorithms.reporting.videos._check_whole", lambda *_: seen.extend(leftovers(tmp_path)))
+    write_noise(tmp_path / "video.mp4", 1)
+    assert len(seen) == 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "video.mp4"]

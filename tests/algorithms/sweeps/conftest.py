@@ -40,4 +40,11 @@ def table(load_script: Callable[[str], ModuleType]) -> Script:
 @pytest.fixture
 def plot(load_script: Callable[[str], ModuleType]) -> Script:
     """Call scripts/plot.py."""
-    return lambda *arguments: load_script("plot").main([str(argument) for argument in arguments])
+
+    def call(*arguments: Any) -> int:
+        try:
+            return int(load_script("plot").main([str(argument) for argument in arguments]))
+        except SystemExit as end:
+            return int(end.code or 0)
+
+    return call
