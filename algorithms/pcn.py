@@ -136,6 +136,7 @@ class PCN(FrontAgent):
 
     Attributes:
         bounds: two vectors (d,), the lowest and highest returns-to-go in the buffer.
+        inputs: shift and scale (2, o + d + 1) of observations and commands before they enter the network.
 
     Raises:
         ValueError: for unknown or invalid hyperparameters or spaces.
@@ -179,9 +180,8 @@ class PCN(FrontAgent):
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
-        # Shift and scale (2, o + d + 1) of observations and commands before they enter the network.
         scales = np.array([*self.env.observation_scales, *self.scales, config.horizon_scale], dtype=np.float32)
-        self._inputs = np.stack([np.zeros_like(scales), scales])
+        self.inputs = np.stack([np.zeros_like(scales), scales])
 
     @property
     def schedules(self) -> list[str]:
@@ -203,8 +203,8 @@ class PCN(FrontAgent):
         # A rare value is at most ten scales away, however small its share in the deviation.
         deviation = np.maximum(rows.std(axis=0), np.ptp(rows, axis=0) / 10.0)
         check_numbers({"largest deviation of observations and returns in the warm-up": deviation.max()})
-        varies = deviation > 1e-6 * self._inputs[1]
-        self._inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self._inputs[1])]).astype(np.float32)
+        varies = deviation > 1e-6 * self.inputs[1]
+        self.inputs = np.stack([rows.mean(axis=0), np.where(varies, deviation, self.inputs[1])]).astype(np.float32)
 
     def update(self, progress: float) -> dict[str, float]:
         """Follow one command per environment for an episode, then imitate the buffer; the losses by name.
@@ -319,7 +319,7 @@ class PCN(FrontAgent):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Inputs of the network for observations (n, o) and commands (n, d) and (n,)."""
         command = np.concatenate([desired, horizon[:, None]], axis=1, dtype=np.float32)
-        (shift, scale), o = self._inputs, self.env.observation_size
+        (shift, scale), o = self.inputs, self.env.observation_size
         return (observations - shift[:o]) / scale[:o], (command - shift[o:]) / scale[o:]
 
     # ---------------------------------------------------------------------------------------------------------- acting
@@ -482,7 +482,7 @@ class PCN(FrontAgent):
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""
         network = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        inputs = {"inputs": torch.from_numpy(self._inputs)} if self._standardises else {}
+        inputs = {"inputs": torch.from_numpy(self.inputs)} if self._standardises else {}
         return {"bounds": torch.from_numpy(np.stack(self.bounds)), **inputs, **network}
 
     def get_policy(self) -> dict[str, torch.Tensor]:
@@ -518,7 +518,7 @@ class PCN(FrontAgent):
             inputs = state["inputs"].numpy()
             if not np.isfinite(inputs).all() or not (inputs[1] > 0.0).all():
                 raise ValueError("the inputs of the network are shifted or scaled by numbers that are not valid")
-            self._inputs = inputs
+            self.inputs = inputs
         episodes = strip_prefix(state, "store.")
         self._check_decisions(episodes)
         self.buffer.set_state(episodes)

@@ -25,6 +25,7 @@ EXTRAS = {
     **dict.fromkeys(_TRAIN, "train"),
     **dict.fromkeys(("optuna", "ray", "submitit"), "sweep"),
     **dict.fromkeys(("morl_baselines", "stable_baselines3"), "peers"),
+    **dict.fromkeys(("onnx", "onnxruntime"), "onnx"),
     "minari": "minari",
     "momaland": "momaland",
     "wandb": "wandb",

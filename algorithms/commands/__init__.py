@@ -14,6 +14,7 @@ COMMANDS = {
     "table": "final scores of runs or of a sweep, with intervals",
     "choose": "choose a policy of a front by a preference",
     "explore": "a page to choose a policy of a front and watch its drive",
+    "export": "the policy as an ONNX file, for other programs",
     "sweep": "train all runs of a grid or search: on this machine, Ray or Slurm",
     "reproduce": "the paper's figures and claims, from scratch",
     "peers": "train an algorithm of another library",

@@ -511,7 +511,7 @@ class StateGaussianActor(_Actor):
             actions = np.empty(noise.shape, np.float32)
             state_gaussian_sample(_transposed(outputs), 0, noise.numpy(), actions)
             return torch.from_numpy(actions).view(shape)
-        mean, log_std = self._mean_and_log_std(outputs)
+        mean, log_std = self.mean_and_log_std(outputs)
         return (mean + log_std.exp() * noise).view(shape)
 
     def greedy(self, x: torch.Tensor) -> torch.Tensor:
@@ -523,7 +523,7 @@ class StateGaussianActor(_Actor):
         outputs: torch.Tensor = self.body(x.reshape(-1, x.shape[-1]))
         shape, flat = actions.shape[:-1], actions.reshape(-1, self.actions)
         if not _is_compiled(outputs):
-            log_density, entropy = _log_density_and_entropy(*self._mean_and_log_std(outputs), flat)
+            log_density, entropy = _log_density_and_entropy(*self.mean_and_log_std(outputs), flat)
             return log_density.view(shape), entropy.view(shape)
         o, a = _transposed(outputs), flat.numpy()
         log_probs, entropies = np.empty(len(a), np.float32), np.empty(len(a), np.float32)
@@ -541,7 +541,8 @@ class StateGaussianActor(_Actor):
             tape.record(outputs, results, backward)
         return _shaped(results, shape)
 
-    def _mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means (..., k) and log standard deviations (..., k) that outputs (..., 2 k) of the network stand for."""
         log_std = LOG_STD_GAIN * outputs[..., self.actions :] + INITIAL_LOG_STD
         return outputs[..., : self.actions], log_std.clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD)
 

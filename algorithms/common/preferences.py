@@ -107,6 +107,11 @@ class Preferences:
             *(f"budget/{name}" for name in config.budgets),
         )
 
+        # Weights become of mean 1, whatever the number of objectives, and budgets shares of the largest.
+        self._factors, self._divisors = torch.ones(2, len(self.names))
+        self._factors[self._weights] = float(d)
+        self._divisors[self._budgets] = self.largest
+
     def note_episodes(self, discounted: NDArray[np.float64]) -> None:
         """Raise z to the best discounted returns (E, d) of episodes that ended."""
         if len(discounted):
@@ -257,10 +262,7 @@ class Preferences:
         """
         left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
         largest = self.largest.to(accrued)
-        parts = [preferences.clone()]
-        # Of mean 1, whatever the number of objectives.
-        parts[0][..., self._weights] *= len(self.objectives)
-        parts[0][..., self._budgets] /= largest
+        parts = [preferences * self._factors.to(preferences) / self._divisors.to(preferences)]
         if CHEBYSHEV in self.used:
             gaps = self.gaps(accrued, preferences)
             behind = ((gaps - gaps.amax(-1, keepdim=True)) / left).clamp(min=-FURTHEST)

@@ -139,7 +139,8 @@ class ProgressReporter:
         if self._updates > FIRST_UPDATES and self._step < self._total:
             seconds = round((self._print_time - self._start_time) / done * (self._total - self._step))
             left = f"  {seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} left"
-        self.say(f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})  {self._numbers()}{left}")
+        shown = f"step {self._step:,} of {self._total:,} ({self._step / self._total:.0%})  {self._numbers()}{left}"
+        self.say(shown.rstrip())
 
     def __enter__(self) -> ProgressReporter:
         self._start_time = self._print_time = perf_counter()

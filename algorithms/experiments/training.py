@@ -81,8 +81,8 @@ def reopen(path: str, *, trust: bool = False, total_timesteps: Any = None) -> tu
         if agent.schedules:
             run.unlock()
             raise ValueError(
-                f"training.total_timesteps = {total_timesteps}: the run cannot be trained longer, because of what "
-                f"depends on the length of the training: {', '.join(agent.schedules)}"
+                f"training.total_timesteps = {experiment.training.total_timesteps}: the run cannot be trained longer, "
+                f"since these settings depend on the length of the training: {', '.join(agent.schedules)}"
             )
         run.experiment = experiment
         # In this order: a process that is killed in between leaves a run that can be resumed.
