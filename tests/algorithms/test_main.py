@@ -1,4 +1,4 @@
-"""The command line: mo-deepdrive, python -m algorithms and the scripts run the same commands."""
+"""The command line: mo-deepdrive, python -m mo_deepdrive and the scripts run the same commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from algorithms import __main__ as command_line
+from mo_deepdrive import __main__ as command_line
 from algorithms.commands import COMMANDS
 from algorithms.experiments.cli import as_called
 from mo_deepdrive import __version__
@@ -66,7 +66,7 @@ def test_messages_name_commands_as_they_were_called() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", ["python -m algorithms {}", "python scripts/{}.py"])
+@pytest.mark.parametrize("program", ["python -m mo_deepdrive {}", "python scripts/{}.py"])
 def test_help_and_errors_name_commands_as_they_were_called(program: str, repository: Path, tmp_path: Path) -> None:
     def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         _, *words = program.format(name).replace("scripts/", f"{repository}/scripts/").split()

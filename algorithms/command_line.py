@@ -1,4 +1,4 @@
-"""The command line: ``mo-deepdrive train ...``, or ``python -m algorithms train ...``."""
+"""The command line below ``mo_deepdrive/__main__.py``: finds and runs a command."""
 
 from __future__ import annotations
 
@@ -6,25 +6,19 @@ import argparse
 import importlib
 import os
 import sys
+from typing import TYPE_CHECKING
 
 import mo_deepdrive
 from algorithms.commands import COMMANDS
-from algorithms.experiments.cli import INSTALLED, INVALID_INPUT, PROCESS_DEFAULTS, prepare_process
+from algorithms.experiments.cli import INVALID_INPUT, PROCESS_DEFAULTS, prepare_process
 from mo_deepdrive.extras import MissingExtraError, needed_for
 
-
-def main() -> int:
-    """``mo-deepdrive``; returns the exit code."""
-    return _run(sys.argv[1:], INSTALLED)
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
-def run_script(name: str) -> int:
-    """``python scripts/NAME.py``; returns the exit code."""
-    return _run_command(name, sys.argv[1:], "python scripts/{}.py")
-
-
-def _run(arguments: list[str], program: str) -> int:
-    """Run a command line that begins with the name of the command."""
+def main(arguments: Sequence[str], program: str) -> int:
+    """Run a command line that begins with the name of the command; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog=program.format("").strip(),
         usage="%(prog)s COMMAND ...",
@@ -36,10 +30,10 @@ def _run(arguments: list[str], program: str) -> int:
     )
     parser.add_argument("--version", action="version", version=f"mo-deepdrive {mo_deepdrive.__version__}")
     parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
-    return _run_command(parser.parse_args(arguments[:1]).command, arguments[1:], program)
+    return run_command(parser.parse_args(arguments[:1]).command, arguments[1:], program)
 
 
-def _run_command(name: str, arguments: list[str], program: str) -> int:
+def run_command(name: str, arguments: Sequence[str], program: str) -> int:
     """Import and run a command; a package that is not installed is an error of the user's input."""
     try:
         with needed_for(program.format(name)):
@@ -50,7 +44,3 @@ def _run_command(name: str, arguments: list[str], program: str) -> int:
         print(f"error: {error}", file=sys.stderr)
         return INVALID_INPUT
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(_run(sys.argv[1:], "python -m algorithms {}"))
