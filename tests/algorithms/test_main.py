@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mo_deepdrive import __main__ as command_line
 from algorithms.commands import COMMANDS
 from algorithms.experiments.cli import as_called
+from mo_deepdrive import __main__ as command_line
 from mo_deepdrive import __version__
 
 if TYPE_CHECKING:
@@ -95,3 +95,35 @@ def test_a_command_whose_package_is_not_installed_is_refused_in_one_line(
     monkeypatch.delitem(sys.modules, "algorithms.zoo.listing", raising=False)
     assert called(monkeypatch, "zoo") == 2
     assert capsys.readouterr().err == "error: mo-deepdrive zoo needs rich: pip install 'mo-deepdrive[train]'\n"
+
+
+SWEEP = """
+config: one_waypoint/mo_a2c_linear
+overrides: {training.total_timesteps: 64, training.num_envs: 4, evaluation.episodes: 2, evaluation.final_episodes: 2,
+  logging.save_figures: false}
+seeds: 1
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    ["zoo", "sweep --config sweep.yaml --output sweep --workers 1"],
+    ids=["in this process", "in workers"],
+)
+@pytest.mark.parametrize("installed", [False, True], ids=["a folder", "an installed package"])
+def test_another_package_named_algorithms_is_no_obstacle(tmp_path: Path, words: str, installed: bool) -> None:
+    place = tmp_path / "site-packages" if installed else tmp_path
+    (place / "algorithms").mkdir(parents=True)
+    (place / "algorithms" / "__init__.py").write_text("raise SystemExit('imported another package')\n")
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    done = subprocess.run(
+        [sys.executable, "-m", "mo_deepdrive", *words.split()],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")])},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
