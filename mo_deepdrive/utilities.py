@@ -366,7 +366,9 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
 
 
 def _of_magnitudes(formula: Callable[[dict[str, Any]], Any], signs: dict[str, float], returns: Any) -> Any:
-    return formula({objective: returns[..., i] * sign for i, (objective, sign) in enumerate(signs.items())})
+    # Of a single return, too, the magnitudes are arrays: NumPy's powers of scalars have other last bits.
+    magnitudes = {objective: returns[..., i, None] * sign for i, (objective, sign) in enumerate(signs.items())}
+    return formula(magnitudes)[..., 0][()]
 
 
 def _warn_of_rewarded_costs(utility: Utility) -> None:
@@ -388,8 +390,8 @@ def _with_budgets(name: str, budgets: Mapping[str, Any]) -> ComfortBudget:
             raise ValueError(f"utility {name!r} takes no arguments but {', '.join(BUDGETS)}; got {each!r}")
         if not is_finite(value) or value < 0:
             raise ValueError(f"{each} = {value!r} of utility {name!r} must be finite and at least 0")
-    changed: dict[str, Any] = {each: float(value) for each, value in budgets.items()}
-    return replace(COMFORT_BUDGETS[name], **changed)
+    numbers: dict[str, Any] = {each: float(value) for each, value in budgets.items()}
+    return replace(COMFORT_BUDGETS[name], **numbers)
 
 
 def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> None:

@@ -1,4 +1,4 @@
-"""Wrappers: a scalar reward instead of a vector reward, for libraries that need one."""
+"""Wrappers for libraries that need a scalar reward, and for networks that need observations of like magnitude."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
 from pettingzoo.utils import BaseParallelWrapper
 
 from mo_deepdrive.names import nearest
+from mo_deepdrive.plain_values import finite_numbers
 from mo_deepdrive.utilities import Utility, make_utility
 
 if TYPE_CHECKING:
@@ -24,7 +27,7 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     """Makes the reward the utility of the vector reward; the vector is ``info["vector_reward"]``.
 
     Everything else is unchanged. It wraps any Gymnasium environment with vector rewards, of this package or of
-    MO-Gymnasium::
+    MO-Gymnasium (:class:`VectorUtilityReward` wraps vector environments)::
 
         env = UtilityReward(mo_gymnasium.make("mo-deepdrive-one-waypoint-v0"), "one_waypoint_linear")
 
@@ -54,6 +57,8 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     reward_dim = 1
 
     def __init__(self, env: gymnasium.Env[Any, Any], utility: str | Utility, of: Measure = "reward", **arguments: Any):
+        if isinstance(env, VectorEnv):
+            raise ValueError(f"{env} is a vector environment: VectorUtilityReward wraps it")
         gymnasium.utils.RecordConstructorArgs.__init__(self, utility=utility, of=of, **arguments)
         gymnasium.Wrapper.__init__(self, env)
         space = env.get_wrapper_attr("reward_space") if env.has_wrapper_attr("reward_space") else None
@@ -80,6 +85,96 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         value = self._scalar_rewards.of(self.utility, vector, vehicle)
         self._scalar_rewards.deciding.add(vehicle)
         return observation, value, terminated, truncated, {**info, "vector_reward": vector}
+
+
+class VectorUtilityReward(VectorWrapper[Any, Any, Any, Any, Any]):
+    """:class:`UtilityReward` for vector environments: row i is bit for bit what it gives for environment i alone.
+
+    The vectors are ``infos["vector_reward"]``; everything else is unchanged. It wraps any vector environment with
+    vector rewards, of this package or of MO-Gymnasium::
+
+        envs = VectorUtilityReward(gymnasium.make_vec("mo-deepdrive-left-turn-v0", num_envs=16), "left_turn_linear")
+
+    With two vehicles rewards are (N, 2), each by the vehicle's own rewards. A vehicle that has ended, and an
+    environment that is only reset (NEXT_STEP), have the reward 0. The accrued reward starts anew with every episode,
+    in every autoreset mode.
+
+    Args:
+        env: a vector environment with rewards (N, d) or (N, V, d), and ``reward_space``.
+        utility: a name, as :func:`mo_deepdrive.utilities.make_utility` takes it, or a utility of returns (..., d).
+        of: "reward" or "return", as for :class:`UtilityReward`.
+        **arguments: arguments of a utility given by name, for example ``weights``.
+
+    Attributes:
+        utility: the utility.
+        reward_space: of one environment: unbounded, float32, shape () or (V,).
+        reward_dim: 1.
+
+    Raises:
+        TypeError: if ``env`` is no vector environment.
+        ValueError: if the environment has no vector rewards, or the utility is unknown or does not fit them.
+    """
+
+    reward_dim = 1
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], utility: str | Utility, of: Measure = "reward", **arguments: Any):
+        super().__init__(env)
+        inner: Any = env.unwrapped
+        space = None if _is_scalar(env) else getattr(inner, "reward_space", None)
+        self._vehicles = () if space is None else space.shape[:-1]
+        single = inner.envs[0] if getattr(inner, "envs", None) else None
+        names = getattr(inner, "objectives", None)
+        if names is None and single is not None and single.has_wrapper_attr("objectives"):
+            names = single.get_wrapper_attr("objectives")
+        d = None if space is None or not space.shape else spaces.Box(-np.inf, np.inf, space.shape[-1:])
+        self.utility = _fitting_utility(utility, env, d, names, arguments)
+        self._measure = _checked_measure(of)
+        self.reward_space = _scalar_space(self._vehicles)
+        self._restart(np.ones(env.num_envs, dtype=np.bool_))
+
+    def _restart(self, rows: NDArray[np.bool_]) -> None:
+        """Start new episodes in ``rows`` (N,)."""
+        if rows.all():
+            shape = (self.num_envs, *self._vehicles)
+            self._accrued = np.zeros((*shape, len(self.utility.objectives)))
+            self._ended = np.zeros(shape, dtype=np.bool_)
+        self._accrued[rows] = 0.0
+        self._ended[rows] = False
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes; where ``options`` have a ``"reset_mask"`` (N,), in its environments alone."""
+        started = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # a list is fine, too
+        if "vehicle" in started[1]:
+            raise ValueError(
+                f"vehicles take turns in {self.env}: gymnasium.make_vec makes one in which they act together"
+            )
+        mask = (options or {}).get("reset_mask")
+        self._restart(np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask)
+        return started
+
+    def step(self, actions: Any) -> tuple[Any, NDArray[np.float64], Any, Any, dict[str, Any]]:
+        """Act for one decision in every environment.
+
+        Returns:
+            observations, utilities (N,) or (N, V), terminated, truncated, and infos with the vector rewards.
+        """
+        observations, vectors, terminated, truncated, infos = self.env.step(actions)
+        if self._measure == "reward":
+            values = self.utility(vectors)
+        else:
+            after = self._accrued + vectors
+            values = self.utility(after) - self.utility(self._accrued)
+            self._accrued = after
+        rewards = np.where(self._ended, 0.0, np.asarray(values, dtype=np.float64))
+        self._ended = np.array(terminated | truncated)
+        over = self._ended.reshape(self.num_envs, -1).all(axis=1)
+        self._accrued[over] = 0.0
+        if self.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP:
+            self._ended[over] = False
+        infos = {**infos, "vector_reward": vectors, "_vector_reward": np.ones(self.num_envs, dtype=np.bool_)}
+        return observations, rewards, terminated, truncated, infos
 
 
 class ParallelUtilityReward(BaseParallelWrapper[str, Any, Any]):  # type: ignore[misc]  # PettingZoo has no types
@@ -170,9 +265,7 @@ class _ScalarRewards:
     """
 
     def __init__(self, measure: Measure):
-        if measure not in get_args(Measure):
-            raise ValueError(f"of = {measure!r} must be one of {list(get_args(Measure))}")
-        self._measure = measure
+        self._measure = _checked_measure(measure)
         self._accrued: dict[Any, NDArray[np.float64]] = {}
         self.deciding: set[Any] = set()
 
@@ -194,8 +287,19 @@ class _ScalarRewards:
         return float(utility(after) - utility(before))
 
 
-def _scalar_space() -> spaces.Box:
-    return spaces.Box(-np.inf, np.inf, (), dtype=np.float32)
+def _checked_measure(measure: Measure) -> Measure:
+    if measure not in get_args(Measure):
+        raise ValueError(f"of = {measure!r} must be one of {list(get_args(Measure))}")
+    return measure
+
+
+def _scalar_space(vehicles: tuple[int, ...] = ()) -> spaces.Box:
+    return spaces.Box(-np.inf, np.inf, vehicles, dtype=np.float32)
+
+
+def _is_scalar(env: Any) -> bool:
+    """Whether a wrapper of the vector environment ``env`` has made its rewards scalar."""
+    return isinstance(env, VectorWrapper) and (isinstance(env, VectorUtilityReward) or _is_scalar(env.env))
 
 
 def _fitting_utility(
@@ -214,3 +318,90 @@ def _fitting_utility(
     if not fits:
         raise ValueError(f"utility {utility.name!r} takes {utility.objectives}; the environment has {objectives}")
     return utility
+
+
+class ScaledObservation(gymnasium.ObservationWrapper[Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Divides observations by nominal magnitudes: those in SI units differ a hundredfold, which networks learn badly.
+
+    It is what the package's own algorithms do. A policy that is trained with it divides its observations, too, where it
+    is evaluated: ``observations / env.unwrapped.observation_scales``.
+
+    Args:
+        env: an environment with observations in a Box.
+        scales: positive, in the shape of an observation; by default ``env.unwrapped.observation_scales``.
+
+    Attributes:
+        scales: float32.
+
+    Raises:
+        ValueError: if there are no such scales, or observations are in no Box.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], scales: Any = None):
+        gymnasium.utils.RecordConstructorArgs.__init__(self, scales=scales)
+        gymnasium.ObservationWrapper.__init__(self, env)
+        self.scales = _checked_scales(scales, env, env.observation_space)
+        self.observation_space = _divided(env.observation_space, self.scales)
+
+    def observation(self, observation: Any) -> Any:
+        """The scaled observation."""
+        return _scaled(observation, self.scales)
+
+
+class VectorScaledObservation(VectorWrapper[Any, Any, Any, Any, Any]):
+    """:class:`ScaledObservation` for vector environments, in every autoreset mode: ``final_obs`` is scaled, too.
+
+    Args:
+        env: a vector environment with observations in a Box.
+        scales: positive; the last axes of an observation; by default ``env.unwrapped.observation_scales``.
+
+    Attributes:
+        scales: float32.
+
+    Raises:
+        ValueError: if there are no such scales, or observations are in no Box.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], scales: Any = None):
+        super().__init__(env)
+        self.scales = _checked_scales(scales, env, env.single_observation_space)
+        self.single_observation_space = _divided(env.single_observation_space, self.scales)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return _scaled(observations, self.scales), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Act for one decision in every environment."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        if "final_obs" in infos:
+            infos = {**infos, "final_obs": _scaled(infos["final_obs"], self.scales)}
+        return _scaled(observations, self.scales), rewards, terminated, truncated, infos
+
+
+def _scaled(observations: Any, scales: NDArray[np.float32]) -> Any:
+    """Observations divided by ``scales``; Gymnasium has an array of objects with None where there is no last one."""
+    if isinstance(observations, np.ndarray) and observations.dtype.kind == "O":
+        scaled = np.empty(len(observations), dtype=object)
+        scaled[:] = [None if each is None else _scaled(each, scales) for each in observations]
+        return scaled
+    return np.asarray(observations / scales, dtype=np.float32)
+
+
+def _checked_scales(scales: Any, env: Any, space: spaces.Space[Any]) -> NDArray[np.float32]:
+    """The scales of observations in ``space``, by default those of ``env``."""
+    if not isinstance(space, spaces.Box):
+        raise ValueError(f"observation space {space} of {env} must be a Box")
+    given = getattr(env.unwrapped, "observation_scales", None) if scales is None else scales
+    if given is None:
+        raise ValueError(f"{env} has no observation_scales; give scales in the shape of an observation: {space.shape}")
+    numbers = finite_numbers(given)
+    if numbers is None or not (numbers > 0).all() or numbers.shape != space.shape[len(space.shape) - numbers.ndim :]:
+        raise ValueError(f"scales = {given!r} must be positive numbers in the shape of an observation: {space.shape}")
+    return numbers.astype(np.float32)
+
+
+def _divided(space: Any, scales: NDArray[np.float32]) -> spaces.Box:
+    return spaces.Box((space.low / scales).astype(np.float32), (space.high / scales).astype(np.float32))

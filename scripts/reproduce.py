@@ -2,7 +2,7 @@
 
 import sys
 
-from algorithms.__main__ import run_script
+from mo_deepdrive_command import run_script
 
 if __name__ == "__main__":
     sys.exit(run_script("reproduce"))

@@ -1,4 +1,4 @@
-"""The commands: ``mo-deepdrive NAME``, ``python -m algorithms NAME``, and ``scripts/NAME.py`` in a checkout.
+"""The commands: ``mo-deepdrive NAME``, ``python -m mo_deepdrive NAME``, and ``scripts/NAME.py`` in a checkout.
 
 Each module has ``main(arguments, program) -> int``, which runs a command line and returns the exit code. A module is
 imported when its command is called. At its top it imports what parses the command line, and nothing of an extra; what

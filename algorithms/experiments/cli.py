@@ -36,7 +36,7 @@ CHOICE_EPISODES = 20
 CHOICE_SPLIT: Split = "validation"
 
 
-# How a command is called: "mo-deepdrive {}", "python -m algorithms {}" or "python scripts/{}.py".
+# How a command is called: "mo-deepdrive {}", "python -m mo_deepdrive {}" or "python scripts/{}.py".
 INSTALLED = "mo-deepdrive {}"
 # Variables that are set for a command unless the user has set them: videos are drawn in memory, and an idle thread
 # sleeps after some 0.2 ms instead of spinning on a core that others need. Not the user's choice is the backend of

@@ -300,13 +300,14 @@ def _resources(settings: SweepSettings) -> dict[str, float]:
 def _connect(address: str | None, sweep: Path) -> None:
     """Start Ray in this process, or connect to a running cluster.
 
-    Ray's workers look for packages first in the working directory of this moment, which may have an ``algorithms/`` of
-    its own; in that of the sweep they find none.
+    Ray's workers look for packages first in the working directory of this moment; in that of the sweep they find none.
+    Elsewhere, too, there may be another package ``algorithms``.
 
     Raises:
         Stopped: if the cluster cannot be reached.
     """
-    quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    quiet["runtime_env"] = {"worker_process_setup_hook": "mo_deepdrive.__main__.load_algorithms"}
     folder = Path.cwd()
     os.chdir(sweep)
     try:

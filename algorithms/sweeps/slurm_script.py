@@ -44,9 +44,10 @@ if TYPE_CHECKING:
 MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 
 
-# submitit's own command, `python -m submitit.core._submit`, looks for packages in the working directory first.
+# submitit's own command, `python -m submitit.core._submit`, looks for packages in the working directory first, and
+# would take any package algorithms for ours.
 START = (
-    "import sys; sys.path = [*filter(None, sys.path), str()]; "
+    "import sys; sys.path = [*filter(None, sys.path), str()]; import mo_deepdrive.__main__; "
     "from submitit.core.submission import submitit_main; submitit_main()"
 )
 

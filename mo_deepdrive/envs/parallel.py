@@ -61,6 +61,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         objectives: names of the reward's components, in order.
         reward_dim: their number, d.
         observation_spaces: per agent.
+        observation_scales: (size,) nominal magnitudes of the observation of an agent, by which learners divide.
         action_spaces: per agent.
         reward_spaces: per agent.
         state_space: the space of :meth:`state`.
@@ -105,6 +106,7 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
         self.agents: list[str] = []
         self._index = {agent: v for v, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {agent: env_spaces.observation_space(config) for agent in self.possible_agents}
+        self.observation_scales = env_spaces.observation_scales(config)
         self.action_spaces = {agent: env_spaces.action_space(config) for agent in self.possible_agents}
         self.reward_spaces = {agent: env_spaces.reward_space(config) for agent in self.possible_agents}
         self.state_space = env_spaces.joint_observation_space(config)

@@ -49,6 +49,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
         reward_dim: their number, d.
         utilities: per vehicle.
         observation_spaces: per vehicle.
+        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
         action_spaces: per vehicle.
         reward_spaces: per vehicle.
 
@@ -73,6 +74,7 @@ class DrivingMultiAgentEnv(MultiAgentEnv):  # type: ignore[misc]  # Ray's types 
         self.possible_agents = list(self.parallel.possible_agents)
         self.agents: list[str] = []
         self.observation_spaces = self.parallel.observation_spaces
+        self.observation_scales = self.parallel.observation_scales
         self.action_spaces = self.parallel.action_spaces
         self.reward_spaces = self.parallel.reward_spaces
         self.utilities = _make_utilities(utility, self.parallel)

@@ -14,6 +14,8 @@ from mo_deepdrive.params import chosen_objectives
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from mo_deepdrive.config import EnvConfig
 
 
@@ -21,6 +23,11 @@ def observation_space(config: EnvConfig) -> spaces.Box:
     """The observation of one vehicle: float32, shape (size,), SI units; entries in ``observation.layout``."""
     low, high = observation.bounds(SCENARIOS[config.scenario], limits(config))
     return spaces.Box(low, high, dtype=np.float32)
+
+
+def observation_scales(config: EnvConfig) -> NDArray[np.float32]:
+    """Nominal magnitudes of the observation of one vehicle, by which learners divide: (size,)."""
+    return observation.scales(SCENARIOS[config.scenario]).astype(np.float32)
 
 
 def joint_observation_space(config: EnvConfig) -> spaces.Box:

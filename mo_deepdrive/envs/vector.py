@@ -102,6 +102,10 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         max_episode_steps: number of decisions after which an episode is truncated, unless ``time_limit`` is shorter.
         **options: fields of :class:`mo_deepdrive.config.EnvConfig`.
 
+    Attributes:
+        objectives: names of the d components of a vehicle's reward, in order.
+        observation_scales: (size,) nominal magnitudes of the observation of a vehicle, by which learners divide.
+
     Raises:
         TypeError: for unknown arguments.
         ValueError: for invalid values.
@@ -146,6 +150,7 @@ class DrivingVectorEnv(KnownFront, VectorEnv):
         self.reward_dim = len(self.objectives)
         self.vehicles = self.batch.scenario.vehicles
         self.single_observation_space = self._per_vehicle(env_spaces.observation_space(config))
+        self.observation_scales = env_spaces.observation_scales(config)
         self.single_action_space = self._per_vehicle(env_spaces.action_space(config))
         self.reward_space = self._per_vehicle(env_spaces.reward_space(config))
         self.observation_space = batch_space(self.single_observation_space, num_envs)

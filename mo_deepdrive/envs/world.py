@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mo_deepdrive.batch import WorldBatch
 from mo_deepdrive.envs.options import make_pins
-from mo_deepdrive.envs.spaces import action_space, observation_space, reward_space
+from mo_deepdrive.envs.spaces import action_space, observation_scales, observation_space, reward_space
 from mo_deepdrive.envs.streams import checked_seed
 
 if TYPE_CHECKING:
@@ -164,6 +164,10 @@ class WorldEnv(KnownFront, gymnasium.Env[NDArray[np.float32], Any]):
     Args:
         config: the environment's settings.
         render_mode: as in :class:`World`.
+
+    Attributes:
+        objectives: names of the reward's d components, in order.
+        observation_scales: (size,) nominal magnitudes of the observation, by which learners divide.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 10}
@@ -176,6 +180,7 @@ class WorldEnv(KnownFront, gymnasium.Env[NDArray[np.float32], Any]):
         self.batch = self.world.batch
         self.objectives = self.batch.objectives
         self.observation_space = observation_space(config)  # type: ignore[assignment]
+        self.observation_scales = observation_scales(config)
         self.action_space = action_space(config)
         self.reward_space = reward_space(config)
         self.reward_dim = len(self.objectives)

@@ -19,7 +19,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
-from mo_deepdrive import observation
 from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
 from mo_deepdrive.faults import EndlessEpisode, check_vehicles
 from mo_deepdrive.limits import objective_bound
@@ -140,7 +139,7 @@ class EnvAdapter:
             scenario, config = inner.batch.scenario, inner.config
             still = config.fixed_obstacle or not scenario.obstacles
             self.repeats: bool | None = config.fixed_destination and still and not scenario.cars
-            self.observation_scales = observation.scales(inner.batch.scenario).astype(np.float32)
+            self.observation_scales = inner.observation_scales
             self.objective_scales = objective_scales(self.objectives).astype(np.float32)
             self.costs: NDArray[np.bool_] = objective_signs(self.objectives) < 0
             self.objective_bounds = np.array([objective_bound(name, inner.config) for name in self.objectives])

@@ -10,7 +10,7 @@ import shutil
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import yaml
@@ -34,7 +34,9 @@ from mo_deepdrive.utilities import make_utility
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.evaluation.statistics import Estimate
     from mo_deepdrive.utilities import Utility
 
 EVALUATION_FILE, EPISODES_FILE = "evaluation.json", "episodes.npz"
@@ -65,7 +67,29 @@ class Provenance:
         return next(found, None)
 
 
-def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], about: Mapping[str, Any]) -> None:
+class Episodes(Protocol):
+    """What files hold of an :class:`mo_deepdrive.evaluation.Evaluation`, which reads and writes them."""
+
+    objectives: tuple[str, ...]
+    utilities: tuple[Utility, ...]
+    returns: NDArray[np.float64]
+    discounted: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    succeeded: NDArray[np.bool_]
+    ends: NDArray[Any]
+    provenance: Provenance | None
+
+    def episode_utilities(self, v: int = 0) -> NDArray[np.float64]:
+        """(E,) utilities of the episodes of vehicle ``v``."""
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Every metric with its interval."""
+
+    def metrics(self) -> dict[str, float]:
+        """Every metric."""
+
+
+def write_evaluation(directory: Path, evaluations: Mapping[str, Episodes], about: Mapping[str, Any]) -> None:
     """Write evaluation.json and evaluation.csv (every metric) and episodes.csv (one row per episode and vehicle).
 
     Args:
@@ -89,7 +113,7 @@ def write_evaluation(directory: Path, evaluations: Mapping[str, Evaluation], abo
     atomic_write(directory / "episodes.csv", csv_bytes(_episode_rows(evaluations, int(about["seed"]))))
 
 
-def _episode_rows(evaluations: Mapping[str, Evaluation], seed: int) -> list[list[Any]]:
+def _episode_rows(evaluations: Mapping[str, Episodes], seed: int) -> list[list[Any]]:
     objectives = next(iter(evaluations.values())).objectives
     rows: list[list[Any]] = [
         [
@@ -109,9 +133,7 @@ def _episode_rows(evaluations: Mapping[str, Evaluation], seed: int) -> list[list
     return rows
 
 
-def save_as_run(
-    evaluation: Evaluation, directory: str | Path, *, name: str, seed: int, steps: int, greedy: bool
-) -> Path:
+def save_as_run(evaluation: Episodes, directory: str | Path, *, name: str, seed: int, steps: int, greedy: bool) -> Path:
     """Write what tables, curves and comparisons read of a run, and the episodes; see :meth:`Evaluation.save`."""
     about = evaluation.provenance
     if about is None:
@@ -167,7 +189,7 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def _episodes_bytes(evaluation: Evaluation) -> bytes:
+def _episodes_bytes(evaluation: Episodes) -> bytes:
     """The arrays, with reasons as text, and the rest as JSON: an .npz file without pickled objects."""
     arrays = {name: getattr(evaluation, name) for name in ARRAYS}
     arrays["ends"] = np.array([["" if end is None else str(end) for end in ends] for ends in evaluation.ends])

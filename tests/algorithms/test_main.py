@@ -1,4 +1,4 @@
-"""The command line: mo-deepdrive, python -m algorithms and the scripts run the same commands."""
+"""The command line: mo-deepdrive, python -m mo_deepdrive and the scripts run the same commands."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from algorithms import __main__ as command_line
 from algorithms.commands import COMMANDS
 from algorithms.experiments.cli import as_called
 from mo_deepdrive import __version__
+from mo_deepdrive.__main__ import run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +30,7 @@ def _process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def called(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr(sys, "argv", ["mo-deepdrive", *words])
     try:
-        return command_line.main()
+        return run(None, "mo-deepdrive {}")
     except SystemExit as end:
         return int(end.code or 0)
 
@@ -66,9 +66,9 @@ def test_messages_name_commands_as_they_were_called() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", ["python -m algorithms {}", "python scripts/{}.py"])
+@pytest.mark.parametrize("program", ["python -m mo_deepdrive {}", "python scripts/{}.py"])
 def test_help_and_errors_name_commands_as_they_were_called(program: str, repository: Path, tmp_path: Path) -> None:
-    def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    def start(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         _, *words = program.format(name).replace("scripts/", f"{repository}/scripts/").split()
         return subprocess.run(
             [sys.executable, *words, *arguments],
@@ -79,11 +79,11 @@ def test_help_and_errors_name_commands_as_they_were_called(program: str, reposit
             check=False,
         )
 
-    said = run("train", "--help").stdout
+    said = start("train", "--help").stdout
     assert said.startswith(f"usage: {program.format('train')} ")
     assert f"{program.format('train')} --resume runs/" in said
     assert "mo-deepdrive train" not in said
-    refused = run("choose", "one_waypoint_linear-ppo", "--weights", "jerk=1")
+    refused = start("choose", "one_waypoint_linear-ppo", "--weights", "jerk=1")
     assert refused.returncode == 2
     assert f"{program.format('evaluate')} shows it" in refused.stderr
 
@@ -95,3 +95,35 @@ def test_a_command_whose_package_is_not_installed_is_refused_in_one_line(
     monkeypatch.delitem(sys.modules, "algorithms.zoo.listing", raising=False)
     assert called(monkeypatch, "zoo") == 2
     assert capsys.readouterr().err == "error: mo-deepdrive zoo needs rich: pip install 'mo-deepdrive[train]'\n"
+
+
+SWEEP = """
+config: one_waypoint/mo_a2c_linear
+overrides: {training.total_timesteps: 64, training.num_envs: 4, evaluation.episodes: 2, evaluation.final_episodes: 2,
+  logging.save_figures: false}
+seeds: 1
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    ["zoo", "sweep --config sweep.yaml --output sweep --workers 1"],
+    ids=["in this process", "in workers"],
+)
+@pytest.mark.parametrize("installed", [False, True], ids=["a folder", "an installed package"])
+def test_another_package_named_algorithms_is_no_obstacle(tmp_path: Path, words: str, installed: bool) -> None:
+    place = tmp_path / "site-packages" if installed else tmp_path
+    (place / "algorithms").mkdir(parents=True)
+    (place / "algorithms" / "__init__.py").write_text("raise SystemExit('imported another package')\n")
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    done = subprocess.run(
+        [sys.executable, "-m", "mo_deepdrive", *words.split()],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")])},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -454,6 +454,19 @@ def test_an_episode_continues_after_its_window_is_closed(human_env: Any) -> None
     assert not pygame.display.get_init()
 
 
+@pytest.mark.filterwarnings("ignore:render_mode='human'")
+def test_human_mode_leaves_the_events_of_a_users_program(human_env: Any) -> None:
+    human_env.reset(seed=1)
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_a))
+    human_env.step(SPEED_UP)
+    assert pygame.event.get(pygame.KEYDOWN)
+
+
+def test_human_mode_says_that_there_is_no_window(human_env: Any) -> None:
+    with pytest.warns(UserWarning, match=r"shows no window \(SDL has only 'dummy'\)"):
+        human_env.reset(seed=1)
+
+
 def test_human_mode_reopens_its_window_after_pygame_quits(human_env: Any) -> None:
     human_env.reset(seed=1)
     pygame.quit()

@@ -9,11 +9,20 @@ import mo_gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.utilities import make_utility
-from mo_deepdrive.wrappers import ParallelUtilityReward, UtilityReward
+from mo_deepdrive.wrappers import (
+    ParallelUtilityReward,
+    ScaledObservation,
+    UtilityReward,
+    VectorScaledObservation,
+    VectorUtilityReward,
+)
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"
@@ -283,3 +292,158 @@ def test_unsuitable_utilities_of_agents_are_refused(utility: Any, message: str) 
     scalar = ParallelUtilityReward(mo_deepdrive.parallel_env(), "intersection_linear")
     with pytest.raises(ValueError, match="no reward_space"):
         ParallelUtilityReward(scalar, "intersection_linear")
+
+
+# ------------------------------------------------------------------------------------------------------------- vector
+
+
+def actions_of(count: int, seed: int = 5) -> Any:
+    return np.random.default_rng(seed).integers(22, size=(1000, count))
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("of", ["reward", "return"])
+@pytest.mark.parametrize("env_id", [ONE_WAYPOINT, "mo-deepdrive-left-turn-v0"])
+def test_a_row_of_a_vector_environment_has_the_rewards_of_a_single_environment(env_id: str, of: Any, mode: str) -> None:
+    name = {ONE_WAYPOINT: "one_waypoint_nonlinear"}.get(env_id, "left_turn_risk_averse")
+    many = VectorUtilityReward(gymnasium.make_vec(env_id, num_envs=3, autoreset_mode=mode, time_limit=5.0), name, of)
+    many.reset(seed=7)
+    rows, vectors, episodes = [], [], np.zeros(3, dtype=int)
+    chosen = actions_of(3)[:150]
+    over = np.zeros(3, dtype=np.bool_)
+    expected: list[list[float]] = [[], [], []]
+    singles = [UtilityReward(mo_gymnasium.make(env_id, time_limit=5.0), name, of) for _ in range(3)]
+    for i, single in enumerate(singles):
+        single.reset(seed=7 + i)
+    for joint in chosen:
+        _, rewards, terminated, truncated, infos = many.step(joint)
+        rows.append(rewards)
+        vectors.append(infos["vector_reward"])
+        for i, single in enumerate(singles):
+            if over[i]:
+                single.reset()
+            if over[i] and mode == "NextStep":
+                expected[i].append(0.0)
+                over[i] = False
+                continue
+            _, reward, ended, stopped, _ = single.step(joint[i])
+            expected[i].append(float(reward))
+            over[i] = ended or stopped
+        np.testing.assert_array_equal(over, terminated | truncated)
+        episodes += over
+    assert episodes.min() > 0
+    assert np.array(rows).T.tolist() == expected
+    assert many.reward_space.shape == ()
+    assert np.array(vectors).shape == (150, 3, many.unwrapped.reward_dim)
+
+
+@pytest.mark.parametrize("of", ["reward", "return"])
+def test_vehicles_of_a_vector_environment_have_the_rewards_of_agents(of: Any) -> None:
+    many = VectorUtilityReward(
+        gymnasium.make_vec(INTERSECTION, num_envs=2, autoreset_mode="SameStep", time_limit=8.0),
+        "intersection_nonlinear",
+        of,
+    )
+    agents = ParallelUtilityReward(mo_deepdrive.parallel_env(time_limit=8.0), "intersection_nonlinear", of)
+    many.reset(seed=3)
+    agents.reset(seed=3)
+    assert many.reward_space.shape == (2,)
+    episodes = 0
+    for joint in actions_of(4)[:300].reshape(-1, 2, 2):
+        rewards = many.step(joint)[1]
+        actions = dict(zip(agents.possible_agents, joint[0].tolist(), strict=True))
+        expected = agents.step({agent: actions[agent] for agent in agents.agents})[1]
+        assert rewards[0].tolist() == [expected.get(agent, 0.0) for agent in agents.possible_agents]
+        if not agents.agents:
+            agents.reset()
+            episodes += 1
+    assert episodes > 1
+
+
+def test_environments_that_are_reset_alone_start_their_return_alone() -> None:
+    envs = VectorUtilityReward(
+        gymnasium.make_vec(ONE_WAYPOINT, num_envs=2, autoreset_mode="Disabled"), "one_waypoint_nonlinear", of="return"
+    )
+    envs.reset(seed=[1, 1], options={"destination": (25.0, 30.0)})
+    first = [envs.step(np.array([3, 3]))[1][0] for _ in range(5)]
+    envs.reset(seed=[1, None], options={"reset_mask": np.array([True, False]), "destination": (25.0, 30.0)})
+    again = np.array([envs.step(np.array([3, 3]))[1] for _ in range(5)])
+    assert again[:, 0].tolist() == first
+    assert again[:, 1].tolist() != first
+
+
+def test_vector_environments_of_other_libraries_can_be_wrapped() -> None:
+    def make() -> Any:
+        return mo_gymnasium.make("deep-sea-treasure-v0")
+
+    envs = VectorUtilityReward(MOSyncVectorEnv([make, make]), "linear", of="return", weights=np.array([1.0, 0.5]))
+    single = UtilityReward(make(), "linear", of="return", weights=[1.0, 0.5])
+    envs.reset(seed=0)
+    single.reset(seed=0)
+    over = False
+    for action in (3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 3, 1, 1, 1):
+        rewards = envs.step(np.array([action, 0]))[1]
+        if over:
+            single.reset()
+            assert rewards[0] == 0.0
+            over = False
+        else:
+            _, reward, over, *_ = single.step(action)
+            assert rewards[0] == reward
+
+
+def test_a_vector_environment_without_vector_rewards_is_refused() -> None:
+    envs = gymnasium.make_vec(ONE_WAYPOINT, num_envs=2)
+    with pytest.raises(ValueError, match="VectorUtilityReward wraps it"):
+        UtilityReward(envs, "one_waypoint_linear")  # type: ignore[arg-type]
+    scalar = VectorUtilityReward(envs, "one_waypoint_linear")
+    for env in (gymnasium.make_vec("CartPole-v1", num_envs=2), scalar):
+        with pytest.raises(ValueError, match="no reward_space"):
+            VectorUtilityReward(env, "one_waypoint_linear")
+    turns = MOSyncVectorEnv([lambda: mo_gymnasium.make(INTERSECTION)])
+    with pytest.raises(ValueError, match=r"take turns .*make_vec"):
+        VectorUtilityReward(turns, "intersection_linear").reset()
+
+
+# ------------------------------------------------------------------------------------------------------- observations
+
+
+@pytest.mark.parametrize("env_id", SCENARIOS)
+def test_observations_are_divided_by_the_scales_that_learners_use(env_id: str) -> None:
+    single = ScaledObservation(mo_gymnasium.make(env_id))
+    many = VectorScaledObservation(gymnasium.make_vec(env_id, num_envs=2, autoreset_mode="SameStep"))
+    scales = EnvAdapter(many.unwrapped).observation_scales
+    parallel = mo_deepdrive.parallel_env(scenario=many.unwrapped.config.scenario)
+    for env in (single.unwrapped, many.unwrapped, parallel.unwrapped):
+        np.testing.assert_array_equal(env.observation_scales, scales)
+    plain = gymnasium.make_vec(env_id, num_envs=2, autoreset_mode="SameStep")
+    first, _ = plain.reset(seed=2)
+    assert many.reset(seed=2)[0].tolist() == (first / scales).tolist()
+    assert single.reset(seed=2)[0].tolist() == (first / scales).reshape(-1, len(scales))[0].tolist()
+    ended = False
+    for actions in actions_of(plain.action_space.shape[0] * parallel.max_num_agents)[:400]:
+        joint = actions.reshape(plain.action_space.shape)
+        ours, theirs = many.step(joint), plain.step(joint)
+        assert ours[0] in many.observation_space
+        assert ours[0].tolist() == (theirs[0] / scales).tolist()
+        if "final_obs" in theirs[4]:
+            ended = True
+            assert ours[4]["final_obs"].tolist() == (theirs[4]["final_obs"] / scales).tolist()
+    assert ended
+
+
+def test_scales_of_other_environments_are_given() -> None:
+    env = gymnasium.make("CartPole-v1")
+    with pytest.raises(ValueError, match=r"has no observation_scales; give scales in the shape .*\(4,\)"):
+        ScaledObservation(env)
+    with pytest.raises(ValueError, match=r"scales = \[1, 0, 1, 1\] must be positive"):
+        ScaledObservation(env, scales=[1, 0, 1, 1])
+    many = gymnasium.make_vec("CartPole-v1", 2, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP})
+    envs = VectorScaledObservation(many, scales=[2.0] * 4)
+    envs.reset(seed=0)
+    final: Any = {}
+    while "final_obs" not in final:
+        *_, final = envs.step(np.ones(2, dtype=int))
+    last = next(each for each in final["final_obs"] if each is not None)
+    assert last.dtype == np.float32
+    assert abs(last[2]) * 2.0 > 0.2  # rad; beyond it the episode ends

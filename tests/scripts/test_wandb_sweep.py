@@ -246,7 +246,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
     for name in ("wandb", "bin"):
         (folder / name).mkdir()
     program = folder / "bin" / "mo-deepdrive"  # as pip installs it
-    program.write_text(f"#!{sys.executable}\nimport sys\nfrom algorithms.__main__ import main\nsys.exit(main())\n")
+    program.write_text(f"#!{sys.executable}\nimport sys\nfrom mo_deepdrive_command import main\nsys.exit(main())\n")
     program.chmod(0o755)
     with Server(folder) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()

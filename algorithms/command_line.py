@@ -1,4 +1,4 @@
-"""The command line: ``mo-deepdrive train ...``, or ``python -m algorithms train ...``.
+"""The command line below ``mo_deepdrive/__main__.py``: finds and runs a command.
 
 Everything that takes time to import is imported where Ctrl-C is handled already.
 """
@@ -18,17 +18,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 
-def main() -> int:
-    """``mo-deepdrive``; returns the exit code."""
-    return _run(None, sys.argv[1:], "mo-deepdrive {}")
-
-
-def run_script(name: str) -> int:
-    """``python scripts/NAME.py``; returns the exit code."""
-    return _run(name, sys.argv[1:], "python scripts/{}.py")
-
-
-def _run(name: str | None, arguments: list[str], program: str) -> int:
+def run(name: str | None, arguments: list[str], program: str) -> int:
     """Run a command in a process in which nothing but an error of the program ends with a traceback.
 
     A closed terminal does not end it, and output that cannot be written is dropped; that is an error of those commands
@@ -43,7 +33,7 @@ def _run(name: str | None, arguments: list[str], program: str) -> int:
         The exit code.
     """
     handlers = {}
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else a shell has set it, of a background job
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as a shell sets it for a background job
         handlers[signal.SIGINT] = signal.signal(signal.SIGINT, _interrupt)
     if hasattr(signal, "SIGHUP"):
         handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -128,7 +118,3 @@ def _command(arguments: list[str], program: str) -> str:
     parser.add_argument("--version", action="version", version=f"mo-deepdrive {mo_deepdrive.__version__}")
     parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
     return str(parser.parse_args(arguments[:1]).command)
-
-
-if __name__ == "__main__":
-    sys.exit(_run(None, sys.argv[1:], "python -m algorithms {}"))

@@ -1,0 +1,53 @@
+"""The command line: ``mo-deepdrive train ...``, or ``python -m mo_deepdrive train ...``.
+
+The commands are in the package ``algorithms``, whose name many projects give to a folder of their own. So it is loaded
+from beside this package, wherever Python would find one of that name first: in the working directory, on PYTHONPATH or
+among the installed packages. That happens on import, because worker processes import the main module, too.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.machinery
+import importlib.util
+import sys
+from pathlib import Path
+
+
+def load_algorithms() -> None:
+    """Make ``algorithms`` the package that belongs to this one, for all imports in this process.
+
+    Raises:
+        ImportError: if there is none, or another project's is installed over it.
+    """
+    root = str(Path(__file__).parent.parent)
+    spec = importlib.machinery.PathFinder.find_spec("algorithms", [root])
+    loaded = sys.modules.get("algorithms")
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{root!r} has no package algorithms: install mo-deepdrive again")
+    if loaded is not None and loaded.__file__ == spec.origin:
+        return
+    for name in [name for name in sys.modules if name.partition(".")[0] == "algorithms"]:
+        del sys.modules[name]
+    module = sys.modules["algorithms"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, "ALGORITHMS"):
+        raise ImportError(f"{spec.origin!r} is another project's, installed over mo-deepdrive's: separate them")
+
+
+load_algorithms()
+
+
+def run(name: str | None, program: str) -> int:
+    """Run the command line of this process, called as ``program``; returns the exit code.
+
+    Args:
+        name: of the command; None if the command line begins with it.
+        program: as of :data:`algorithms.experiments.cli.INSTALLED`.
+    """
+    code: int = importlib.import_module("algorithms.command_line").run(name, sys.argv[1:], program)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(run(None, "python -m mo_deepdrive {}"))
