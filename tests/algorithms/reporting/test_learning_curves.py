@@ -177,7 +177,7 @@ def test_two_seeds_get_no_band_and_the_figure_says_so() -> None:
     assert [text.get_text() for text in legend.get_texts()][:2] == ["a2c (n = 2)", "mo_a2c"]
     figure = Figure()
     learning_curves._frame(figure, [two], "")
-    assert "2 seeds, too few for an interval (n = 2)" in figure.artists[0].get_text()
+    assert "2 seeds, too few for an interval (n = 2)" in " ".join(figure.artists[0].get_text().split())
 
 
 def test_our_destination_is_not_drawn_beside_the_arrival_rate() -> None:
