@@ -287,12 +287,12 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str 
     """
     try:
         yield
-    except Fault as error:
-        print(as_called(f"error: {error}", program), file=sys.stderr)
-        raise SystemExit(FAILED) from None
     except invalid_input as error:
         print(as_called(f"error: {error}", program), file=sys.stderr)
         raise SystemExit(INVALID_INPUT) from None
+    except Fault as error:
+        print(as_called(f"error: {error}", program), file=sys.stderr)
+        raise SystemExit(FAILED) from None
     except Stopped as error:
         print(f"error: {error}", *([hint] if hint else []), sep="\n", file=sys.stderr)
         raise SystemExit(FAILED) from None
