@@ -34,8 +34,16 @@ class Settings(BaseModel):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _of_numpy(cls, values: Any) -> Any:
-        """NumPy's numbers and arrays are as good as Python's."""
-        return plain(values)
+        """NumPy's numbers and arrays are as good as Python's, and tuples as lists."""
+        values = plain(values)
+        if not isinstance(values, dict):
+            return values
+        for name, value in values.items():
+            if isinstance(value, (list, tuple)) and name in cls.model_fields:
+                annotation = cls.model_fields[name].annotation
+                kinds = [get_origin(each) for each in (annotation, *get_args(annotation))]
+                values[name] = next((kind(value) for kind in kinds if kind in (list, tuple)), value)
+        return values
 
 
 S = TypeVar("S", bound=Settings)
@@ -167,11 +175,6 @@ class EnvConfig(Settings):
         if value not in SCENARIOS:
             raise ValueError(f"is unknown; {nearest(value, SCENARIOS)}")
         return value
-
-    @pydantic.field_validator("objectives", mode="before")
-    @classmethod
-    def _objectives_as_tuple(cls, value: Any) -> Any:
-        return tuple(value) if isinstance(value, list) else value
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> EnvConfig:
