@@ -23,7 +23,7 @@ from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.experiments.jobs import Job, perform
-from algorithms.experiments.run_directory import InUse, read_status
+from algorithms.experiments.run_directory import read_status
 from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
 from mo_deepdrive.atomic_io import own_path
@@ -106,7 +106,7 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
                     final = {f"final/{name}": value for name, value in final_metrics(job.path).items()}
                     reports.put({**final, "done": True})
                     return
-                except InUse as error:
+                except Exception as error:
                     if verdict(error, 1, 1) != "wait":
                         raise
                     stop.wait(BUSY)
@@ -116,7 +116,8 @@ class RunTrainable(tune.Trainable):  # type: ignore[misc]  # Ray's types are not
             if outcome == "retry":
                 reports.put(RuntimeError(describe(error)))
             else:
-                reports.put({"done": True, "error": describe(error), "disk_full": outcome == "stop"})
+                full = {"disk_full": True} if outcome == "stop" else {}
+                reports.put({"done": True, "error": describe(error), **full})
 
 
 def _logged_evaluations(job: Job) -> list[tuple[int, dict[str, float]]]:
@@ -178,7 +179,7 @@ class _ProgressCallback(_NotPickled, tune.Callback):  # type: ignore[misc]  # Ra
     def on_trial_result(self, *_arguments: Any, trial: Any, result: TuneReport, **_info: Any) -> None:
         if "error" in result:
             self._record(trial, JobFailed(result["error"]))
-        if result.get("disk_full"):
+        if "disk_full" in result:
             self.disk_full = result["error"]
 
     def on_trial_error(self, *_arguments: Any, trial: Any, **_info: Any) -> None:

@@ -156,6 +156,11 @@ class Evaluation:
         return self.returns.reshape(len(self.returns), -1)
 
     @property
+    def joint_discounted(self) -> NDArray[np.float64]:
+        """(E, V d) discounted returns of all vehicles."""
+        return self.discounted.reshape(len(self.discounted), -1)
+
+    @property
     def joint_lengths(self) -> NDArray[np.int64]:
         """(E,) decisions until the last vehicle was through."""
         return np.asarray(self.lengths.max(axis=1))

@@ -90,9 +90,9 @@ class Panels {
     const { budget, objectives } = this.front;
     const named = (prices) => Object.entries(prices)
       .map(([key, price]) => `${objectives.find((objective) => objective.key === key).name} ${price}`);
-    return `It has the greatest expected utility. Per unit, ${named(budget.gains).join(" and ")} count; `
-      + `${named(budget.excessPrices).join(" and ")} are the costs beyond the budgets`
-      + `${named(budget.prices).map((price) => `, ${price}`).join("")}.`;
+    const costs = [`${named(budget.excessPrices).join(" and ")} beyond their budgets`, ...named(budget.prices)];
+    return `It has the greatest expected utility. Gains per unit: ${named(budget.gains).join(", ")}. `
+      + `Costs per unit: ${costs.join(", ")}.`;
   }
 
   showChoice() {
