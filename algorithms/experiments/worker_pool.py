@@ -19,6 +19,7 @@ from algorithms.experiments.interrupts import JobFailed, Stopped, describe
 from algorithms.experiments.jobs import Job, JobOutcome, perform
 from algorithms.experiments.lenient_output import make_standard_streams_lenient
 from algorithms.experiments.run_directory import InUse
+from mo_deepdrive.__main__ import call
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -84,7 +85,7 @@ class _Workers:
 
     @staticmethod
     def _executor() -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin_worker)
+        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), call, (_begin_worker,))
 
     @property
     def free(self) -> bool:
