@@ -66,7 +66,8 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
     longer = dict(parse_overrides(overrides))
     total_timesteps = longer.pop("training.total_timesteps", None)
     if longer or options.output:
-        given = [*(f"--{key}" for key in longer), *(["--output"] if options.output else [])]
+        given = [each for each in overrides if not each.startswith("--training.total_timesteps")]
+        given += ["--output"] if options.output else []
         raise ValueError(
             "--resume continues the run with its own settings, apart from --training.total_timesteps; "
             f"it cannot take {' '.join(given)}"
