@@ -53,4 +53,5 @@ def run_script(name: str) -> int:
 
 
 if __name__ == "__main__":
+    __spec__ = None  # then worker processes import this file; by its name they would not
     sys.exit(main("python -m mo_deepdrive {}"))
