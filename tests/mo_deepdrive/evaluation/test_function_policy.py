@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import mo_gymnasium
@@ -143,3 +145,19 @@ def test_actions_that_are_none_of_the_environment_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         evaluate(lambda observations, *_: returned(len(observations)), env_id, episodes=3, env_kwargs=arguments)
+
+
+WITHOUT_TORCH = """
+import sys
+import numpy as np
+from mo_deepdrive.evaluation import evaluate
+idle = lambda observations, accrued, discounts: np.zeros(len(observations), dtype=int)
+evaluate(idle, "mo-deepdrive-one-waypoint-v0", episodes=2, env_kwargs={"time_limit": 1.0})
+sys.exit(str({"torch", "algorithms"} & set(sys.modules) or ""))
+"""
+
+
+@pytest.mark.slow
+def test_a_function_is_evaluated_without_torch_and_the_algorithms() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT_TORCH], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""
