@@ -149,12 +149,12 @@ test-peers: $(PEERS_READY)
 test-integrations: $(INTEGRATIONS_READY)
 	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/integrations --numprocesses 2 --dist worksteal
 
-# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv. `make mutants-pareto`
-# is one group, with SAMPLE= all its mutants. Each has a clone of its own, so `make --jobs 2 mutants` uses two cores.
+# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv, or with SAMPLE= all
+# mutants of the groups in MUTANTS. Each group has a clone of its own, so `make --jobs 2 mutants` uses two cores.
 SAMPLE = 1
 MUTANTS = advantages pareto scenarios simulation sweeps
 mutants: $(MUTANTS:%=mutants-%)
-	$(MUTANTS_VENV)/bin/python -m tests.mutation.sample record $(MUTANTS:%=$(MUTANTS_VENV)/%.sqlite)
+	$(if $(SAMPLE),$(MUTANTS_VENV)/bin/python -m tests.mutation.sample record $(MUTANTS:%=$(MUTANTS_VENV)/%.sqlite))
 
 mutants-%: $(MUTANTS_READY)
 	rm -rf $(MUTANTS_VENV)/clone-$* $(MUTANTS_VENV)/$*.sqlite
