@@ -133,7 +133,8 @@ test-install: $(READY)
 # table. Versions of Numba do not share a cache.
 LOWEST_TESTS = $(addprefix tests/,mo_deepdrive/envs mo_deepdrive/evaluation algorithms/test_agent.py algorithms/test_pcn.py \
 	algorithms/test_mocac.py algorithms/test_mappo.py algorithms/test_conditioned_mo_ppo.py \
-	algorithms/common/test_checkpoints.py algorithms/experiments/test_key_listing.py scripts/test_table.py)
+	algorithms/common/test_checkpoints.py algorithms/experiments/test_key_listing.py \
+	algorithms/experiments/test_loggers.py mo_deepdrive/test_utilities.py scripts/test_table.py)
 test-lowest: $(LOWEST_READY)
 	NUMBA_CACHE_DIR=$(abspath $(LOWEST_VENV))/numba $(LOWEST_VENV)/bin/python -m pytest $(LOWEST_TESTS) \
 		-m "not slow and not processes" --hypothesis-profile fast
@@ -148,12 +149,12 @@ test-peers: $(PEERS_READY)
 test-integrations: $(INTEGRATIONS_READY)
 	$(INTEGRATIONS_VENV)/bin/python -m pytest tests/integrations --numprocesses 2 --dist worksteal
 
-# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv. `make mutants-pareto`
-# is one group, with SAMPLE= all its mutants. Each has a clone of its own, so `make --jobs 2 mutants` uses two cores.
+# Which small changes of the last commit the tests notice: the sample of docs/results/mutants.csv, or with SAMPLE= all
+# mutants of the groups in MUTANTS. Each group has a clone of its own, so `make --jobs 2 mutants` uses two cores.
 SAMPLE = 1
 MUTANTS = advantages pareto scenarios simulation sweeps
 mutants: $(MUTANTS:%=mutants-%)
-	$(MUTANTS_VENV)/bin/python -m tests.mutation.sample record $(MUTANTS:%=$(MUTANTS_VENV)/%.sqlite)
+	$(if $(SAMPLE),$(MUTANTS_VENV)/bin/python -m tests.mutation.sample record $(MUTANTS:%=$(MUTANTS_VENV)/%.sqlite))
 
 mutants-%: $(MUTANTS_READY)
 	rm -rf $(MUTANTS_VENV)/clone-$* $(MUTANTS_VENV)/$*.sqlite

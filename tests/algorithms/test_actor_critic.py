@@ -411,5 +411,6 @@ def test_a_policy_that_observes_the_past_in_other_units_is_refused(
         metadata = json.loads(file.metadata()["checkpoint"])
     for key in ("objective_scales", "accrued_gamma"):
         del metadata[key]
-    save_file(load_file(path), path, {"checkpoint": json.dumps(metadata)})
+    path = tmp_path / "earlier.safetensors"
+    save_file(load_file(tmp_path / "policy.safetensors"), path, {"checkpoint": json.dumps(metadata)})
     other.load(path, policy_only=True)  # of an earlier version, which did not say

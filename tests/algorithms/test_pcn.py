@@ -748,11 +748,11 @@ def test_broken_and_incomplete_checkpoints_are_refused(tmp_path: Path) -> None:
 
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
-    tensors = load_file(path)
+    tensors, partial = load_file(path), tmp_path / "partial.safetensors"
     for name in ("bounds", "network.body.0.weight", "generator", "counts"):
-        save_file({key: tensor for key, tensor in tensors.items() if key != name}, path, metadata)
+        save_file({key: tensor for key, tensor in tensors.items() if key != name}, partial, metadata)
         with pytest.raises(ValueError, match=re.escape(f"has {name!r} of shape None")):
-            small_pcn("one_waypoint").load(path)
+            small_pcn("one_waypoint").load(partial)
 
 
 @pytest.mark.parametrize("row", [0, 1])
