@@ -87,7 +87,7 @@ class UtilityReward(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         return observation, value, terminated, truncated, {**info, "vector_reward": vector}
 
 
-class VectorUtilityReward(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorUtilityReward(VectorWrapper):  # not generic in Gymnasium 1.2
     """:class:`UtilityReward` for vector environments: row i is bit for bit what it gives for environment i alone.
 
     The vectors are ``infos["vector_reward"]``; everything else is unchanged. It wraps any vector environment with
@@ -348,7 +348,7 @@ class ScaledObservation(gymnasium.ObservationWrapper[Any, Any, Any], gymnasium.u
         return _scaled(observation, self.scales)
 
 
-class VectorScaledObservation(VectorWrapper[Any, Any, Any, Any, Any]):
+class VectorScaledObservation(VectorWrapper):  # not generic in Gymnasium 1.2
     """:class:`ScaledObservation` for vector environments, in every autoreset mode: ``final_obs`` is scaled, too.
 
     Args:

@@ -6,8 +6,6 @@ import hashlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
 
 from mo_deepdrive.atomic_io import read_json_object
 
@@ -61,6 +59,9 @@ def changed_files(run: Path, names: Sequence[str] | None = None) -> list[str]:
 
 def diverged(run: Path) -> list[str]:
     """A line if a number in the checkpoint of a run is not finite: its scores are then those of no policy."""
+    from safetensors import SafetensorError  # an extra, which not every command needs
+    from safetensors.numpy import load_file
+
     try:
         tensors = load_file(run / "checkpoint.safetensors")
     except (OSError, SafetensorError):  # missing or broken, as changed_files says

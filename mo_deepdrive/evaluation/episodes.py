@@ -18,6 +18,7 @@ from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.evaluation.policy import Policy, check_same_task, seeded_generator
 from mo_deepdrive.evaluation.splits import first_seed
 from mo_deepdrive.machine import check_memory
+from mo_deepdrive.plain_values import is_finite
 from mo_deepdrive.utilities import Utility, check_utility, make_utility
 
 if TYPE_CHECKING:
@@ -80,8 +81,9 @@ def evaluate(
     """
     if isinstance(episodes, bool) or not isinstance(episodes, (int, np.integer)) or episodes < 1:
         raise ValueError(f"episodes = {episodes!r} must be a positive integer")
-    if not 0.0 <= gamma <= 1.0:
-        raise ValueError(f"gamma = {gamma} must be between 0 and 1")
+    if not is_finite(gamma) or not 0.0 <= gamma <= 1.0:
+        raise ValueError(f"gamma = {gamma!r} must be between 0 and 1")
+    gamma, greedy = float(gamma), bool(greedy)
     first = first_seed(split, seed, episodes)
     check_memory(f"episodes = {episodes}", episodes * EPISODE_BYTES)
     if not isinstance(env, str):

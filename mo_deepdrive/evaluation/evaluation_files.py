@@ -185,8 +185,13 @@ def save_as_run(evaluation: Episodes, directory: str | Path, *, name: str, seed:
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """``values`` as text files hold them, with lists in place of arrays and tuples."""
-    plain: dict[str, Any] = json.loads(json.dumps(dict(values), default=lambda each: each.tolist()))
+    plain: dict[str, Any] = json.loads(json.dumps(dict(values), default=_plain_value))
     return plain
+
+
+def _plain_value(value: Any) -> Any:
+    """What JSON does not know: NumPy's values, and as text any object that an environment takes."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else repr(value)
 
 
 def _episodes_bytes(evaluation: Episodes) -> bytes:
@@ -199,7 +204,7 @@ def _episodes_bytes(evaluation: Episodes) -> bytes:
         "provenance": None if evaluation.provenance is None else asdict(evaluation.provenance),
     }
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, about=np.array(json.dumps(about, default=lambda each: each.tolist())), **arrays)
+    np.savez_compressed(buffer, about=np.array(json.dumps(about, default=_plain_value)), **arrays)
     return buffer.getvalue()
 
 

@@ -64,3 +64,15 @@ def test_environments_fronts_and_playing_need_nothing_but_the_core(run_python: C
         "import algorithms.commands.play"
     )
     assert printed == "4\n"
+
+
+def test_every_command_prints_its_help_without_any_extra(run_python: Callable[[str], Any]) -> None:
+    printed = run_python(
+        "import sys\n"
+        "from mo_deepdrive.extras import EXTRAS\n"
+        "sys.modules.update(dict.fromkeys(EXTRAS.keys() - {'scipy'}))\n"
+        "from algorithms.command_line import run\n"
+        "from algorithms.commands import COMMANDS\n"
+        "print({name for name in COMMANDS if run(name, ['--help'], 'mo-deepdrive {}')})"
+    )
+    assert printed.endswith("\nset()\n")
