@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pygame
 import pytest
-from gymnasium.wrappers import RecordVideo
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import rendering
@@ -20,8 +19,7 @@ from mo_deepdrive.simulation.map import MAP_SIZE
 from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -87,24 +85,6 @@ def test_the_same_state_gives_the_same_frame(scenario: str) -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_drawing_does_not_change_the_state(scenario: str) -> None:
-    batch, viewer = start(scenario)
-    drive(batch, 3)
-    before = batch.state.tobytes()
-    viewer.draw(batch.state[0])
-    assert batch.state.tobytes() == before
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_frames_differ_on_the_map_when_the_car_moves(scenario: str) -> None:
-    batch, viewer = start(scenario)
-    before = viewer.draw(batch.state[0])
-    drive(batch, 10)
-    after = viewer.draw(batch.state[0])
-    assert (before[:, :MAP_PIXELS] != after[:, :MAP_PIXELS]).any()
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_each_car_shows_in_its_colour_where_it_is(scenario: str) -> None:
     batch, viewer = start(scenario)
     drive(batch, 20)
@@ -127,13 +107,6 @@ def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading:
         assert resembles(colour_at(coasting, *front), YELLOW)
         assert not resembles(colour_at(coasting, *rear), RED)
         assert resembles(colour_at(braking, *rear), RED)
-
-
-def test_the_front_wheels_turn_with_the_steer_angle() -> None:
-    batch, viewer = start("one_waypoint")
-    straight = viewer.draw(batch.state[0])
-    batch.state[0, 0].steer = 0.4
-    assert (viewer.draw(batch.state[0]) != straight).any()
 
 
 def test_a_car_whose_episode_has_ended_is_pale() -> None:
@@ -317,22 +290,6 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     assert "-0.00" not in [text for text, _ in written]
 
 
-@pytest.mark.parametrize("scenario", ["one_waypoint", "intersection"])
-def test_the_readings_have_labels_that_fit_their_tiles(scenario: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, ends = Panel._write, {}
-
-    def note(panel: Panel, text: str, x: float, *rest: Any) -> float:
-        end = write(panel, text, x, *rest)
-        ends.setdefault(text, end - x)
-        return end
-
-    monkeypatch.setattr(Panel, "_write", note)
-    batch, viewer = start(scenario)
-    viewer.draw(batch.state[0])
-    for label in ("Speed", "G force", "Jerk", "Along the route"):
-        assert ends[label] < 144 - 2 * 10, "a tile without its margins"
-
-
 def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
     batch, _ = start("intersection")
     trace = EpisodeTrace(2, 6, 10)
@@ -383,19 +340,6 @@ def test_rgb_array_needs_no_display_and_works_after_pygame_quits(monkeypatch: py
     viewer.close()
 
 
-@pytest.mark.parametrize("name", SINGLE_IDS)
-def test_single_environments_render(name: str) -> None:
-    env = gymnasium.make(name, render_mode="rgb_array", disable_env_checker=True)
-    env.reset(seed=1)
-    first: Any = env.render()
-    for _ in range(5):
-        env.step(SPEED_UP)
-    second: Any = env.render()
-    env.close()
-    assert first.shape == second.shape
-    assert (first != second).any()
-
-
 def test_vector_environments_render_one_frame_per_world() -> None:
     envs = gymnasium.make_vec(INTERSECTION_ID, num_envs=2, render_mode="rgb_array")
     envs.reset(seed=1)
@@ -406,20 +350,6 @@ def test_vector_environments_render_one_frame_per_world() -> None:
     assert len(frames) == 2
     assert frames[0].shape == frames[1].shape
     assert (frames[0] != frames[1]).any()
-
-
-@pytest.mark.slow
-def test_record_video_writes_a_video(tmp_path: Path) -> None:
-    env = gymnasium.make(SINGLE_IDS[1], render_mode="rgb_array", time_limit=0.5, disable_env_checker=True)
-    recorder: Any = RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
-    recorder.reset(seed=1)
-    over = False
-    while not over:
-        _, _, terminated, truncated, _ = recorder.step(SPEED_UP)
-        over = terminated or truncated
-    recorder.close()
-    (video,) = tmp_path.glob("videos/*.mp4")
-    assert video.stat().st_size > 0
 
 
 @pytest.fixture
@@ -454,32 +384,9 @@ def test_an_episode_continues_after_its_window_is_closed(human_env: Any) -> None
     assert not pygame.display.get_init()
 
 
-@pytest.mark.filterwarnings("ignore:render_mode='human'")
-def test_human_mode_leaves_the_events_of_a_users_program(human_env: Any) -> None:
-    human_env.reset(seed=1)
-    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_a))
-    human_env.step(SPEED_UP)
-    assert pygame.event.get(pygame.KEYDOWN)
-
-
 def test_human_mode_says_that_there_is_no_window(human_env: Any) -> None:
     with pytest.warns(UserWarning, match=r"shows no window \(SDL has only 'dummy'\)"):
         human_env.reset(seed=1)
-
-
-def test_human_mode_reopens_its_window_after_pygame_quits(human_env: Any) -> None:
-    human_env.reset(seed=1)
-    pygame.quit()
-    human_env.step(SPEED_UP)
-    assert pygame.display.get_surface() is not None
-
-
-@pytest.mark.slow
-def test_importing_the_module_prints_nothing_and_does_not_change_environment_variables(
-    run_python: Callable[[str], str],
-) -> None:
-    lines = "import os", "before = {**os.environ}", "import mo_deepdrive.rendering", "assert before == {**os.environ}"
-    assert run_python("\n".join(lines)) == ""
 
 
 def test_rewards_of_the_panel_are_never_minus_zero() -> None:
