@@ -15,7 +15,6 @@ import mo_deepdrive
 from mo_deepdrive import Objective, register_objective
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, scales
-from mo_deepdrive.rendering import Viewer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -144,22 +143,6 @@ def test_the_state_is_that_of_an_environment_without_the_objective(energy: Modul
     env.set_state(old.get_state())
     for action in drives[10:]:
         np.testing.assert_array_equal(env.step(action)[1][:, :-1], old.step(action)[1])
-
-
-def test_a_frame_shows_the_magnitudes_and_their_sums(energy: ModuleType, make_vector: Any) -> None:
-    env = make_vector("intersection", 1, objectives=["energy", "jerk"], cost_sign="paper")
-    viewer = Viewer(env.config, "rgb_array")
-    env.reset(seed=0)
-    first = viewer.draw(env.batch.state[0])
-    total = np.zeros((2, 2))
-    for _ in range(12):
-        rewards = env.step(np.array([[3, 3]]))[1][0]
-        total += rewards
-        frame = viewer.draw(env.batch.state[0])
-        np.testing.assert_allclose(viewer._trace.magnitudes, rewards, rtol=1e-6)
-    np.testing.assert_allclose(viewer._trace.sums, total, rtol=1e-5)
-    assert total[:, 0].min() > 0.0
-    assert (first[:, 720:] != frame[:, 720:]).any()
 
 
 # -------------------------------------------------------------------------------------------------------- registration

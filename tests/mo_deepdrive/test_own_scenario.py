@@ -199,19 +199,6 @@ def test_its_state_is_restored_exactly(two_bicycles: ModuleType, make_vector: An
         fresh.set_state(make_vector("static_obstacle", 4).get_state())
 
 
-def test_both_bicycles_are_on_the_frame(two_bicycles: ModuleType, make_single: Any) -> None:
-    env = make_single("two_bicycles", render_mode="rgb_array")
-    frames = []
-    for second in (SECOND, ASIDE):
-        env.reset(seed=0, options={**AHEAD, "obstacles": (FIRST, second)})
-        frames.append(env.render().astype(int))
-    rows, columns = np.nonzero(np.abs(frames[0] - frames[1]).max(axis=-1) > 30)
-    x, y = columns / 720 * 51.126, 51.126 - rows / 720 * 51.126
-    assert (np.abs(x - 25.0) < 1.0).sum() > 20
-    assert (np.abs(y - 45.0) < 1.0).sum() > 20
-    assert not ((np.abs(x - 15.0) < 1.0) & (np.abs(y - 25.0) < 1.0)).any(), "the first bicycle has not moved"
-
-
 def test_it_passes_gymnasiums_and_pettingzoos_checks(two_bicycles: ModuleType, make_single: Any) -> None:
     check_env(UtilityReward(make_single("two_bicycles"), "static_obstacle_linear"), skip_render_check=True)
     parallel_api_test(mo_deepdrive.parallel_env(scenario="two_bicycles"), num_cycles=30)
@@ -274,14 +261,6 @@ def test_a_random_start_and_a_random_destination_are_drawn_by_themselves(registr
     assert drawn.min(axis=1) == pytest.approx([25.0, 20.0, 5.0], abs=0.2)
     assert drawn.max(axis=1) == pytest.approx([30.0, 29.0, 14.0], abs=0.2)
     assert np.abs(np.corrcoef(drawn) - np.eye(3)).max() < 0.15
-
-
-def test_two_vehicles_take_turns(registries: None) -> None:
-    register_scenario(row(routes=LANE, lanes=True))
-    env = gymnasium.make("mo-deepdrive-own-v0")
-    assert env.reset(seed=0)[1] == {"vehicle": 0}
-    with pytest.raises(ValueError, match=r"two vehicles; use gymnasium.make\('mo-deepdrive-own-v0'\)"):
-        mo_deepdrive.envs.single.DrivingEnv("own")
 
 
 @pytest.mark.parametrize(

@@ -131,19 +131,6 @@ def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None
     assert not rows
 
 
-def test_the_last_record_of_a_front_is_the_shipped_one(repository: Path) -> None:
-    records = documented(repository, "scenario", "date")
-    for scenario, action_type in SHIPPED:
-        own = SCENARIOS[scenario].objectives
-        mine = [row for row in records if (row["scenario"], row["action_type"]) == (scenario, action_type)]
-        assert [row["date"] for row in mine] == sorted(row["date"] for row in mine)
-        criteria = (("0.99", 0.99, own, 1.0), ("1.0", 1.0, own, 1.0), ("1.0, time (10⁶)", 1.0, (*own, TIME), 1e6))
-        for shown, gamma, names, unit in criteria:
-            volumes = [float(row[shown]) * unit for row in mine]
-            assert volumes == sorted(volumes)
-            assert volumes[-1] == pytest.approx(hypervolume(scenario, action_type, gamma, names), rel=1e-4)
-
-
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
 def test_a_front_for_another_gamma_is_discounted_with_it(gamma: float) -> None:
     policies = reference_fronts.shipped("one_waypoint", "discrete")

@@ -16,7 +16,7 @@ from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.drawing import TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
 from mo_deepdrive.simulation.map import MAP_SIZE
-from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+from mo_deepdrive.simulation.state import LENGTH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,7 +29,6 @@ INTERSECTION_ID = "mo-deepdrive-intersection-v0"
 MAP_PIXELS = 720
 SPEED_UP = 3
 BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (255, 36, 40)
-LABELS = ((84, 1030), (406, 1030))  # row and column in the frame of the labels of how each of two vehicles ended
 
 
 def start(scenario: str) -> tuple[WorldBatch, Viewer]:
@@ -109,70 +108,6 @@ def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading:
         assert resembles(colour_at(braking, *rear), RED)
 
 
-def test_a_car_whose_episode_has_ended_is_pale() -> None:
-    batch, viewer = start("intersection")
-    batch.state[0, 0].end = 1
-    frame = viewer.draw(batch.state[0])
-    assert not resembles(colour_at(frame, *ahead_of(batch.state[0, 0], 1.8)), BLUE)
-    assert resembles(colour_at(frame, *ahead_of(batch.state[0, 1], 1.8)), ORANGE)
-
-
-def test_each_of_two_cars_shows_its_number() -> None:
-    batch, viewer = start("intersection")
-    darkest = {}
-    for name, heading in (("ahead", 0.0), ("askew", 0.8)):
-        batch.state[0, 0].heading = heading
-        frame = viewer.draw(batch.state[0])
-        for v, vehicle in enumerate(batch.state[0]):
-            points = [ahead_of(vehicle, -0.5 + 0.15 * k, 0.15 * j) for k in range(-2, 3) for j in range(-2, 3)]
-            darkest[name, v] = min(colour_at(frame, *point).sum() for point in points)
-    assert max(darkest.values()) < 200
-    alone, viewer = start("one_waypoint")
-    assert resembles(colour_at(viewer.draw(alone.state[0]), *ahead_of(alone.state[0, 0], -0.5)), BLUE)
-
-
-def test_waypoints_are_ticked_once_they_are_reached() -> None:
-    batch, viewer = start("intersection")
-    turning = batch.state[0, 0]
-    first, last = turning.waypoints[0], turning.waypoints[2]
-    stroke = (0.22, 0.04)  # m, from the middle of a waypoint to the middle of its tick's longer stroke
-    before = viewer.draw(batch.state[0])
-    turning.next_waypoint = 1
-    reached = viewer.draw(batch.state[0])
-    assert not resembles(colour_at(before, *(first + stroke)), BLUE, 30)
-    assert resembles(colour_at(reached, *(first + stroke)), BLUE, 30)
-    turning.next_waypoint = 2
-    assert not resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
-    turning.end = ARRIVED
-    assert resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
-
-
-def test_the_panel_shows_in_colour_how_each_vehicle_ended() -> None:
-    batch, viewer = start("intersection")
-    colours = {}
-    for end in (RUNNING, ARRIVED, COLLISION, TIME_LIMIT, OTHER_VEHICLE):
-        batch.state[0, 0].end, batch.state[0, 1].end = end, RUNNING
-        frame = viewer.draw(batch.state[0])
-        colours[end] = tuple(frame[LABELS[0]].tolist())
-        assert tuple(frame[LABELS[1]].tolist()) == colours[RUNNING]
-    assert len(set(colours.values())) == 5
-    red, green, blue = colours[COLLISION]
-    assert red > 2 * green > blue
-    red, green, blue = colours[ARRIVED]
-    assert green > 1.5 * max(red, blue)
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_widened_view_returns_to_its_former_size(scenario: str) -> None:
-    batch, viewer = start(scenario)
-    vehicle = batch.state[0, 0]
-    before = viewer.draw(batch.state[0])
-    x, vehicle.x = vehicle.x, -60.0
-    assert (viewer.draw(batch.state[0]) != before).any()
-    vehicle.x = x
-    assert np.array_equal(viewer.draw(batch.state[0]), before)
-
-
 def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
     batch, viewer = start("static_obstacle")
     vehicle = batch.state[0, 0]
@@ -204,32 +139,6 @@ def test_an_oncoming_car_shows_where_it_is_while_it_is_there() -> None:
     viewer.draw(batch.state[0])
 
 
-@pytest.mark.parametrize(("acceleration", "lit"), [(1.0, False), (-0.5, False), (-2.0, True)])
-def test_an_oncoming_car_that_brakes_shows_its_braking_lights(acceleration: float, lit: bool) -> None:
-    batch, viewer, car = oncoming(acceleration)
-    frame = viewer.draw(batch.state[0])
-    behind = [colour_at(frame, car["x"] + side, car["y"] + 2.55) for side in (-0.7, 0.7)]
-    assert [bool(red > 190) for red, _, _ in behind] == [lit, lit]
-
-
-def test_the_left_turn_signal_flashes_until_the_turn_is_made() -> None:
-    batch, viewer = start("left_turn")
-    vehicle = batch.state[0, 0]
-
-    def lit() -> tuple[bool, bool]:
-        frame = viewer.draw(batch.state[0])
-        sides = [colour_at(frame, *ahead_of(vehicle, 2.2, right)) for right in (-1.2, 1.2)]
-        return tuple(bool(red > blue + 60) for red, _, blue in sides)
-
-    seen = set()
-    for _ in range(10):
-        seen.add(lit())
-        drive(batch)
-    assert seen == {(True, False), (False, False)}
-    vehicle.next_waypoint = vehicle.n_waypoints - 1
-    assert {(drive(batch), lit())[1] for _ in range(10)} == {(False, False)}
-
-
 def test_a_car_beyond_the_map_stays_in_the_frame() -> None:
     batch, viewer = start("one_waypoint")
     vehicle = batch.state[0, 0]
@@ -252,17 +161,6 @@ def test_the_trail_and_the_sums_are_cleared_at_reset(scenario: str) -> None:
         viewer.draw(batch.state[0])
     batch.state[:] = beginning
     assert np.array_equal(viewer.draw(batch.state[0]), fresh)
-
-
-def test_the_trail_shows_where_the_car_has_been() -> None:
-    batch, viewer = start("one_waypoint")
-    viewer.draw(batch.state[0])
-    for _ in range(45):
-        drive(batch)
-        trailing = viewer.draw(batch.state[0])
-    without = Viewer(viewer.config, "rgb_array").draw(batch.state[0])
-    behind = ahead_of(batch.state[0, 0], -LENGTH)
-    assert colour_at(trailing, *behind)[0] < colour_at(without, *behind)[0] - 20
 
 
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])

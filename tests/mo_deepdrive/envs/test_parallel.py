@@ -96,9 +96,9 @@ def test_the_other_scenarios_have_one_agent(scenario: str) -> None:
     assert env.possible_agents == ["vehicle_0"]
     assert str(env) == env.metadata["name"] == f"mo_deepdrive_{scenario}_v0"
     with pytest.warns(UserWarning, match="unknown reset option 'options'"):
-        parallel_api_test(env)
+        parallel_api_test(env, num_cycles=100)
     with pytest.warns(UserWarning, match="unknown reset option 'options'"):
-        api_test(mo_deepdrive.env(scenario=scenario))
+        api_test(mo_deepdrive.env(scenario=scenario), num_cycles=100)
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)

@@ -298,29 +298,6 @@ def test_esr_is_the_mean_utility_and_ser_the_utility_of_the_mean() -> None:
     assert metrics["discounted_utility_ser"] == pytest.approx(0.5 + 0.25 - 0.3**2 - 0.6**2)
 
 
-@pytest.mark.parametrize(
-    ("env_id", "arguments"),
-    [
-        (ONE_WAYPOINT, {"time_limit": 11.0}),
-        (STATIC_OBSTACLE, {"time_limit": 20.0}),
-        (INTERSECTION, {"action_type": "continuous", "time_limit": 9.0}),
-        (INTERSECTION, {"end_together": True, "time_limit": 15.0}),
-    ],
-)
-def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: dict[str, Any]) -> None:
-    agent = make_agent(A2C, env_id, env=arguments)
-    found = evaluate(agent, make_env(env_id, 8, arguments), episodes=20, greedy=False)
-    metrics = found.metrics()
-    assert len(set(found.ends.ravel())) > 1
-    for v in range(agent.env.vehicles):
-        rates = found.end_rates(v)
-        assert sum(rates.values()) == pytest.approx(1.0)
-        prefix = f"vehicle_{v}/end/" if agent.env.vehicles > 1 else "end/"
-        assert {prefix + end: rate for end, rate in rates.items()}.items() <= metrics.items()
-        for end, rate in rates.items():
-            assert rate == pytest.approx(np.mean(found.ends[:, v] == end))
-
-
 def test_ends_of_another_library_need_not_be_text() -> None:
     ends = np.array([[2], [3], [2], [2]], dtype=object)
     returns = np.zeros((4, 1, 1))
