@@ -142,42 +142,6 @@ def test_tutorials_run_in_the_build() -> None:
         assert (REPOSITORY / document).read_text(encoding="utf-8").startswith("---\nfile_format: mystnb\n"), document
 
 
-def test_every_tutorial_opens_with_what_one_has_at_its_end() -> None:
-    index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
-    tutorials = index.split(":caption: Tutorials")[1].split("```")[0].split()
-    assert len(tutorials) >= 8
-    for name in tutorials:
-        text = (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8")
-        first = re.split(r"^# .+\n", text, maxsplit=1, flags=re.MULTILINE)[1].strip()
-        assert first.startswith("At the end of this page"), name
-
-
-@pytest.mark.parametrize("block", CELLS, ids=str)
-def test_a_cell_is_python_a_file_or_a_command(block: Block) -> None:
-    text = cell_text(block)
-    if text.startswith("%%writefile "):
-        name, _, rest = text.removeprefix("%%writefile ").partition("\n")
-        if name.endswith(".yaml"):
-            assert isinstance(yaml.safe_load(rest), dict)
-            return
-        text = rest
-    if text.startswith("!"):
-        assert text.startswith("!mo-deepdrive ")
-        assert text.count("\n") == 1
-        return
-    compile(text, str(block), "exec")
-
-
-def test_there_are_examples() -> None:
-    assert len(EXAMPLES) >= 12
-    assert sum(not block.before.startswith(NOT_RUN) for block in EXAMPLES) >= 10
-
-
-def test_the_readme_begins_with_a_short_example() -> None:
-    first = next(block for block in EXAMPLES if block.document == "README.md")
-    assert len([line for line in first.text.splitlines() if line.strip()]) == 4
-
-
 # ---------------------------------------------------------------------------------------------------------- commands
 
 STUBS = """
@@ -281,14 +245,6 @@ def test_a_command_is_understood_by_its_program(
     assert find_config(config).is_file()
     if words[0] in ("scripts/train.py", "train"):
         load_experiment(config, parsed.others)
-
-
-def test_a_misspelt_command_is_not_understood(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        parse(["scripts/plot.py", "RUN", "--ouput", "a.png"], monkeypatch)
-    assert "--ouput" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("where", "words"), of_program("pip"), ids=str)
@@ -426,11 +382,6 @@ def test_ids_of_environments_exist(document: str) -> None:
     text = (REPOSITORY / document).read_text(encoding="utf-8")
     for name in set(re.findall(r"mo-deepdrive-[a-z-]+-v\d+", text)):
         assert name in gymnasium.registry, f"{document} names {name}"
-
-
-def test_pictures_of_the_readme_are_small() -> None:
-    for link in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", (REPOSITORY / "README.md").read_text(encoding="utf-8")):
-        assert (REPOSITORY / link).stat().st_size < 2_000_000
 
 
 def test_the_readme_is_short() -> None:

@@ -21,7 +21,6 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import (
     CLASSES,
-    CONTINUOUS,
     INTERSECTION,
     exaggerate,
     make_agent,
@@ -112,15 +111,6 @@ def test_eval_returns_actions_of_another_librarys_action_space(
     exaggerate(agent, 3e4)
     for value in np.linspace(0.0, 9.0, 7):
         assert action_space.contains(agent.eval(np.full(2, value, dtype=np.float32)))
-
-
-@CLASSES
-def test_eval_of_a_continuous_policy_stays_in_the_action_space(cls: type[ActorCritic]) -> None:
-    agent = make_agent(cls, env=CONTINUOUS)
-    exaggerate(agent, 3e4)
-    for value in np.linspace(-9.0, 9.0, 7):
-        action = agent.eval(np.full(15, value, dtype=np.float32))
-        assert agent.env.vector_env.single_action_space.contains(action)
 
 
 @CLASSES
@@ -281,13 +271,6 @@ def test_a_utility_over_another_number_of_objectives_is_refused(cls: type[ActorC
         make_agent(cls, utility=narrow)
 
 
-@CLASSES
-def test_a_utility_over_the_objectives_in_another_order_is_refused(cls: type[ActorCritic]) -> None:
-    utility = make_utility("one_waypoint_linear", ("distance", "destination", "g_force", "jerk"))
-    with pytest.raises(ValueError, match="one_waypoint_linear"):
-        make_agent(cls, env={"objectives": ["jerk", "distance", "destination", "g_force"]}, utility=utility)
-
-
 def test_a_utility_is_given_by_name_or_as_a_function() -> None:
     env = make_env("mo-deepdrive-one-waypoint-v0", 2)
     assert [each.name for each in A2C(env, "one_waypoint_linear").utilities] == ["one_waypoint_linear"]
@@ -328,14 +311,6 @@ def test_a_centralised_critic_sees_the_other_vehicle_and_the_actor_does_not(cls:
         other = rollout.observations[:, :, 1 - v] / learner.observation_scales
         assert torch.equal(seen[..., inputs.shape[-1] :], other)
         assert torch.equal(mine.observations, rollout.observations[:, :, v])
-
-
-@CLASSES
-def test_a_decentralised_critic_does_not_see_the_other_vehicle(cls: type[ActorCritic]) -> None:
-    agent = make_agent(cls, INTERSECTION, num_envs=3, steps=6)
-    mine = joint_rollout(agent).of_vehicle(0, agent.device)
-    inputs = agent.learners[0].inputs(mine.observations, mine.accrued, mine.discounts)
-    assert agent.learners[0].critic_inputs(inputs, mine.others) is inputs
 
 
 @CLASSES

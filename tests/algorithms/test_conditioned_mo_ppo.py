@@ -337,23 +337,6 @@ def test_the_weights_of_costs_grow() -> None:
     np.testing.assert_allclose(half, 0.5 * whole + 0.5 * none, rtol=1e-5, atol=1e-7)
 
 
-def test_until_there_is_a_gain_weights_are_as_drawn() -> None:
-    preferences = make_agent().preferences
-    drawn, growing = (preferences.draw(500, np.random.default_rng(0), share) for share in (1.0, 0.0))
-    np.testing.assert_array_equal(growing, drawn)
-
-
-def test_gains_that_weigh_nothing_are_alike() -> None:
-    preferences = make_agent(concentration=0.01).preferences  # nearly all the weight on one objective
-    drawn = preferences.draw(500, np.random.default_rng(0))
-    nothing = (drawn[:, 2:] == 0.0).all(axis=1)
-    preferences.ideal = torch.tensor([0.0, -0.1, 12.0, 0.8])
-    rows = preferences.draw(500, np.random.default_rng(0), 0.0)
-    assert nothing.sum() > 100
-    np.testing.assert_allclose(rows[nothing], [[0.0, 0.0, 0.5, 0.5]] * int(nothing.sum()), atol=1e-6)
-    np.testing.assert_allclose(rows.sum(axis=1), 1.0, rtol=1e-6)
-
-
 def test_in_a_mixture_weights_grow_and_budgets_are_as_drawn() -> None:
     preferences = make_agent(**MIXTURE).preferences
     preferences.ideal = torch.tensor([12.0, 0.8, 0.0, -0.1])
@@ -364,19 +347,6 @@ def test_in_a_mixture_weights_grow_and_budgets_are_as_drawn() -> None:
     np.testing.assert_array_equal(growing[budgeted], drawn[budgeted])
     np.testing.assert_array_equal(growing[~budgeted, 5:7], 0.0)  # of costs, after three families and two gains
     assert (drawn[~budgeted, 5:7] > 0.0).any()
-
-
-def test_what_an_episode_returns_tells_gains() -> None:
-    agent = make_agent(num_envs=16, env={"time_limit": 60}, steps=100, switching=1.0)
-    agent.begin()
-    agent.update(0.0)
-    assert agent._current[..., 1:].any()  # no episode had ended when the rollout began
-    agent.update(0.0)
-    gained = agent.preferences.ideal.numpy() > 0.0
-    assert gained.any()
-    assert not gained.all()
-    agent.update(0.0)
-    assert not agent._current[..., ~gained].any()
 
 
 def test_costs_have_their_weights_after_the_growth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -403,16 +373,6 @@ def test_an_emphasis_sets_the_share_of_the_weight() -> None:
     np.testing.assert_allclose(without.mean(axis=0), 0.25, atol=0.01)
 
 
-def test_the_shares_of_families_are_those_of_the_episodes() -> None:
-    rows = make_agent(**MIXTURE).preferences.draw(4000, np.random.default_rng(0))
-    np.testing.assert_allclose(rows[:, :3].mean(axis=0), [0.4, 0.3, 0.3], atol=0.03)
-    budget = rows[:, 2] == 1.0
-    np.testing.assert_allclose(rows[~budget, 3:7].sum(axis=1), 1.0, rtol=1e-5)
-    assert not rows[budget, 3:7].any()
-    assert not rows[~budget, 7:].any()
-    np.testing.assert_allclose(rows[budget, 7:].mean(axis=0), [4.0, 75.0], rtol=0.05)
-
-
 @pytest.mark.parametrize(
     "families", [each for n in (1, 2, 3) for each in combinations(("linear", "chebyshev", "comfort_budget"), n)]
 )
@@ -426,18 +386,6 @@ def test_what_is_drawn_is_a_preference_and_other_rows_are_not(families: tuple[st
         broken[0, column] += 200.0
         with pytest.raises(ValueError, match="is no preference; it must have one family"):
             preferences.check(broken)
-
-
-def test_a_policy_under_one_condition_acts_in_any_number_of_environments() -> None:
-    agent = make_agent(**MIXTURE)
-    conditions = agent.conditions()
-    assert conditions.shape == (6, 9)
-    np.testing.assert_array_equal(conditions, agent.conditions())
-    observations = np.random.default_rng(0).normal(size=(5, 1, agent.env.observation_size)).astype(np.float32)
-    start = AccruedReward.begin(5, 1, 4)
-    one = agent.policy(conditions[2]).act(observations, start, None)
-    many = agent.policies(np.repeat(conditions[2:3], 5, axis=0)).act(observations, start, None)
-    np.testing.assert_array_equal(one, many)
 
 
 @pytest.mark.slow
@@ -523,16 +471,6 @@ def test_a_checkpoint_of_other_preferences_is_refused(tmp_path: Path) -> None:
     make_agent(rho=7.0, price=7.0).load(linear)  # which linear utilities do not have
 
 
-def test_a_checkpoint_of_other_deviations_is_refused(tmp_path: Path) -> None:
-    env = {**SHORT, **CONTINUOUS}
-    make_agent(env=env, state_dependent_std=False).save(tmp_path / "one.safetensors")
-    with pytest.raises(ValueError, match="has state_dependent_std = False; this agent has True"):
-        make_agent(env=env).load(tmp_path / "one.safetensors")
-    discrete = make_agent(state_dependent_std=False)
-    discrete.save(tmp_path / "discrete.safetensors")
-    make_agent().load(tmp_path / "discrete.safetensors")  # where actions are discrete it means nothing
-
-
 def test_training_does_not_go_on_with_another_critic_but_the_policy_acts(tmp_path: Path) -> None:
     scalar, vector = make_agent(), make_agent(vector_critic=True)
     scalar.save(tmp_path / "scalar.safetensors")
@@ -551,26 +489,6 @@ def test_a_seed_determines_every_weight(tmp_path: Path) -> None:
         states.append(everything(agent, tmp_path))
     assert same(states[0], states[1])
     assert not torch.equal(states[0]["vehicle_0.actor.body.0.weight"], states[2]["vehicle_0.actor.body.0.weight"])
-
-
-def test_metrics_and_fronts_are_logged() -> None:
-    agent = make_agent(env={**SHORT, "fixed_destination": True})
-    eval_env = make_env(ONE_WAYPOINT, 4, {**SHORT, "fixed_destination": True})
-    fronts: list[Any] = []
-    lines: list[dict[str, float]] = []
-    agent.train(
-        64,
-        eval_env,
-        eval_interval=64,
-        eval_episodes=1,
-        log=lambda _, metrics: lines.append(metrics),
-        log_front=lambda _, front: fronts.append(front),
-        log_interval=1,
-    )
-    names = set().union(*lines)
-    assert {"loss/policy", "loss/value", "policy/entropy", "eval/front/expected_utility", "train/length"} <= names
-    assert len(fronts) == 2
-    assert fronts[-1].condition_names == tuple(f"weight/{name}" for name in agent.env.objectives)
 
 
 # --------------------------------------------------------------------------------------------------------------- errors

@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from algorithms import A2C, MAPPO, MOPPO
+from algorithms import A2C, MOPPO
 from algorithms.common.guides import Guide
 from algorithms.common.hyperparameters import GuideSettings
 from algorithms.experiments.build import build, load_policy, open_population
@@ -113,19 +113,6 @@ def test_nothing_is_learnt_from_what_the_guide_does(kind: Any) -> None:
     assert not all(map(torch.equal, other, agent.learners[1].get_policy().values()))
 
 
-def test_a_config_without_guides_is_that_of_earlier_versions() -> None:
-    assert "guides" not in experiment_with({}).to_dict()["training"]
-    values = experiment_with(GUIDED).to_dict()
-    assert values["training"]["guides"] == {"vehicle_0": {**GUIDED["vehicle_0"], "share": 0.5, "until": 0.5}}
-    assert make_experiment(values) == experiment_with(GUIDED)
-
-
-def test_an_agent_without_guides_is_what_it_was() -> None:
-    agent = build(experiment_with({}))
-    assert "guides" not in agent.identity()
-    assert not any(name.startswith("guide") for name in agent.get_state())
-
-
 @pytest.mark.parametrize("name", ["a2c", "ppo", "mo_a2c", "mo_ppo", "mocac"])
 def test_a_resumed_run_is_the_same_bit_for_bit(name: str, tmp_path: Path) -> None:
     check_resumed(experiment_with(GUIDED, name), tmp_path / "part")
@@ -213,21 +200,6 @@ def test_conditioned_mo_ppo_is_guided_and_resumed_bit_for_bit(tmp_path: Path) ->
     check_resumed(experiment, tmp_path / "part")
 
 
-def test_conditioned_mo_ppo_learns_nothing_from_what_the_guide_does() -> None:
-    guides = {"vehicle_0": {"driver": "one_waypoint_linear-ppo", "share": 1.0, "decisions": 4096}}
-    agent = build(front_with(guides, {"name": "conditioned_mo_ppo", "steps": 4, "hidden": [16]}))
-    agent.begin()
-    before = [tensor.clone() for tensor in agent.learners[0].get_policy().values()]
-    agent.update(0.0)
-    assert agent.get_state()["guide_0.handover"].min() > 4
-    assert all(map(torch.equal, before, agent.learners[0].get_policy().values()))
-
-
-def test_a_team_is_not_guided_in_python_either() -> None:
-    with pytest.raises(ValueError, match="algorithm 'mappo' cannot train with guides"):
-        agent_with(guide_of(4), 4, MAPPO)
-
-
 def test_a_vehicle_has_one_guide() -> None:
     env = make_env(INTERSECTION, 4)
     utility = make_utility("intersection_linear", EnvAdapter(env).objectives)
@@ -253,20 +225,6 @@ def test_a_guide_that_was_trained_with_a_partner_observes_the_same_discount() ->
     observer = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, partners={1: partner})
     guide = Guide(Population([observer], 0), GuideSettings(driver="observer"), 4)
     assert list(agent_with(guide, 4, gamma=0.9).guides) == [guide]
-
-
-def test_the_discount_of_a_guide_that_sees_no_accrued_reward_does_not_matter() -> None:
-    unseen = {"observe_accrued": False, "observe_discount": False}
-    blind = MOPPO(make_env(INTERSECTION, 4), "intersection_linear", gamma=0.9, **unseen)
-    guide = Guide(Population([blind], 0), GuideSettings(driver="blind"), 4)
-    assert not blind.observes_accrued_reward
-    assert list(agent_with(guide, 4, gamma=0.95, cost_growth=0.5).guides) == [guide]
-
-
-def test_a_guide_is_one_driver() -> None:
-    driver = Population([Constant(EnvAdapter(make_env(INTERSECTION, 1)))] * 2, 0)
-    with pytest.raises(ValueError, match="a guide is one driver, not 2 that take turns"):
-        Guide(driver, GuideSettings(driver="two"), 4)
 
 
 def test_a_trained_pair_may_be_the_guide() -> None:

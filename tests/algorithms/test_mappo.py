@@ -236,12 +236,3 @@ def test_one_vehicle_is_no_team() -> None:
 def test_an_unknown_joint_utility_is_refused() -> None:
     with pytest.raises(ValueError, match=r"'joint' = 'best_off'.*'sum', 'worst_off' or 'gini'"):
         make_mappo(joint="best_off")
-
-
-def test_the_worst_off_utility_is_a_metric_of_two_vehicles() -> None:
-    result = evaluate(make_mappo(), INTERSECTION, episodes=5, env_kwargs=SHORT)
-    each = np.stack([result.episode_utilities(v) for v in range(2)])
-    assert result.metrics()["worst_off_utility_esr"] == pytest.approx(each.min(axis=0).mean())
-    assert result.estimates()["worst_off_utility_esr"].value == pytest.approx(each.min(axis=0).mean())
-    idle = evaluate(lambda observations, *_: np.zeros(observations.shape[:2], int), INTERSECTION, episodes=1)
-    assert "worst_off_utility_esr" not in idle.metrics()

@@ -99,17 +99,6 @@ def test_the_accrued_reward_can_have_its_own_discount(cls: type[ActorCritic]) ->
         make_agent(cls, accrued_gamma=0.0)
 
 
-@pytest.mark.parametrize("cls", [MOA2C, MOPPO])
-def test_the_accrued_reward_can_be_left_out_of_the_state(cls: type[ActorCritic]) -> None:
-    agent = make_agent(cls, observe_accrued=False)
-    exaggerate(agent)
-    assert agent.learners[0].input_size == 15 + 1
-    observation = np.ones(15, dtype=np.float32)
-    rng = np.random.default_rng(0)
-    assert len({int(agent.eval(observation, rng.normal(0.0, [20.0, 1.0, 5.0, 500.0]))) for _ in range(50)}) == 1
-    agent.train(200)
-
-
 @ALL_FORMS
 def test_the_next_episode_does_not_enter_the_next_value(form: str) -> None:
     agent, learner = learner_of(form)
@@ -262,14 +251,6 @@ def test_samples_that_did_not_act_have_no_influence_on_the_gradient(form: str, c
         torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
     rollout.rewards[rollout.acted] += 1.0 + torch.randn(rollout.rewards[rollout.acted].shape, generator=generator)
     assert not all(torch.equal(one, other) for one, other in zip(after, gradients(learner, rollout), strict=True))
-
-
-@ALL_FORMS
-def test_a_rollout_without_acting_vehicles_has_zero_gradients(form: str) -> None:
-    agent, learner = learner_of(form)
-    rollout = handmade(agent)
-    rollout.acted[:] = False
-    assert all(not gradient.any() for gradient in gradients(learner, rollout))
 
 
 @pytest.mark.parametrize("cls", [A2C, MOA2C, MOCAC])

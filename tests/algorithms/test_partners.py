@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms import MOPPO, PPO
 from algorithms.common.checkpoints import read_checkpoint
 from algorithms.common.threads import set_threads, wanted_threads
 from algorithms.experiments.build import build, load_policy, open_driver, open_population
@@ -153,20 +152,6 @@ def test_algorithms_that_learn_fronts_cannot_train_with_partners() -> None:
     }
     with pytest.raises(ValueError, match="algorithm 'pcn' cannot train with partners"):
         build(make_experiment(values))
-
-
-def test_a_config_without_partners_is_that_of_earlier_versions() -> None:
-    assert "partners" not in experiment_with({}).to_dict()["training"]
-    values = experiment_with(PARTNERS).to_dict()
-    assert values["training"]["partners"] == PARTNERS
-    assert make_experiment(values) == experiment_with(PARTNERS)
-
-
-def test_agents_without_partners_are_what_they_were() -> None:
-    for cls in (PPO, MOPPO):
-        agent = build(experiment_with({}, cls.name))
-        assert agent.gamma == agent.accrued_discount
-        assert "partners" not in agent.identity()
 
 
 def test_the_threads_of_partners_are_not_those_of_the_run() -> None:

@@ -14,27 +14,23 @@ import pytest
 import torch
 from gymnasium import spaces
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
-from algorithms import MOA2C, PCN
+from algorithms import PCN
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.evaluation.episodes import evaluate
-from mo_deepdrive.evaluation.front import indicators
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, make_agent, recorded, same
+from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, recorded, same
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from gymnasium.vector import VectorEnv
 
     from algorithms.common.episode_buffer import Episode
-    from mo_deepdrive.evaluation.front import Front
 
 SHORT = {"time_limit": 2, "fixed_destination": True}
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -395,17 +391,6 @@ def test_inputs_from_another_library_are_standardised_after_the_warm_up() -> Non
     assert torch.equal(agent.get_state()["inputs"], before)
 
 
-def test_inputs_of_our_environments_are_divided_by_nominal_scales() -> None:
-    agent = small_pcn("one_waypoint")
-    agent.train(TOTAL)
-    assert "inputs" not in agent.get_state()
-    scales = agent.env.observation_scales[None]
-    np.testing.assert_array_equal(agent._scaled(scales, 3.0 * agent.scales[None], np.float32([50.0]))[0], 1.0)
-    np.testing.assert_array_equal(
-        agent._scaled(scales, 3.0 * agent.scales[None], np.float32([50.0]))[1], [[3.0, 3.0, 3.0, 3.0, 0.5]]
-    )
-
-
 # Episodes.
 
 
@@ -484,19 +469,6 @@ def test_random_actions_repeat_with_the_given_probability(persistence: float, mo
     assert begun.min() > 0
 
 
-def test_random_continuous_actions_cover_the_box_and_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = make_pcn(env={"time_limit": 4, **CONTINUOUS}, num_envs=32, warmup_episodes=32, persistence=0.5)
-    rounds = collected(agent, monkeypatch)
-    agent.train(1)
-    (episodes,) = rounds
-    actions = np.concatenate([episode.actions for episode in episodes])
-    assert np.abs(actions).max() <= 1.0
-    np.testing.assert_allclose(actions.mean(axis=0), 0.0, atol=0.15)
-    np.testing.assert_allclose(actions.std(axis=0), 3**-0.5, rtol=0.1)
-    repeated = np.concatenate([(each.actions[1:] == each.actions[:-1]).all(axis=1) for each in episodes])
-    assert repeated.mean() == pytest.approx(0.5, abs=4.5 * (0.25 / len(repeated)) ** 0.5)
-
-
 @pytest.mark.parametrize(("return_noise", "horizon_reduction"), [(0.0, 0), (0.5, 3), (2.0, 1000)])
 def test_sampled_commands_ask_for_more_of_one_objective_in_fewer_decisions(
     seasoned: PCN, monkeypatch: pytest.MonkeyPatch, return_noise: float, horizon_reduction: int
@@ -567,20 +539,6 @@ def test_the_loss_is_the_prediction_error_on_the_actions_of_the_buffer(place: st
     assert loss() < before
 
 
-@pytest.mark.parametrize("place", ["one_waypoint", "one_waypoint, continuous"])
-def test_a_fitted_network_repeats_the_episodes_it_is_commanded_to(place: str) -> None:
-    agent = small_pcn(place, hidden=[32, 32], buffer_size=2, horizon_scale=2.0, learning_rate=1e-2, persistence=0.8)
-    agent.train(1)
-    assert len(agent.buffer) == 2
-    losses = [float(agent._gradient_step(agent.config.learning_rate)) for _ in range(600)]
-    assert np.mean(losses[-20:]) < 0.3 * np.mean(losses[:5])
-    if not agent.env.continuous:
-        for episode in agent.buffer.episodes:
-            command = episode.returns, np.arange(len(episode), 0, -1, dtype=np.float32)
-            agreeing = agent.choose_actions(episode.observations, *command, None) == episode.actions
-            assert agreeing.mean() > 0.8
-
-
 @pytest.mark.parametrize("log_interval", [1, 3])
 def test_training_metrics_are_means_over_the_exploring_episodes(
     log_interval: int, monkeypatch: pytest.MonkeyPatch
@@ -649,30 +607,6 @@ def test_evaluations_do_not_disturb_training(place: str, tmp_path: Path) -> None
     assert [line for line in lines[1] if "train/length" in line[1]] == lines[0]
 
 
-def test_logged_fronts_have_the_logged_indicators() -> None:
-    agent, env = small_pcn("deep-sea-treasure"), make_env(SEA, 3)
-    known = np.array(env.envs[0].unwrapped.pareto_front(0.99))
-    fronts: list[tuple[int, Front]] = []
-    lines = recorded(
-        agent,
-        TOTAL,
-        eval_env=env,
-        eval_episodes=2,
-        eval_gamma=0.99,
-        eval_seed=7,
-        reference_point=[0.0, -25.0],
-        reference_front=known,
-        log_front=lambda step, front: fronts.append((step, front)),
-    )
-    evaluated = [(step, metrics) for step, metrics in lines if "eval/front/hypervolume" in metrics]
-    assert [step for step, _ in fronts] == [step for step, _ in evaluated]
-    for (_, metrics), (_, front) in zip(evaluated, fronts, strict=True):
-        assert (front.gamma, front.episodes, front.seed) == (0.99, 2, 7)
-        expected = indicators(front.discounted, reference_point=[0.0, -25.0], reference_front=known, scales=[1.0, 1.0])
-        expected |= {f"return/objective_{i}": front.returns[:, i].max() for i in range(2)}
-        assert metrics == {f"eval/front/{name}": pytest.approx(value) for name, value in expected.items()}
-
-
 # Checkpoints.
 
 
@@ -692,67 +626,6 @@ def test_a_resumed_run_is_the_uninterrupted_run(place: str, tmp_path: Path) -> N
     assert before + after == lines
     assert same(saved(second, tmp_path), saved(whole, tmp_path))
     assert second.updates == whole.updates > 5
-
-
-@pytest.mark.parametrize("place", ["one_waypoint", "deep-sea-treasure"])
-def test_the_policies_of_a_checkpoint_do_not_depend_on_the_number_of_environments(place: str, tmp_path: Path) -> None:
-    agent = small_pcn(place)
-    agent.train(TOTAL)
-    agent.save(tmp_path / "c.safetensors")
-    other = small_pcn(place, seed=3, num_envs=1)
-    other.load(tmp_path / "c.safetensors", policy_only=True)
-    assert other.step == 0
-    fronts = [
-        each.front(make_env(*PLACES[place][:1], n, PLACES[place][1]), episodes=2, seed=4, gamma=0.99)
-        for each, n in ((agent, 5), (other, 2))
-    ]
-    assert len(fronts[0]) == len(fronts[1])
-    for name in ("returns", "discounted", "conditions", "length", "success"):
-        np.testing.assert_array_equal(getattr(fronts[0], name), getattr(fronts[1], name))
-    with pytest.raises(ValueError, match="num_envs = 4; this agent has 1"):
-        other.load(tmp_path / "c.safetensors")
-
-
-@pytest.mark.parametrize(
-    ("other", "message"),
-    [
-        (lambda: make_agent(MOA2C, env=SHORT), "algorithm = 'pcn'; this agent has 'mo_a2c'"),
-        (lambda: small_pcn("one_waypoint", hidden=[8]), "hidden = [16, 16]; this agent has [8]"),
-        (lambda: small_pcn("static_obstacle"), "environment = 'mo-deepdrive-one-waypoint-v0'"),
-        (lambda: small_pcn("one_waypoint, continuous"), "actions = [22, False]; this agent has [3, True]"),
-        (lambda: make_pcn(env={**SHORT, "objectives": ["distance"]}), "objectives = ['distance', "),
-    ],
-    ids=["algorithm", "hidden", "environment", "actions", "objectives"],
-)
-def test_foreign_checkpoints_are_refused(tmp_path: Path, other: Callable[[], Any], message: str) -> None:
-    agent = small_pcn("one_waypoint")
-    agent.train(1)
-    agent.save(tmp_path / "c.safetensors")
-    for policy_only in (False, True):
-        with pytest.raises(ValueError, match=re.escape(message)):
-            other().load(tmp_path / "c.safetensors", policy_only=policy_only)
-
-
-def test_broken_and_incomplete_checkpoints_are_refused(tmp_path: Path) -> None:
-    agent, path = small_pcn("one_waypoint"), tmp_path / "c.safetensors"
-    agent.train(1)
-    agent.save(path)
-    with pytest.raises(ValueError, match=re.escape("cannot be read")):
-        agent.load(tmp_path / "nowhere.safetensors")
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ValueError, match=re.escape("cannot be read")):
-        agent.load(path)
-    path.write_bytes(content)
-    from safetensors import safe_open
-
-    with safe_open(path, framework="pt") as file:
-        metadata = file.metadata()
-    tensors, partial = load_file(path), tmp_path / "partial.safetensors"
-    for name in ("bounds", "network.body.0.weight", "generator", "counts"):
-        save_file({key: tensor for key, tensor in tensors.items() if key != name}, partial, metadata)
-        with pytest.raises(ValueError, match=re.escape(f"has {name!r} of shape None")):
-            small_pcn("one_waypoint").load(partial)
 
 
 @pytest.mark.parametrize("row", [0, 1])
@@ -836,20 +709,6 @@ def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
     part, _ = seasoned.commands()
     assert len(part) == 2
     np.testing.assert_array_equal(part.max(axis=0), whole.max(axis=0))
-
-
-def test_policies_evaluated_together_act_as_each_does_alone() -> None:
-    agent = make_pcn(env={"time_limit": 2})
-    agent.train(TOTAL)
-    conditions = np.column_stack(agent.commands())[:4]
-    assert len(conditions) == 4
-    settings: dict[str, Any] = {"episodes": 3, "seed": 11, "gamma": 0.9}
-    together = agent.evaluate_policies(conditions, make_env(ONE_WAYPOINT, 5, {"time_limit": 2}), **settings)
-    for condition, found in zip(conditions, together, strict=True):
-        alone = evaluate(agent.policy(condition), make_env(ONE_WAYPOINT, 2, {"time_limit": 2}), **settings)
-        for name in ("returns", "discounted", "lengths", "succeeded", "ends", "largest"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), err_msg=name)
-        assert found.returns.shape == (3, 1, 4)
 
 
 # Other environments.

@@ -158,16 +158,6 @@ def test_samples_that_did_not_act_change_nothing(cls: type[ActorCritic]) -> None
 
 
 @CLIPPED
-def test_a_rollout_without_acting_vehicles_changes_nothing(cls: type[ActorCritic]) -> None:
-    agent, learner = experienced(cls)
-    rollout = handmade(agent)
-    rollout.acted[:] = False
-    before = state(agent)
-    assert learner.update(rollout, learner.config.learning_rate, 0.05) == {}
-    assert same(before, state(agent))
-
-
-@CLIPPED
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 import pytest
-import yaml
-from scipy.stats import trim_mean
 
 from algorithms import ALGORITHMS as CLASSES
 from mo_deepdrive.config import EnvConfig
@@ -21,7 +19,7 @@ from mo_deepdrive.envs.single import DrivingEnv
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS, Route, Scenario
-from site_pages import algorithms, docstrings, environments, films, markdown, reference, repository, results
+from site_pages import algorithms, docstrings, environments, markdown, reference, repository, results
 from site_pages.explorer_examples import EXAMPLES
 from site_pages.local_links import broken_links
 from tests.helpers.markdown_tables import tables
@@ -85,48 +83,6 @@ def test_the_page_of_an_environment_has_the_sections_of_its_docstring(name: str)
     assert f'mo_gymnasium.make("mo_deepdrive:{SCENARIOS[name].id}")' in page
 
 
-def test_the_page_of_an_environment_has_the_size_of_its_best_known_fronts() -> None:
-    rows = table_with(page_of("one_waypoint"), "hypervolume")
-    documented = (REPOSITORY / "docs" / "fronts.md").read_text(encoding="utf-8")
-    for row in rows:
-        assert f"| one_waypoint | {row['actions']} | {row['gamma']} | {row['policies']} |" in documented
-        assert f" {row['hypervolume']} |" in documented
-    assert "None is shipped" in page_of("intersection")
-
-
-def test_conflicts_are_rank_correlations_on_the_front() -> None:
-    text = environments.conflict_text(SCENARIOS["static_obstacle"], "discrete")
-    rows = {row[""]: row for row in table_with(text, "distance")}
-    assert float(rows["distance"]["distance"]) == 1.0
-    assert float(rows["distance"]["g_force"]) == float(rows["g_force"]["distance"]) < 0
-    assert "The same for all policies: `collision`." in text
-
-
-def test_learning_results_are_those_of_the_result_files() -> None:
-    text = results.results_text(SCENARIOS["one_waypoint"])
-    rows = table_with(text, "protocol")
-    found = next(row for row in rows if row["task"] == "one_waypoint_linear" and row["protocol"] == "best")
-    assert found["episodes"] == "test split"
-    scores = pl.read_csv(results.RESULTS / "reproduction_scores.csv", infer_schema_length=None).filter(
-        (pl.col("task") == found["task"])
-        & (pl.col("protocol") == "best")
-        & (pl.col("label") == found["algorithm"])
-        & (pl.col("policy") == "stochastic")
-    )
-    assert len(scores) == int(found["seeds"]) == 5
-    assert float(found["utility"]) == pytest.approx(trim_mean(scores["utility_esr"].to_numpy(), 0.25), abs=1e-3)
-    (header, shown), (names, compared) = results.environment_tables(
-        results.RESULTS / "scores.csv", SCENARIOS["one_waypoint"].id
-    )
-    lines = (results.RESULTS / "scores.csv").read_text(encoding="utf-8").splitlines()
-    own = sum(line.startswith(f"{SCENARIOS['one_waypoint'].id},") for line in lines)
-    assert len(shown) + len(compared) == own > 0
-    assert "mo_a2c" in {row[header.index("algorithm")] for row in shown}
-    assert "mo_a2c - a2c" in {row[names.index("difference of utility_esr")] for row in compared}
-    assert all(0.0 <= float(row[names.index("p")]) <= 1.0 for row in compared)
-    assert "[scores.csv](../results/scores.csv)" in text
-
-
 def test_learning_results_of_left_turn_have_rules_and_policies_with_intervals() -> None:
     rows = {row["driver"]: row for row in table_with(results.results_text(SCENARIOS["left_turn"]), "driver")}
     published = pl.read_csv(results.RESULTS / "left_turn_rules.csv", infer_schema_length=None)
@@ -184,11 +140,6 @@ def test_a_registered_scenario_gets_a_page(monkeypatch: pytest.MonkeyPatch) -> N
     assert "\npage_of_its_own\n" in environments.index()
 
 
-def test_the_moving_picture_shows_the_policy_that_arrives_most_often() -> None:
-    assert films.policy_of(SCENARIOS["intersection"]) == "intersection_linear-mo_ppo-tuned"
-    assert "`intersection_linear-mo_ppo-tuned`" in page_of("intersection")
-
-
 # --------------------------------------------------------------------------------------------------------- algorithms
 
 
@@ -204,18 +155,6 @@ def test_the_page_of_an_algorithm_has_its_hyperparameters_and_equations(name: st
     literal = "\n".join(re.findall(r"^```text\n(.*?)^```$", page, flags=re.DOTALL | re.MULTILINE))
     literal = re.sub(r" +", " ", literal)
     assert [line for line in equations if line not in literal] == []
-
-
-def test_an_algorithm_has_its_configurations_and_policies() -> None:
-    assert "configs/one_waypoint/pcn.yaml" in algorithms.configs_of("pcn")
-    assert "one_waypoint_front-pcn" in algorithms.policies_of("pcn")
-    assert "configs/one_waypoint/pcn.yaml" not in algorithms.configs_of("a2c")
-
-
-def test_the_index_of_algorithms_lists_all() -> None:
-    rows = table_with(algorithms.index(), "name in YAML")
-    assert [row["name in YAML"] for row in rows] == list(CLASSES)
-    assert rows[0]["what it is"].startswith("Advantage actor-critic")
 
 
 # ---------------------------------------------------------------------------------------------------------- reference
@@ -241,12 +180,6 @@ def test_the_reference_has_every_public_constant() -> None:
     assert "   A vehicle that has left the road is observed straight ahead, at rest, at this distance (m)." in lines
 
 
-def test_public_names_are_classes_and_functions() -> None:
-    assert reference.public_names("mo_deepdrive.config") == [
-        f"mo_deepdrive.config.{name}" for name in ("Settings", "parse", "UtilityChoice", "EnvConfig", "parse_arguments")
-    ]
-
-
 # --------------------------------------------------------------------------------------------- docstrings and Markdown
 
 
@@ -255,24 +188,6 @@ def test_equations_become_literal_blocks_until_the_first_section() -> None:
     assert docstrings.literal_equations(lines) == [*lines[:4], "::", "", *lines[4:]]
     kept = ["Such as::", "", "    code", "", "- a list", "", "    of paragraphs"]
     assert docstrings.literal_equations(kept) == kept
-
-
-def test_sections_in_markdown_are_left_to_the_pages_of_environments() -> None:
-    lines = ["A car.", "", "## Observation", "", "| a | b |", "", "Args:", "    scenario: its name."]
-    docstrings.prepare(None, "class", "Env", None, None, lines)
-    assert lines[:2] == ["A car.", ""]
-    assert lines[-2:] == ["Args:", "    scenario: its name."]
-    assert not any("|" in line for line in lines)
-
-
-def test_roles_and_literals_become_code() -> None:
-    assert markdown.as_markdown("See :class:`a.B` and ``c``:\n\n    x = 1\n\nthen.") == (
-        "See `a.B` and `c`:\n\n```text\nx = 1\n```\n\nthen."
-    )
-
-
-def test_bars_in_cells_are_escaped() -> None:
-    assert markdown.table(["a"], [["x | y"]]) == "| a |\n| --- |\n| x \\| y |\n"
 
 
 # ---------------------------------------------------------------------------------------------------- pages from files
@@ -286,14 +201,6 @@ def test_links_of_root_files_lead_to_pages_or_to_the_repository() -> None:
     outside = f"[a]({markdown.REPOSITORY_URL}configs/reproduce.yaml)"
     assert repository.outside_links(text, "peers.md") == f"{outside} [b](contributing.md#style) [c](x.md)"
     assert repository.outside_links("[b](../../CONTRIBUTING.md)", "results/x.md") == "[b](../contributing.md)"
-
-
-def test_the_citation_is_that_of_the_file() -> None:
-    page = repository.pages()["citation.md"]
-    cff = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
-    for work in (cff, *cff["references"]):
-        assert page.count(work["title"]) == 2
-    assert len(set(re.findall(r"^@\w+\{(\w+),", page, flags=re.MULTILINE))) == 1 + len(cff["references"])
 
 
 def test_links_of_built_pages_that_lead_nowhere_are_found(tmp_path: Path) -> None:
@@ -326,11 +233,3 @@ def test_the_explorers_pages_are_those_of_the_commands_in_the_documentation() ->
         assert f"mo-deepdrive explore {' '.join(fronts)} --output explore.html\n" in text
     assert "/docs/_static/explore_*.html" in (REPOSITORY / ".gitignore").read_text(encoding="utf-8").split()
     assert all(name.startswith("explore_") for name in EXAMPLES)
-
-
-def test_what_is_written_is_ignored_by_git() -> None:
-    ignored = (REPOSITORY / ".gitignore").read_text(encoding="utf-8").split()
-    for name in repository.pages():
-        assert f"/docs/{name}" in ignored
-    for folder in ("environments", "algorithms", "reference", "_build", "_pictures"):
-        assert f"/docs/{folder}/" in ignored

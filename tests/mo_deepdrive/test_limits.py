@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mo_deepdrive.simulation.state import CAR, DRIVER, MAX_WAYPOINTS, VEHICLE
+from mo_deepdrive.simulation.state import MAX_WAYPOINTS, VEHICLE
 
 FIELDS = VEHICLE.names or ()
 FLOATS = [name for name in FIELDS if VEHICLE[name].base == np.float64]
@@ -62,12 +62,6 @@ def test_flags_other_than_0_and_1_are_refused(driven: Any, name: str) -> None:
     assert f"{name} = 7 for vehicle 1 of world 1; it must be between 0 and 1" in refusal(driven, name, 7)
 
 
-def test_every_field_of_the_state_has_a_range() -> None:
-    assert {*FLOATS, *INTEGERS, "crossing", "approaching", "cars"} == set(FIELDS)
-    assert set(CAR.names or ()) == {"x", "y", "speed", "acceleration", "driver", "present"}
-    assert set(DRIVER.names or ()) == {"desired_speed", "headway", "yielding"}
-
-
 @pytest.mark.parametrize(
     ("path", "wrong"),
     [
@@ -97,11 +91,6 @@ def test_a_car_out_of_range_is_refused_by_the_path_of_the_field(
             env.set_state(saved)
         assert str(caught.value).startswith(f"state has {path} = {value} for vehicle 0 of world 1; it must be between ")
         assert all(np.array_equal(array, before[key]) for key, array in env.get_state().items())
-
-
-def test_worlds_with_traffic_that_were_never_placed_are_accepted(make_vector: Any) -> None:
-    env = make_vector("left_turn", 2)
-    env.set_state(env.get_state())
 
 
 def test_a_running_vehicle_without_waypoints_is_refused_and_one_that_was_never_placed_is_not(make_vector: Any) -> None:

@@ -15,8 +15,6 @@ import mo_deepdrive
 from mo_deepdrive import Objective, register_objective
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, scales
-from mo_deepdrive.rendering import Viewer
-from mo_deepdrive.simulation.state import KERNEL_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,15 +105,6 @@ def test_every_interface_returns_the_same_rewards(energy: ModuleType, make_singl
         np.testing.assert_array_equal(turns.step(action[0, 1])[1], rewards[0, 0])
 
 
-def test_costs_are_magnitudes_in_the_papers_signs(energy: ModuleType, make_vector: Any) -> None:
-    env = make_vector("one_waypoint", 2, objectives=["energy"], cost_sign="paper")
-    env.reset(seed=0)
-    rewards = [env.step(np.array([3, 0]))[1] for _ in range(5)]
-    assert (np.array(rewards)[1:, 0] > 0.0).all()
-    assert env.reward_space.low[0] == 0.0
-    assert env.reward_space.high[0] == pytest.approx(energy.largest_energy(env.config))
-
-
 def test_a_measure_sees_all_vehicles_of_its_world(registries: None, make_vector: Any) -> None:
     register_objective(row())
     env = make_vector("intersection", 4, objectives=["gap"], threads=2)
@@ -156,22 +145,6 @@ def test_the_state_is_that_of_an_environment_without_the_objective(energy: Modul
         np.testing.assert_array_equal(env.step(action)[1][:, :-1], old.step(action)[1])
 
 
-def test_a_frame_shows_the_magnitudes_and_their_sums(energy: ModuleType, make_vector: Any) -> None:
-    env = make_vector("intersection", 1, objectives=["energy", "jerk"], cost_sign="paper")
-    viewer = Viewer(env.config, "rgb_array")
-    env.reset(seed=0)
-    first = viewer.draw(env.batch.state[0])
-    total = np.zeros((2, 2))
-    for _ in range(12):
-        rewards = env.step(np.array([[3, 3]]))[1][0]
-        total += rewards
-        frame = viewer.draw(env.batch.state[0])
-        np.testing.assert_allclose(viewer._trace.magnitudes, rewards, rtol=1e-6)
-    np.testing.assert_allclose(viewer._trace.sums, total, rtol=1e-5)
-    assert total[:, 0].min() > 0.0
-    assert (first[:, 720:] != frame[:, 720:]).any()
-
-
 # -------------------------------------------------------------------------------------------------------- registration
 
 
@@ -180,11 +153,6 @@ def test_registering_the_same_objective_again_changes_nothing(energy: ModuleType
     importlib.reload(energy)
     assert before == OBJECTIVES
     assert OBJECTIVES[INDEX["energy"]].unit == "J/kg"
-
-
-def test_the_objectives_of_the_kernel_come_first() -> None:
-    assert tuple(objective.name for objective in OBJECTIVES if objective.measure is None) == KERNEL_NAMES
-    assert [INDEX[name] for name in KERNEL_NAMES] == list(range(len(KERNEL_NAMES)))
 
 
 @pytest.mark.parametrize(
@@ -207,13 +175,6 @@ def test_an_invalid_objective_is_refused_in_one_line(registries: None, changes: 
         register_objective(row(**changes))
     assert message in str(caught.value)
     assert before == OBJECTIVES
-
-
-def test_another_objective_of_the_same_name_is_refused(registries: None) -> None:
-    register_objective(row())
-    register_objective(row())
-    with pytest.raises(ValueError, match="'gap' is registered already, with other fields"):
-        register_objective(row(measure=lambda vehicles, v, params: 0.0))
 
 
 def weighted(factor: Any, most: float) -> Objective:
@@ -259,21 +220,6 @@ def test_objectives_of_the_kernel_need_a_scenario_that_has_them(energy: ModuleTy
 
 
 # ------------------------------------------------------------------------------------------------------------ measures
-
-
-def test_the_reference_point_has_the_value_of_the_objective(energy: ModuleType) -> None:
-    point = mo_deepdrive.reference_point("one_waypoint", gamma=1.0, objectives=["jerk", "energy"])
-    assert point.values.tolist() == [-1000.0, -50.0]
-    assert point.reason.endswith("energy: as registered")
-    register_objective(row())
-    with pytest.raises(ValueError, match="objective 'gap' has no reference value in 'intersection'"):
-        mo_deepdrive.reference_point("intersection", objectives=["gap"])
-
-
-def test_best_known_fronts_do_not_have_it(energy: ModuleType, make_single: Any) -> None:
-    env = make_single("one_waypoint", fixed_destination=True, objectives=["distance", "energy"])
-    with pytest.raises(ValueError, match="the best-known front has no 'energy'; known: destination"):
-        env.pareto_front(0.99)
 
 
 def test_an_id_with_a_module_imports_it(examples: None) -> None:

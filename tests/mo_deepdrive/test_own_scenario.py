@@ -12,7 +12,6 @@ import mo_gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from mo_gymnasium.wrappers import MONormalizeReward, MORecordEpisodeStatistics
 from pettingzoo.test import parallel_api_test
 
 import mo_deepdrive
@@ -200,32 +199,9 @@ def test_its_state_is_restored_exactly(two_bicycles: ModuleType, make_vector: An
         fresh.set_state(make_vector("static_obstacle", 4).get_state())
 
 
-def test_both_bicycles_are_on_the_frame(two_bicycles: ModuleType, make_single: Any) -> None:
-    env = make_single("two_bicycles", render_mode="rgb_array")
-    frames = []
-    for second in (SECOND, ASIDE):
-        env.reset(seed=0, options={**AHEAD, "obstacles": (FIRST, second)})
-        frames.append(env.render().astype(int))
-    rows, columns = np.nonzero(np.abs(frames[0] - frames[1]).max(axis=-1) > 30)
-    x, y = columns / 720 * 51.126, 51.126 - rows / 720 * 51.126
-    assert (np.abs(x - 25.0) < 1.0).sum() > 20
-    assert (np.abs(y - 45.0) < 1.0).sum() > 20
-    assert not ((np.abs(x - 15.0) < 1.0) & (np.abs(y - 25.0) < 1.0)).any(), "the first bicycle has not moved"
-
-
 def test_it_passes_gymnasiums_and_pettingzoos_checks(two_bicycles: ModuleType, make_single: Any) -> None:
     check_env(UtilityReward(make_single("two_bicycles"), "static_obstacle_linear"), skip_render_check=True)
     parallel_api_test(mo_deepdrive.parallel_env(scenario="two_bicycles"), num_cycles=30)
-
-
-def test_mo_gymnasiums_wrappers_work(two_bicycles: ModuleType) -> None:
-    env = MORecordEpisodeStatistics(MONormalizeReward(mo_gymnasium.make(ID, time_limit=1.0), idx=4), gamma=0.97)
-    env.reset(seed=0)
-    done = False
-    while not done:
-        _, _, terminated, truncated, info = env.step(ACCELERATE)
-        done = terminated or truncated
-    assert info["episode"]["r"].shape == (5,)
 
 
 def test_people_can_drive_in_it(two_bicycles: ModuleType) -> None:
@@ -234,25 +210,6 @@ def test_people_can_drive_in_it(two_bicycles: ModuleType) -> None:
     rewards = sum(env.step(np.array([1, 0, 0, 0, 0], dtype=np.int8))[1] for _ in range(9 * FRAMES_PER_DECISION))
     assert rewards[0, 0] > 0.0
     assert env.render().shape == (720, 1056, 3)
-
-
-def test_rllib_takes_it(two_bicycles: ModuleType) -> None:
-    pytest.importorskip("ray.rllib", reason="Ray is not installed")
-    from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
-
-    env = DrivingMultiAgentEnv({"scenario": "two_bicycles", "utility": "static_obstacle_linear"})
-    assert env.reset(seed=0)[0]["vehicle_0"].shape == (23,)
-    assert isinstance(env.step({"vehicle_0": 3})[1]["vehicle_0"], float)
-
-
-def test_its_reference_point_is_that_of_the_row(two_bicycles: ModuleType) -> None:
-    point = mo_deepdrive.reference_point("two_bicycles", gamma=0.9, objectives=["jerk", "distance"])
-    assert point.values.tolist() == [-1000.0, -1.0]
-    register_scenario(row())
-    with pytest.raises(ValueError, match="objective 'distance' has no reference value in 'own'; register it with one"):
-        mo_deepdrive.reference_point("own")
-    with pytest.raises(ValueError, match="no best-known front is shipped for scenario = 'two_bicycles'"):
-        mo_deepdrive.reference_front("two_bicycles")
 
 
 # --------------------------------------------------------------------------------------------------------- other rows
@@ -306,14 +263,6 @@ def test_a_random_start_and_a_random_destination_are_drawn_by_themselves(registr
     assert np.abs(np.corrcoef(drawn) - np.eye(3)).max() < 0.15
 
 
-def test_two_vehicles_take_turns(registries: None) -> None:
-    register_scenario(row(routes=LANE, lanes=True))
-    env = gymnasium.make("mo-deepdrive-own-v0")
-    assert env.reset(seed=0)[1] == {"vehicle": 0}
-    with pytest.raises(ValueError, match=r"two vehicles; use gymnasium.make\('mo-deepdrive-own-v0'\)"):
-        mo_deepdrive.envs.single.DrivingEnv("own")
-
-
 @pytest.mark.parametrize(
     ("changes", "allowed", "refused"),
     [
@@ -354,11 +303,6 @@ def test_a_span_widens_only_what_is_drawn_with_it(registries: None) -> None:
     # The start moves along y, and the last waypoint of the first route along x and y.
     first = Route((240.0, 0.0, 0.0), ((-240.0, 0.0), (20.0, 230.0)), start_span=240.0)
     register_scenario(row(routes=(first, Route((0.0, 0.0, 0.0), ((0.0, 245.0),))), destination_span=(200.0, 20.0)))
-
-
-def test_every_scenario_has_an_id() -> None:
-    for name, scenario in SCENARIOS.items():
-        assert gymnasium.spec(scenario.id).kwargs == {"scenario": name}
 
 
 @pytest.mark.parametrize(
@@ -402,8 +346,3 @@ def test_an_invalid_scenario_is_refused_in_one_line(registries: None, changes: d
         register_scenario(row(**changes))
     assert message in str(caught.value)
     assert before == SCENARIOS
-
-
-def test_an_unknown_scenario_is_refused_with_the_nearest_name(two_bicycles: ModuleType) -> None:
-    with pytest.raises(ValueError, match="'scenario' = 'two_bicycle': is unknown; did you mean 'two_bicycles'"):
-        mo_deepdrive.parallel_env(scenario="two_bicycle")

@@ -20,8 +20,6 @@ from mo_deepdrive.play import (
 from mo_deepdrive.simulation.state import VEHICLE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
@@ -147,11 +145,6 @@ def test_two_people_drive_a_car_each() -> None:
     assert first.throttle == 0.0
 
 
-def test_every_vehicle_needs_a_driver() -> None:
-    with pytest.raises(ValueError, match=r"seats = \[1\] .* 2 vehicles without a driver"):
-        make_human_env(TWO, seats=(1,))
-
-
 def test_an_outcome_has_the_ends_and_returns_of_all_vehicles() -> None:
     human_env = make_human_env(TWO, seats=(0, 1), time_limit=2, end_together=False)
     total = np.zeros((2, human_env.vector_env.reward_dim))
@@ -193,28 +186,6 @@ def test_a_restarted_episode_has_the_same_scenario() -> None:
     assert (terminated, truncated, info) == (False, True, {})
     human_env.reset()
     assert vehicles(human_env).tobytes() == beginning.tobytes()
-
-
-def test_an_episode_that_is_over_is_not_repeated_by_a_restart() -> None:
-    human_env = make_human_env(time_limit=0.5)
-    outcomes = []
-    for _ in range(2):
-        outcomes.append(hold(human_env, UP, decisions=5)[-1]["outcome"])
-        assert human_env.step(pressed(NOTHING, restart=True))[3]
-        human_env.reset()
-    assert [(outcome.episode, outcome.seed) for outcome in outcomes] == [(1, 1), (2, 2)]
-
-
-def test_without_a_seed_the_scenarios_differ_but_can_be_restarted() -> None:
-    first, second = make_human_env(), make_human_env()
-    starts = []
-    for human_env in (first, second):
-        fresh = HumanPlayEnv(human_env.vector_env, (0,))
-        fresh.reset()
-        starts.append(vehicles(fresh).copy())
-        fresh.reset()
-        assert vehicles(fresh).tobytes() == starts[-1].tobytes()
-    assert starts[0].tobytes() != starts[1].tobytes()
 
 
 def test_on_frame_receives_a_frame_per_decision() -> None:
@@ -269,11 +240,3 @@ def test_a_driver_drives_the_other_vehicle_and_receives_everything(mine: int, ac
     assert vehicles(human_env)[mine].travelled == 0.0
     human_env.reset()
     assert driver.calls[-1][0] == "reset"
-
-
-@pytest.mark.slow
-def test_importing_play_imports_neither_torch_nor_algorithms(run_python: Callable[[str], str]) -> None:
-    found = run_python(
-        "import sys, mo_deepdrive.play\nprint([name for name in ('torch', 'algorithms') if name in sys.modules])"
-    )
-    assert found == "[]\n"

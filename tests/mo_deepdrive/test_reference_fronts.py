@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import mo_gymnasium
 import moocore
 import numpy as np
 import pytest
@@ -12,12 +11,11 @@ import pytest
 import mo_deepdrive
 from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
-from mo_deepdrive.objectives import scales, signs
+from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.markdown_tables import tables
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 SHIPPED = sorted(
@@ -40,10 +38,6 @@ def dominates(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 # --------------------------------------------------------------------------------------------------- shipped fronts
-
-
-def test_the_package_has_the_discrete_fronts_of_both_scenarios() -> None:
-    assert {("one_waypoint", "discrete"), ("static_obstacle", "discrete")} <= set(SHIPPED)
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
@@ -85,16 +79,6 @@ def test_every_policy_is_non_dominated_for_one_of_the_gammas(scenario: str, acti
 
 
 @pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_time_is_an_objective_of_every_front(scenario: str, action_type: str) -> None:
-    names = ("distance", "time")
-    front = mo_deepdrive.reference_front(scenario, action_type, 1.0, names)
-    assert (front[:, 1] < 0.0).all()
-    assert (front[:, 1] >= -60.001).all()
-    furthest, fastest = front[front[:, 0].argmax()], front[front[:, 1].argmax()]
-    assert furthest[1] < fastest[1]
-
-
-@pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
 @pytest.mark.parametrize("gamma", GAMMAS)
 def test_every_point_of_a_front_dominates_the_reference_point(scenario: str, action_type: str, gamma: float) -> None:
     reference = mo_deepdrive.reference_point(scenario, action_type, gamma).values
@@ -103,14 +87,6 @@ def test_every_point_of_a_front_dominates_the_reference_point(scenario: str, act
     arriving = front[front[:, 1] > 0.0]
     assert len(arriving) > 10
     assert (arriving > reference).all()
-
-
-@pytest.mark.parametrize(("scenario", "action_type"), SHIPPED)
-def test_a_front_extends_from_staying_to_arriving_fast(scenario: str, action_type: str) -> None:
-    front = mo_deepdrive.reference_front(scenario, action_type, 0.99)
-    costs = [SCENARIOS[scenario].objectives.index(name) for name in ("g_force", "jerk")]
-    assert (np.abs(front[:, costs]) / scales(("g_force", "jerk"))).sum(axis=1).min() < 0.01
-    assert front[:, 1].max() > 0.5
 
 
 def test_a_policy_earns_its_return_in_the_public_environment(make_single: Any) -> None:
@@ -153,19 +129,6 @@ def test_the_documentation_has_the_size_of_every_front(repository: Path) -> None
             volume = hypervolume(scenario, action_type, gamma, names)
             assert float(row["hypervolume"]) == pytest.approx(volume, rel=1e-4)
     assert not rows
-
-
-def test_the_last_record_of_a_front_is_the_shipped_one(repository: Path) -> None:
-    records = documented(repository, "scenario", "date")
-    for scenario, action_type in SHIPPED:
-        own = SCENARIOS[scenario].objectives
-        mine = [row for row in records if (row["scenario"], row["action_type"]) == (scenario, action_type)]
-        assert [row["date"] for row in mine] == sorted(row["date"] for row in mine)
-        criteria = (("0.99", 0.99, own, 1.0), ("1.0", 1.0, own, 1.0), ("1.0, time (10⁶)", 1.0, (*own, TIME), 1e6))
-        for shown, gamma, names, unit in criteria:
-            volumes = [float(row[shown]) * unit for row in mine]
-            assert volumes == sorted(volumes)
-            assert volumes[-1] == pytest.approx(hypervolume(scenario, action_type, gamma, names), rel=1e-4)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
@@ -219,11 +182,6 @@ def test_an_environment_returns_its_front(
         np.testing.assert_array_equal(np.array(front), expected)
 
 
-def test_an_environment_of_mo_gymnasium_returns_its_front() -> None:
-    env = mo_gymnasium.make("mo-deepdrive-one-waypoint-v0", fixed_destination=True)
-    assert len(env.unwrapped.pareto_front(0.99)) == len(mo_deepdrive.reference_front())
-
-
 def test_an_environments_front_has_its_objectives_and_signs(make_single: Any) -> None:
     names = ["jerk", "destination"]
     env = make_single(**fixed("one_waypoint"), objectives=names)
@@ -233,13 +191,6 @@ def test_an_environments_front_has_its_objectives_and_signs(make_single: Any) ->
     np.testing.assert_array_equal(np.array(paper.pareto_front(0.99)), expected * signs(tuple(names)))
     assert (np.array(paper.pareto_front(0.99)) >= 0.0).all()
     assert not np.signbit(np.array(paper.pareto_front(0.99))).any()
-
-
-def test_an_environment_with_time_has_a_front_with_time(make_single: Any) -> None:
-    names = (*SCENARIOS["one_waypoint"].objectives, TIME)
-    front = make_single(**fixed("one_waypoint"), objectives=list(names)).pareto_front(1.0)
-    np.testing.assert_array_equal(np.array(front), mo_deepdrive.reference_front(gamma=1.0, objectives=names))
-    assert len(front) > len(mo_deepdrive.reference_front(gamma=1.0))
 
 
 @pytest.mark.parametrize(
@@ -258,33 +209,3 @@ def test_an_environment_without_a_front_says_what_one_would_require(
     for make in (make_single, make_vector):
         with pytest.raises(ValueError, match=message):
             make(scenario, **options).pareto_front(0.99)
-
-
-def test_the_intersection_has_no_front(make_single: Any, make_vector: Any) -> None:
-    for env in (make_single("intersection"), make_vector("intersection")):
-        with pytest.raises(ValueError, match="no best-known front is shipped for scenario = 'intersection'"):
-            env.pareto_front(0.99)
-
-
-def test_unknown_names_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="scenario = 'one_waypont' is unknown; did you mean 'one_waypoint'"):
-        mo_deepdrive.reference_front("one_waypont")
-    with pytest.raises(ValueError, match="action_type = 'discreet' is unknown; did you mean 'discrete'"):
-        mo_deepdrive.reference_front(action_type="discreet")
-    with pytest.raises(ValueError, match="objectives has 'collision', which OneWaypoint does not have"):
-        mo_deepdrive.reference_front(objectives=["collision"])
-
-
-@pytest.mark.slow
-def test_importing_the_package_does_not_import_the_requirements_of_fronts(run_python: Callable[[str], str]) -> None:
-    found = run_python(
-        "import sys, mo_deepdrive\nprint('moocore' in sys.modules)\n"
-        "mo_deepdrive.reference_point()\nprint('moocore' in sys.modules)\n"
-        "mo_deepdrive.reference_front()\nprint('moocore' in sys.modules, 'torch' in sys.modules)"
-    )
-    assert found.split() == ["False", "False", "True", "False"]
-
-
-def test_an_unknown_name_of_the_package_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="has no attribute 'reference_pont'"):
-        mo_deepdrive.reference_pont  # noqa: B018

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,13 +29,6 @@ def test_there_is_a_reference_point_for_every_scenario_and_action_type(
     assert (point.values < 0.0).all()
     assert point.version >= 1
     assert all(f"{name}: " in point.reason for name in point.objectives)
-
-
-def test_a_reference_point_has_the_selected_objectives() -> None:
-    point = mo_deepdrive.reference_point("static_obstacle", gamma=0.99)
-    few = mo_deepdrive.reference_point("static_obstacle", gamma=0.99, objectives=["jerk", "distance"])
-    assert few.objectives == ("jerk", "distance")
-    assert few.values.tolist() == [point.values[4], point.values[0]]
 
 
 def test_staying_is_a_tenth_of_a_scale_above_the_reference_point() -> None:
@@ -69,15 +61,6 @@ def test_a_gamma_without_a_reference_point_is_refused() -> None:
         mo_deepdrive.reference_point(gamma=0.95)
 
 
-def test_unknown_names_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="scenario = 'one_waypont' is unknown; did you mean 'one_waypoint'"):
-        mo_deepdrive.reference_point("one_waypont")
-    with pytest.raises(ValueError, match="action_type = 'discreet' is unknown; did you mean 'discrete'"):
-        mo_deepdrive.reference_point(action_type="discreet")
-    with pytest.raises(ValueError, match="objectives has 'collision', which OneWaypoint does not have"):
-        mo_deepdrive.reference_point(objectives=["collision"])
-
-
 def test_the_documentation_has_every_reference_point(repository: Path) -> None:
     text = (repository / "docs" / "fronts.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
@@ -87,9 +70,3 @@ def test_the_documentation_has_every_reference_point(repository: Path) -> None:
             numbers = dict(zip(INDEX, documented[scenario.title, str(gamma)], strict=True))
             point = mo_deepdrive.reference_point(scenario.name, gamma=gamma)
             assert [float(numbers[name]) for name in point.objectives] == point.values.tolist()
-
-
-def test_a_reference_point_cannot_be_changed() -> None:
-    point = mo_deepdrive.reference_point()
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        point.version = 2  # type: ignore[misc]

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pygame
 import pytest
-from gymnasium.wrappers import RecordVideo
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import rendering
@@ -17,11 +16,10 @@ from mo_deepdrive.config import EnvConfig, parse
 from mo_deepdrive.drawing import TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
 from mo_deepdrive.simulation.map import MAP_SIZE
-from mo_deepdrive.simulation.state import ARRIVED, COLLISION, LENGTH, OTHER_VEHICLE, RUNNING, TIME_LIMIT
+from mo_deepdrive.simulation.state import LENGTH
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -31,7 +29,6 @@ INTERSECTION_ID = "mo-deepdrive-intersection-v0"
 MAP_PIXELS = 720
 SPEED_UP = 3
 BLUE, ORANGE, YELLOW, RED = (38, 116, 232), (240, 126, 38), (255, 244, 190), (255, 36, 40)
-LABELS = ((84, 1030), (406, 1030))  # row and column in the frame of the labels of how each of two vehicles ended
 
 
 def start(scenario: str) -> tuple[WorldBatch, Viewer]:
@@ -87,24 +84,6 @@ def test_the_same_state_gives_the_same_frame(scenario: str) -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_drawing_does_not_change_the_state(scenario: str) -> None:
-    batch, viewer = start(scenario)
-    drive(batch, 3)
-    before = batch.state.tobytes()
-    viewer.draw(batch.state[0])
-    assert batch.state.tobytes() == before
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_frames_differ_on_the_map_when_the_car_moves(scenario: str) -> None:
-    batch, viewer = start(scenario)
-    before = viewer.draw(batch.state[0])
-    drive(batch, 10)
-    after = viewer.draw(batch.state[0])
-    assert (before[:, :MAP_PIXELS] != after[:, :MAP_PIXELS]).any()
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_each_car_shows_in_its_colour_where_it_is(scenario: str) -> None:
     batch, viewer = start(scenario)
     drive(batch, 20)
@@ -127,77 +106,6 @@ def test_headlights_shine_in_front_and_brake_lights_behind_when_braking(heading:
         assert resembles(colour_at(coasting, *front), YELLOW)
         assert not resembles(colour_at(coasting, *rear), RED)
         assert resembles(colour_at(braking, *rear), RED)
-
-
-def test_the_front_wheels_turn_with_the_steer_angle() -> None:
-    batch, viewer = start("one_waypoint")
-    straight = viewer.draw(batch.state[0])
-    batch.state[0, 0].steer = 0.4
-    assert (viewer.draw(batch.state[0]) != straight).any()
-
-
-def test_a_car_whose_episode_has_ended_is_pale() -> None:
-    batch, viewer = start("intersection")
-    batch.state[0, 0].end = 1
-    frame = viewer.draw(batch.state[0])
-    assert not resembles(colour_at(frame, *ahead_of(batch.state[0, 0], 1.8)), BLUE)
-    assert resembles(colour_at(frame, *ahead_of(batch.state[0, 1], 1.8)), ORANGE)
-
-
-def test_each_of_two_cars_shows_its_number() -> None:
-    batch, viewer = start("intersection")
-    darkest = {}
-    for name, heading in (("ahead", 0.0), ("askew", 0.8)):
-        batch.state[0, 0].heading = heading
-        frame = viewer.draw(batch.state[0])
-        for v, vehicle in enumerate(batch.state[0]):
-            points = [ahead_of(vehicle, -0.5 + 0.15 * k, 0.15 * j) for k in range(-2, 3) for j in range(-2, 3)]
-            darkest[name, v] = min(colour_at(frame, *point).sum() for point in points)
-    assert max(darkest.values()) < 200
-    alone, viewer = start("one_waypoint")
-    assert resembles(colour_at(viewer.draw(alone.state[0]), *ahead_of(alone.state[0, 0], -0.5)), BLUE)
-
-
-def test_waypoints_are_ticked_once_they_are_reached() -> None:
-    batch, viewer = start("intersection")
-    turning = batch.state[0, 0]
-    first, last = turning.waypoints[0], turning.waypoints[2]
-    stroke = (0.22, 0.04)  # m, from the middle of a waypoint to the middle of its tick's longer stroke
-    before = viewer.draw(batch.state[0])
-    turning.next_waypoint = 1
-    reached = viewer.draw(batch.state[0])
-    assert not resembles(colour_at(before, *(first + stroke)), BLUE, 30)
-    assert resembles(colour_at(reached, *(first + stroke)), BLUE, 30)
-    turning.next_waypoint = 2
-    assert not resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
-    turning.end = ARRIVED
-    assert resembles(colour_at(viewer.draw(batch.state[0]), *(last + stroke)), BLUE, 30)
-
-
-def test_the_panel_shows_in_colour_how_each_vehicle_ended() -> None:
-    batch, viewer = start("intersection")
-    colours = {}
-    for end in (RUNNING, ARRIVED, COLLISION, TIME_LIMIT, OTHER_VEHICLE):
-        batch.state[0, 0].end, batch.state[0, 1].end = end, RUNNING
-        frame = viewer.draw(batch.state[0])
-        colours[end] = tuple(frame[LABELS[0]].tolist())
-        assert tuple(frame[LABELS[1]].tolist()) == colours[RUNNING]
-    assert len(set(colours.values())) == 5
-    red, green, blue = colours[COLLISION]
-    assert red > 2 * green > blue
-    red, green, blue = colours[ARRIVED]
-    assert green > 1.5 * max(red, blue)
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_widened_view_returns_to_its_former_size(scenario: str) -> None:
-    batch, viewer = start(scenario)
-    vehicle = batch.state[0, 0]
-    before = viewer.draw(batch.state[0])
-    x, vehicle.x = vehicle.x, -60.0
-    assert (viewer.draw(batch.state[0]) != before).any()
-    vehicle.x = x
-    assert np.array_equal(viewer.draw(batch.state[0]), before)
 
 
 def test_the_destination_and_the_bicycle_show_where_they_are() -> None:
@@ -231,32 +139,6 @@ def test_an_oncoming_car_shows_where_it_is_while_it_is_there() -> None:
     viewer.draw(batch.state[0])
 
 
-@pytest.mark.parametrize(("acceleration", "lit"), [(1.0, False), (-0.5, False), (-2.0, True)])
-def test_an_oncoming_car_that_brakes_shows_its_braking_lights(acceleration: float, lit: bool) -> None:
-    batch, viewer, car = oncoming(acceleration)
-    frame = viewer.draw(batch.state[0])
-    behind = [colour_at(frame, car["x"] + side, car["y"] + 2.55) for side in (-0.7, 0.7)]
-    assert [bool(red > 190) for red, _, _ in behind] == [lit, lit]
-
-
-def test_the_left_turn_signal_flashes_until_the_turn_is_made() -> None:
-    batch, viewer = start("left_turn")
-    vehicle = batch.state[0, 0]
-
-    def lit() -> tuple[bool, bool]:
-        frame = viewer.draw(batch.state[0])
-        sides = [colour_at(frame, *ahead_of(vehicle, 2.2, right)) for right in (-1.2, 1.2)]
-        return tuple(bool(red > blue + 60) for red, _, blue in sides)
-
-    seen = set()
-    for _ in range(10):
-        seen.add(lit())
-        drive(batch)
-    assert seen == {(True, False), (False, False)}
-    vehicle.next_waypoint = vehicle.n_waypoints - 1
-    assert {(drive(batch), lit())[1] for _ in range(10)} == {(False, False)}
-
-
 def test_a_car_beyond_the_map_stays_in_the_frame() -> None:
     batch, viewer = start("one_waypoint")
     vehicle = batch.state[0, 0]
@@ -279,17 +161,6 @@ def test_the_trail_and_the_sums_are_cleared_at_reset(scenario: str) -> None:
         viewer.draw(batch.state[0])
     batch.state[:] = beginning
     assert np.array_equal(viewer.draw(batch.state[0]), fresh)
-
-
-def test_the_trail_shows_where_the_car_has_been() -> None:
-    batch, viewer = start("one_waypoint")
-    viewer.draw(batch.state[0])
-    for _ in range(45):
-        drive(batch)
-        trailing = viewer.draw(batch.state[0])
-    without = Viewer(viewer.config, "rgb_array").draw(batch.state[0])
-    behind = ahead_of(batch.state[0, 0], -LENGTH)
-    assert colour_at(trailing, *behind)[0] < colour_at(without, *behind)[0] - 20
 
 
 @pytest.mark.parametrize("cost_sign", ["maximise", "paper"])
@@ -315,22 +186,6 @@ def test_the_panel_shows_the_return_with_the_sign_of_the_rewards(
     assert list(map(float, totals)) == pytest.approx(returns, abs=0.006)
     assert list(map(float, decision)) == pytest.approx(batch.rewards[0, 0], abs=0.006)
     assert "-0.00" not in [text for text, _ in written]
-
-
-@pytest.mark.parametrize("scenario", ["one_waypoint", "intersection"])
-def test_the_readings_have_labels_that_fit_their_tiles(scenario: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, ends = Panel._write, {}
-
-    def note(panel: Panel, text: str, x: float, *rest: Any) -> float:
-        end = write(panel, text, x, *rest)
-        ends.setdefault(text, end - x)
-        return end
-
-    monkeypatch.setattr(Panel, "_write", note)
-    batch, viewer = start(scenario)
-    viewer.draw(batch.state[0])
-    for label in ("Speed", "G force", "Jerk", "Along the route"):
-        assert ends[label] < 144 - 2 * 10, "a tile without its margins"
 
 
 def test_sums_count_every_decision_once_and_are_marked_incomplete_if_one_is_missing() -> None:
@@ -383,19 +238,6 @@ def test_rgb_array_needs_no_display_and_works_after_pygame_quits(monkeypatch: py
     viewer.close()
 
 
-@pytest.mark.parametrize("name", SINGLE_IDS)
-def test_single_environments_render(name: str) -> None:
-    env = gymnasium.make(name, render_mode="rgb_array", disable_env_checker=True)
-    env.reset(seed=1)
-    first: Any = env.render()
-    for _ in range(5):
-        env.step(SPEED_UP)
-    second: Any = env.render()
-    env.close()
-    assert first.shape == second.shape
-    assert (first != second).any()
-
-
 def test_vector_environments_render_one_frame_per_world() -> None:
     envs = gymnasium.make_vec(INTERSECTION_ID, num_envs=2, render_mode="rgb_array")
     envs.reset(seed=1)
@@ -406,20 +248,6 @@ def test_vector_environments_render_one_frame_per_world() -> None:
     assert len(frames) == 2
     assert frames[0].shape == frames[1].shape
     assert (frames[0] != frames[1]).any()
-
-
-@pytest.mark.slow
-def test_record_video_writes_a_video(tmp_path: Path) -> None:
-    env = gymnasium.make(SINGLE_IDS[1], render_mode="rgb_array", time_limit=0.5, disable_env_checker=True)
-    recorder: Any = RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
-    recorder.reset(seed=1)
-    over = False
-    while not over:
-        _, _, terminated, truncated, _ = recorder.step(SPEED_UP)
-        over = terminated or truncated
-    recorder.close()
-    (video,) = tmp_path.glob("videos/*.mp4")
-    assert video.stat().st_size > 0
 
 
 @pytest.fixture
@@ -454,32 +282,9 @@ def test_an_episode_continues_after_its_window_is_closed(human_env: Any) -> None
     assert not pygame.display.get_init()
 
 
-@pytest.mark.filterwarnings("ignore:render_mode='human'")
-def test_human_mode_leaves_the_events_of_a_users_program(human_env: Any) -> None:
-    human_env.reset(seed=1)
-    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_a))
-    human_env.step(SPEED_UP)
-    assert pygame.event.get(pygame.KEYDOWN)
-
-
 def test_human_mode_says_that_there_is_no_window(human_env: Any) -> None:
     with pytest.warns(UserWarning, match=r"shows no window \(SDL has only 'dummy'\)"):
         human_env.reset(seed=1)
-
-
-def test_human_mode_reopens_its_window_after_pygame_quits(human_env: Any) -> None:
-    human_env.reset(seed=1)
-    pygame.quit()
-    human_env.step(SPEED_UP)
-    assert pygame.display.get_surface() is not None
-
-
-@pytest.mark.slow
-def test_importing_the_module_prints_nothing_and_does_not_change_environment_variables(
-    run_python: Callable[[str], str],
-) -> None:
-    lines = "import os", "before = {**os.environ}", "import mo_deepdrive.rendering", "assert before == {**os.environ}"
-    assert run_python("\n".join(lines)) == ""
 
 
 def test_rewards_of_the_panel_are_never_minus_zero() -> None:

@@ -82,14 +82,6 @@ def test_rewards_of_the_accrued_reward_sum_to_the_utility_of_the_return() -> Non
         assert sum(step[1] for step in played) == pytest.approx(expected)
 
 
-def test_a_linear_utility_gives_the_same_for_rewards_and_returns() -> None:
-    rewards = [
-        [step[1] for step in play(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear", of), 4)[1:]]
-        for of in ("reward", "return")
-    ]
-    np.testing.assert_allclose(rewards[0], rewards[1], atol=1e-9)
-
-
 def test_vehicles_that_take_turns_have_separate_returns() -> None:
     env = UtilityReward(mo_gymnasium.make(INTERSECTION), "intersection_nonlinear", of="return")
     played = play(env, seed=0)[1:]
@@ -127,18 +119,6 @@ def test_a_refused_reset_leaves_the_accrued_reward() -> None:
                     env.reset(options=wrong)
             rewards.append([env.step(decision)[1] for _ in range(3)])
         assert rewards[0] == rewards[1]
-
-
-def test_other_environments_with_vector_rewards_can_be_wrapped() -> None:
-    env = UtilityReward(mo_gymnasium.make("deep-sea-treasure-v0"), "linear", weights=[1.0, 0.5])
-    env.reset(seed=0)
-    _, reward, _, _, info = env.step(1)
-    assert reward == pytest.approx(float(info["vector_reward"] @ np.array([1.0, 0.5])))
-
-
-def test_a_utility_object_is_used_as_it_is() -> None:
-    utility = make_utility("linear", ["treasure", "time"], weights=[1.0, 0.0])
-    assert UtilityReward(mo_gymnasium.make("deep-sea-treasure-v0"), utility).utility is utility
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -191,14 +171,6 @@ def test_an_environment_without_vector_rewards_is_refused() -> None:
         UtilityReward(gymnasium.make("CartPole-v1"), "linear", weights=[1.0])
     with pytest.raises(ValueError, match="no reward_space"):
         UtilityReward(UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear"), "one_waypoint_linear")
-
-
-def test_the_reward_space_is_that_of_the_scalar() -> None:
-    env = UtilityReward(mo_gymnasium.make(ONE_WAYPOINT), "one_waypoint_linear")
-    assert env.reward_dim == env.get_wrapper_attr("reward_dim") == 1
-    assert env.reward_space.shape == ()
-    assert all(np.array(step[1], dtype=np.float32) in env.reward_space for step in play(env, 2)[1:])
-    assert env.unwrapped.reward_space.shape == (4,)
 
 
 # ----------------------------------------------------------------------------------------------------------- parallel
@@ -266,14 +238,6 @@ def test_agents_may_have_different_utilities_and_weights() -> None:
             own = [step for step in steps if agent in step[1]]
             total = np.sum([step[4][agent]["vector_reward"] for step in own], axis=0, dtype=np.float64)
             assert sum(step[1][agent] for step in own) == pytest.approx(float(utility(total)), rel=1e-5)
-
-
-def test_the_reward_spaces_of_agents_are_those_of_scalars() -> None:
-    env = ParallelUtilityReward(mo_deepdrive.parallel_env(), "linear", weights=[1.0] * 6)
-    assert env.reward_dim == 1
-    assert env.reward_space("vehicle_1") is env.reward_spaces["vehicle_1"]
-    assert env.reward_space("vehicle_0").shape == ()
-    assert env.unwrapped.reward_space("vehicle_0").shape == (6,)
 
 
 @pytest.mark.parametrize(

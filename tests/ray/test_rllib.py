@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import mo_gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from mo_gymnasium.wrappers import LinearReward
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 VEHICLES = ["vehicle_0", "vehicle_1"]
-IDLE = 0
 CONFIGS: list[dict[str, Any]] = [
     {},
     {"end_together": True},
@@ -67,15 +65,6 @@ def play(env: Any, seed: int) -> Iterator[tuple[dict[str, Any], Any]]:
 @pytest.mark.parametrize("config", CONFIGS)
 def test_rllibs_checker_passes(config: dict[str, Any]) -> None:
     check_multiagent_environments(DrivingMultiAgentEnv(config))
-
-
-def test_by_default_it_is_the_intersection_with_the_papers_linear_utility() -> None:
-    env = DrivingMultiAgentEnv()
-    assert env.possible_agents == VEHICLES
-    assert env.parallel.config.scenario == "intersection"
-    assert {agent: utility.name for agent, utility in env.utilities.items()} == dict.fromkeys(
-        VEHICLES, "intersection_linear"
-    )
 
 
 def test_spaces_and_objectives_are_those_of_the_parallel_environment() -> None:
@@ -191,17 +180,6 @@ def test_reset_passes_on_seed_and_options() -> None:
     assert not np.array_equal(second["vehicle_0"], first["vehicle_0"])
 
 
-def test_frames_are_rendered() -> None:
-    env = DrivingMultiAgentEnv({"render_mode": "rgb_array"})
-    env.reset(seed=0)
-    frame = env.render()
-    assert frame is not None
-    assert frame.dtype == np.uint8
-    assert frame.ndim == 3
-    assert frame.std() > 0
-    env.close()
-
-
 # ---------------------------------------------------------------------------------------------------------- bad input
 
 
@@ -229,47 +207,6 @@ def test_frames_are_rendered() -> None:
 def test_an_invalid_config_is_refused(config: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DrivingMultiAgentEnv(config)
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        ({"vehicle_0": IDLE}, "missing for .*vehicle_1"),
-        ({"vehicle_0": IDLE, "vehicle_1": IDLE, "vehicle_2": IDLE}, "vehicle_2"),
-        ({"vehicle_0": IDLE, "vehicle_1": 22}, "22 of vehicle_1"),
-        ({"vehicle_0": math.nan, "vehicle_1": IDLE}, "nan of vehicle_0"),
-    ],
-)
-def test_wrong_actions_are_refused_and_change_nothing(actions: dict[str, Any], message: str) -> None:
-    env = DrivingMultiAgentEnv()
-    env.reset(seed=0)
-    before = env.parallel.telemetry()
-    with pytest.raises(ValueError, match=message):
-        env.step(actions)
-    assert env.parallel.telemetry() == before
-    assert env.agents == VEHICLES
-
-
-def test_invalid_reset_options_are_refused_and_change_nothing() -> None:
-    env = DrivingMultiAgentEnv()
-    env.reset(seed=0)
-    before = env.parallel.telemetry()
-    for options, message in (({"start": (0.0, 0.0, 0.0)}, "unknown reset option 'start'"), ({"starts": 3}, "'starts'")):
-        with pytest.raises(ValueError, match=message):
-            env.reset(seed=1, options=options)
-        assert env.parallel.telemetry() == before
-        assert env.agents == VEHICLES
-
-
-def test_stepping_before_a_reset_or_after_the_end_is_refused() -> None:
-    env = DrivingMultiAgentEnv({"time_limit": 0.1})
-    actions = dict.fromkeys(VEHICLES, IDLE)
-    with pytest.raises(ResetNeeded):
-        env.step(actions)
-    env.reset(seed=0)
-    env.step(actions)
-    with pytest.raises(ResetNeeded):
-        env.step(actions)
 
 
 def test_without_ray_the_import_names_the_extra(run_python: Callable[[str], str]) -> None:

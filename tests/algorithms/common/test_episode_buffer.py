@@ -54,14 +54,6 @@ def test_returns_to_go_are_those_of_a_plain_loop(length: int, gamma: float, seed
     np.testing.assert_array_equal(rewards, before)
 
 
-def test_returns_and_lengths_describe_the_episodes_of_a_buffer() -> None:
-    buffer = EpisodeBuffer(9, SCALES, 0.2)
-    buffer.add([make_episode([1.0, 2.0], 3), make_episode([5.0, 4.0], 7)])
-    assert len(buffer) == 2
-    np.testing.assert_array_equal(buffer.returns, [[1.0, 2.0], [5.0, 4.0]])
-    np.testing.assert_array_equal(buffer.lengths, [3, 7])
-
-
 # Who stays.
 
 
@@ -128,14 +120,6 @@ def test_the_episode_farthest_from_the_front_is_removed_first() -> None:
     assert sorted(names(buffer)) == [0, 1, 3, 4]
 
 
-def test_of_equal_non_dominated_episodes_the_later_are_removed_first() -> None:
-    buffer = make_store([(6, 0), (6, 0), (0, 6), (6, 0), (3, 3)], 3)
-    assert sorted(names(buffer)) == [0, 2, 4]
-    # An equal one still counts more than one that is dominated by far.
-    buffer = make_store([(6, 0), (6, 0), (0, 6), (1, 0), (0, 0)], 3)
-    assert sorted(names(buffer)) == [0, 1, 2]
-
-
 def test_crowded_episodes_are_removed_before_isolated_ones() -> None:
     # Two at 1.0 scaled units from the front: one among many alike, one alone.
     crowd = [(10.0 + 0.001 * i, 0.0) for i in range(4)]
@@ -144,11 +128,6 @@ def test_crowded_episodes_are_removed_before_isolated_ones() -> None:
     assert 6 in names(buffer)
     assert buffer.scores()[names(buffer).index(6)] == pytest.approx(-1.2)
     assert make_store(points).scores()[3] == pytest.approx(-2 * (12.0 - 10.001) / 2.0, rel=1e-5)
-
-
-def test_an_empty_buffer_says_what_is_missing() -> None:
-    with pytest.raises(ValueError, match="holds no episode yet: train first, or load a checkpoint"):
-        EpisodeBuffer(5, SCALES, 0.2).best()
 
 
 def test_bounds_cover_every_time_step_and_follow_additions_and_removals() -> None:
@@ -194,15 +173,6 @@ def test_episodes_and_their_time_steps_are_sampled_uniformly() -> None:
             assert drawn[name, t] == pytest.approx(count * p, abs=4.5 * (count * p * (1.0 - p)) ** 0.5)
 
 
-def test_batches_follow_the_generator_and_the_episodes_added_since() -> None:
-    buffer = make_store([(0, 6), (6, 0)])
-    first, second = (buffer.sample(20, torch.Generator().manual_seed(3)) for _ in range(2))
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a, b)
-    buffer.add([make_episode([7, 7], name=99)])
-    assert 99 in buffer.sample(50, torch.Generator().manual_seed(3))[0][:, 0]
-
-
 # Checkpoints.
 
 
@@ -230,11 +200,3 @@ def test_a_buffer_resumes_exactly(continuous: bool) -> None:
     samples = [each.sample(30, torch.Generator().manual_seed(0)) for each in (buffer, again)]
     for a, b in zip(*samples, strict=True):
         np.testing.assert_array_equal(a, b)
-
-
-def test_an_empty_buffer_resumes_empty() -> None:
-    buffer = EpisodeBuffer(4, SCALES, 0.2)
-    assert buffer.get_state() == {}
-    again = make_store([(1, 2)])
-    again.set_state({})
-    assert len(again) == 0

@@ -58,13 +58,6 @@ def test_weighted_losses_have_autograds_gradients() -> None:
         torch.testing.assert_close(gradient_by(loss, by), wanted, rtol=1e-5, atol=1e-7)
 
 
-def test_equal_weights_are_as_good_as_none() -> None:
-    outputs, targets = randoms(30, 4).requires_grad_(), randoms(30, 4, seed=1)
-    weighted, equal = squared_error(outputs, targets, torch.full((30,), 1 / 30)), squared_error(outputs, targets)
-    assert float(weighted) == pytest.approx(float(equal), rel=1e-6)
-    torch.testing.assert_close(gradient_by(weighted, outputs), gradient_by(equal, outputs), rtol=1e-5, atol=1e-7)
-
-
 def test_sums_and_multiples_have_the_gradient_of_the_expression() -> None:
     outputs, targets = randoms(30).requires_grad_(), randoms(30, seed=1)
     loss = -clipped_surrogate(outputs, outputs.detach(), targets, 0.2) + 0.5 * squared_error(outputs, targets)

@@ -125,13 +125,6 @@ def test_rows_that_are_missing_or_others_are_noticed(tmp_path: Path, keep: list[
     assert read_metrics(path)["step"][-1] == 40
 
 
-def test_a_changed_value_is_noticed(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    noted = written(path)
-    path.write_text(path.read_text().replace("10.5", "99.5", 1))
-    assert MetricsFile(path, after=30, noted=noted).gap is not None
-
-
 def test_a_file_that_is_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
     file = MetricsFile(path)

@@ -73,22 +73,6 @@ def test_inputs_have_any_number_of_axes_and_any_layout(shape: tuple[int, ...]) -
         torch.testing.assert_close(outputs, reference(x).detach(), rtol=1e-5, atol=1e-5)
 
 
-def test_outputs_are_those_of_a_plain_loop() -> None:
-    perceptron, _ = both((3, 4, 2))
-    first, second = perceptron[0], perceptron[2]
-    with torch.no_grad():
-        for row in torch.randn(5, 3):
-            hidden = [
-                max(0.0, float(sum(w * x for w, x in zip(weights, row, strict=True)) + b))
-                for weights, b in zip(first.weight, first.bias, strict=True)
-            ]
-            expected = [
-                float(sum(w * h for w, h in zip(weights, hidden, strict=True)) + b)
-                for weights, b in zip(second.weight, second.bias, strict=True)
-            ]
-            assert perceptron(row[None])[0].tolist() == pytest.approx(expected, rel=1e-5, abs=1e-6)
-
-
 def test_passes_of_other_sizes_in_between_do_not_disturb_a_pass() -> None:
     perceptron, reference = both((5, 8, 4, 3))
     x, y = torch.randn(300, 5), torch.randn(300, 5)
@@ -103,18 +87,6 @@ def test_passes_of_other_sizes_in_between_do_not_disturb_a_pass() -> None:
     assert_all_close(
         found, torch.autograd.grad((reference(x) + 2.0 * reference(y)).sum(), list(reference.parameters()))
     )
-
-
-def test_memory_is_used_again() -> None:
-    perceptron, _ = both((5, 8, 3))
-    spaces = set()
-    for rows in (300, 300, 100, 299):
-        with recording() as tape:
-            outputs = perceptron(torch.randn(rows, 5))
-        assert perceptron._spare == []
-        gradients_of(perceptron, tape, torch.ones_like(outputs))
-        spaces.update(space.hidden(1)[0].ctypes.data for space in perceptron._spare)
-    assert len(spaces) == 1
 
 
 def test_a_pass_over_what_was_kept_takes_its_results() -> None:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 import pytest
 
 from algorithms.common import products
-from algorithms.common.products import AS_IT_IS, ROW_MAJOR, TRANSPOSED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,35 +53,6 @@ def test_what_is_beside_the_result_is_left() -> None:
     assert (whole[:, 2:6] == 4.0).all()
     assert (whole[:, :2] == 7.0).all()
     assert (whole[:, 6:] == 7.0).all()
-
-
-@pytest.fixture(scope="module")
-def numbas_function() -> Any:
-    """Compiled once."""
-    return products.numbas_function()
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize(("a_columns", "b_columns"), [(False, False), (False, True), (True, False), (True, True)])
-def test_numbas_function_does_the_same(
-    numbas_function: Any, size: tuple[int, int, int], a_columns: bool, b_columns: bool
-) -> None:
-    rng = np.random.default_rng(1)
-    m, k, n = size
-    a = laid_out((m, k), "some columns" if a_columns else "some rows", rng)
-    b = laid_out((k, n), "some columns" if b_columns else "some rows", rng)
-    out = np.full((m, n + 2), np.nan, np.float32)[:, :n]
-
-    def pointer(array: NDArray[np.float32]) -> Any:
-        return array.ctypes.data_as(ctypes.POINTER(ctypes.c_float))
-
-    def width(array: NDArray[np.float32]) -> int:
-        return max(array.strides) // products.ITEM
-
-    transposes = [TRANSPOSED if columns else AS_IT_IS for columns in (a_columns, b_columns)]
-    matrices = pointer(a), width(a), pointer(b), width(b), 0.0, pointer(out), width(out)
-    numbas_function.ctypes(ROW_MAJOR, *transposes, m, n, k, 1.0, *matrices)
-    np.testing.assert_allclose(out, a @ b, rtol=1e-5, atol=1e-5)
 
 
 def test_without_numpys_library_numbas_products_are_used() -> None:

@@ -168,34 +168,6 @@ def collected() -> Callable[[str], Collected]:
     return get
 
 
-@pytest.mark.slow
-@ALL
-def test_a_rollout_has_the_documented_shapes_and_types(collected: Callable[[str], Collected], situation: str) -> None:
-    c = collected(situation)
-    n, v, d = c.env.num_envs, c.env.vehicles, len(c.env.objectives)
-    assert v == (2 if situation.startswith("intersection") else 1)
-    for rollout in c.rollouts:
-        t = len(rollout.rewards)
-        o = c.env.observation_size
-        expected: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
-            "observations": ((t + 1, n, v, o), torch.float32),
-            "final": ((t, n, v, o), torch.float32),
-            "actions": ((t, n, v, 3), torch.float32) if c.env.continuous else ((t, n, v), torch.int64),
-            "rewards": ((t, n, v, d), torch.float32),
-            "accrued": ((t + 1, n, v, d), torch.float32),
-            "discounts": ((t + 1, n, v), torch.float32),
-            "terminated": ((t, n, v), torch.bool),
-            "truncated": ((t, n, v), torch.bool),
-            "acted": ((t, n, v), torch.bool),
-        }
-        assert {name: (tuple(x.shape), x.dtype) for name, x in vars(rollout).items()} == expected
-    for part in c.parts:
-        e = len(part.vehicles)
-        shapes = [part.returns.shape, part.discounted.shape, part.lengths.shape, part.succeeded.shape]
-        assert shapes == [(e, d), (e, d), (e,), (e,)]
-        assert part.returns.dtype == part.discounted.dtype == np.float64
-
-
 @ALL
 def test_the_cases_contain_the_events_that_the_other_tests_need(
     collected: Callable[[str], Collected], situation: str
@@ -407,11 +379,6 @@ def test_an_episode_has_succeeded_if_its_vehicle_arrived(collected: Callable[[st
     np.testing.assert_array_equal(c.episodes("succeeded"), arrived)
 
 
-@FOREIGN
-def test_without_a_success_flag_no_episode_succeeds(collected: Callable[[str], Collected], situation: str) -> None:
-    assert not collected(situation).episodes("succeeded").any()
-
-
 def test_a_rollout_in_which_no_episode_ends_gives_empty_episodes_of_the_right_shape() -> None:
     (part,) = collect(ONE_WAYPOINT, steps=2, rollouts=1).parts
     assert part.returns.shape == part.discounted.shape == (0, 4)
@@ -452,23 +419,6 @@ def test_a_collector_resumes_exactly_from_the_state_of_another(situation: str, r
     second.collect(random_policy(second.env))
     second.set_state(state)
     assert_goes_on_alike(first, second)
-
-
-@pytest.mark.parametrize("situation", ["one_waypoint", "intersection, continuous"])
-def test_a_collector_can_return_to_an_earlier_state(situation: str) -> None:
-    collector, reference = started(*SITUATIONS[situation]), started(*SITUATIONS[situation])
-    for each in (collector, reference):
-        each.collect(reflex(each.env))
-    state = collector.get_state()
-    collector.collect(reflex(collector.env))
-    collector.set_state(state)
-    assert_goes_on_alike(collector, reference)
-
-
-def test_the_state_of_a_collector_is_plain_arrays() -> None:
-    for array in started(INTERSECTION, {}).get_state().values():
-        assert isinstance(array, np.ndarray)
-        assert array.dtype != object
 
 
 def test_the_state_of_other_environments_is_refused() -> None:
@@ -623,13 +573,6 @@ def test_our_ids_make_native_vector_environments(env_id: str) -> None:
     assert env.num_envs == 3
     assert env.unwrapped.autoreset_mode is AutoresetMode.SAME_STEP
     assert env.unwrapped.config.time_limit == 5.0
-
-
-def test_any_other_id_makes_a_vector_environment_with_vector_rewards() -> None:
-    env = make_env(SEA, 3, {"float_state": True})
-    assert isinstance(env, MOSyncVectorEnv)
-    assert env.single_observation_space.dtype == np.float32
-    assert EnvAdapter(env).objectives == ("objective_0", "objective_1")
 
 
 def test_the_vector_entry_point_of_another_library_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,17 +9,14 @@ import copy
 import math
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 
 from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-STARTS = {"starts": ((27.077, 10.0, 0.0), (24.039, 40.0, math.pi))}
 Turn = tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]
 
 
@@ -46,12 +43,6 @@ def play(make_single: Callable[..., Any], plan: str, action_type: str = "continu
 
 
 # ------------------------------------------------------------------------------------------------------------- turns
-
-
-def test_the_vehicles_take_turns_and_the_info_says_whose_turn_it_is(env: Any) -> None:
-    assert env.reset(seed=0)[1] == {"vehicle": 0}
-    for turn in range(1, 11):
-        assert env.step(3)[4] == {"vehicle": turn % 2}
 
 
 def test_the_world_moves_after_both_choices_so_neither_sees_the_others(make_single: Any) -> None:
@@ -88,15 +79,6 @@ def test_a_turn_has_the_observation_and_reward_of_its_vehicle(make_single: Any, 
         observation, reward, *_ = env.step(joint[1])
         np.testing.assert_array_equal(observation, observations[0, 0])
         np.testing.assert_array_equal(reward, rewards[0, 0])
-
-
-def test_the_first_turns_of_a_later_episode_have_zero_reward_too(env: Any) -> None:
-    env.reset(seed=0)
-    for _ in range(9):
-        env.step(3)
-    assert env.reset()[1] == {"vehicle": 0}
-    assert not env.step(3)[1].any()
-    assert env.step(3)[1].any()
 
 
 # --------------------------------------------------------------------------------------------------------------- ends
@@ -183,48 +165,6 @@ def test_an_invalid_action_changes_neither_the_turn_nor_the_pending_choice(make_
     assert env.batch.state.tobytes() == before.batch.state.tobytes()
 
 
-def test_a_step_after_the_end_is_refused_until_a_reset(make_single: Any) -> None:
-    env = make_single("intersection", time_limit=0.1)
-    env.reset(seed=0)
-    assert [env.step(3)[3] for _ in range(3)] == [False, False, True]
-    before = env.batch.state.tobytes()
-    with pytest.raises(ResetNeeded):
-        env.step(3)
-    assert env.batch.state.tobytes() == before
-    assert env.reset()[1] == {"vehicle": 0}
-
-
-def test_starts_set_both_vehicles_for_one_episode(env: Any) -> None:
-    env.reset(seed=0, options=STARTS)
-    for car, (x, y, heading) in zip(env.telemetry(), STARTS["starts"], strict=True):
-        assert (car["x"], car["y"], car["heading"]) == (x, y, heading)
-    env.reset()
-    assert [car["y"] for car in env.telemetry()] != [10.0, 40.0]
-
-
-BAD_OPTIONS = {
-    "one start": ({"starts": ((27.0, 10.0, 0.0),)}, r"'starts'.*\(x, y, heading\), \(x, y, heading\)"),
-    "a NaN": ({"starts": ((27.0, math.nan, 0.0), (24.0, 40.0, 3.1))}, "'starts'.*finite"),
-    "a start far away": ({"starts": ((27.0, 1e4, 0.0), (24.0, 40.0, 3.1))}, r"'starts'.*\[-250, 250\] m"),
-    "the option of another scenario": ({"start": (27.0, 10.0, 0.0)}, "'start' in Intersection; did you mean 'starts'"),
-}
-
-
-@pytest.mark.parametrize("what", BAD_OPTIONS)
-def test_reset_options_without_a_valid_scenario_are_refused(env: Any, what: str) -> None:
-    options, message = BAD_OPTIONS[what]
-    env.reset(seed=0)
-    env.step(3)
-    before = copy.deepcopy(env)
-    with pytest.raises(ValueError, match=message):
-        env.reset(seed=5, options=options)
-    assert env.np_random_seed == 0
-    results, expected = env.step(3), before.step(3)
-    assert results[4] == expected[4] == {"vehicle": 0}
-    assert results[0].tobytes() == expected[0].tobytes()
-    assert env.reset()[0].tobytes() == before.reset()[0].tobytes()
-
-
 # ---------------------------------------------------------------------------------------------------------- rendering
 
 
@@ -244,10 +184,3 @@ def test_frames_change_when_the_world_moves_and_videos_play_in_real_time(
     assert (frames[-1] != frames[0]).any()
     env.close()
     assert make_single("intersection").render() is None
-
-
-def test_the_id_makes_the_turn_based_environment() -> None:
-    from mo_deepdrive.envs.turn_based import TurnBasedEnv
-
-    env = gymnasium.make("mo-deepdrive-intersection-v0", disable_env_checker=True)
-    assert type(env.unwrapped) is TurnBasedEnv

@@ -12,7 +12,6 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 
-import mo_deepdrive.evaluation
 from algorithms import A2C, MOA2C
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
@@ -184,17 +183,6 @@ def test_episode_i_is_the_first_one_of_a_single_environment_with_that_seed(
     assert_replayed(found, agent, single, 40, 0.9)
 
 
-@pytest.mark.slow
-def test_a_trained_policy_that_arrives_is_replayed_with_its_success() -> None:
-    agent = make_agent(A2C, utility=make_utility("one_waypoint_linear", OBJECTIVES), num_envs=64, steps=8)
-    agent.train(60_000)
-    found = evaluate(agent, make_env(ONE_WAYPOINT, 10), episodes=20, seed=40)
-    assert found.succeeded.any()
-    np.testing.assert_array_equal(found.succeeded, found.ends == "arrived")
-    np.testing.assert_array_equal(found.succeeded, found.returns[..., 1] == 1.0)
-    assert_replayed(found, agent, gymnasium.make(ONE_WAYPOINT, disable_env_checker=True).unwrapped, 40, 0.99)
-
-
 @CLASSES
 def test_episodes_of_other_environments_are_replayed_without_their_resets(cls: type[ActorCritic]) -> None:
     agent = diversified(make_agent(cls, SEA))
@@ -310,73 +298,6 @@ def test_esr_is_the_mean_utility_and_ser_the_utility_of_the_mean() -> None:
     assert metrics["discounted_utility_ser"] == pytest.approx(0.5 + 0.25 - 0.3**2 - 0.6**2)
 
 
-def test_esr_and_ser_coincide_under_a_linear_utility() -> None:
-    linear = make_utility("one_waypoint_linear", OBJECTIVES)
-    metrics = made(TWO_RETURNS, linear).metrics()
-    expected = (0.5 * 6 + 1 - 0.03 * 2 - 3.3e-5 * 4 + 0.5 * -2 - 0.03 * 10 - 3.3e-5 * 20) / 2
-    assert metrics["utility_esr"] == pytest.approx(expected)
-    assert metrics["utility_ser"] == pytest.approx(expected)
-    assert metrics["discounted_utility_esr"] == pytest.approx(metrics["discounted_utility_ser"])
-    agent = make_agent(A2C, utility=linear)
-    found = evaluate(agent, make_env(ONE_WAYPOINT, 8, SHORT), episodes=8, greedy=False).metrics()
-    assert found["utility_esr"] == pytest.approx(found["utility_ser"])
-
-
-def test_utilities_of_episodes_are_those_of_their_undiscounted_returns() -> None:
-    np.testing.assert_allclose(made(TWO_RETURNS, NONLINEAR).episode_utilities(), [8.4, -6.0])
-
-
-def test_returns_lengths_and_successes_are_reported_as_means() -> None:
-    evaluation = made(
-        TWO_RETURNS,
-        NONLINEAR,
-        lengths=np.array([[4], [10]]),
-        succeeded=np.array([[True], [False]]),
-        ends=np.array([["arrived"], ["time_limit"]], dtype=object),
-    )
-    metrics = evaluation.metrics()
-    assert metrics["return/distance"] == 2.0
-    assert metrics["return/jerk"] == -12.0
-    assert metrics["discounted_return/jerk"] == -6.0
-    assert metrics["length"] == 7.0
-    assert metrics["success"] == 0.5
-    assert metrics["end/arrived"] == metrics["end/time_limit"] == 0.5
-    assert metrics["end/collision"] == metrics["end/circling"] == 0.0
-
-
-def test_comfort_is_reported_per_decision_as_mean_and_largest_magnitude() -> None:
-    largest = np.array([[[3.0, 1.0, 0.7, 2.0]], [[1.0, 0.0, 0.9, 1.5]]])
-    metrics = made(TWO_RETURNS, NONLINEAR, lengths=np.array([[4], [10]]), largest=largest).metrics()
-    assert metrics["max_g_force"] == 0.9
-    assert metrics["max_jerk"] == 2.0
-    assert metrics["mean_g_force"] == pytest.approx((2 / 4 + 10 / 10) / 2)
-    assert metrics["mean_jerk"] == pytest.approx((4 / 4 + 20 / 10) / 2)
-    assert "max_distance" not in metrics
-
-
-@pytest.mark.parametrize(
-    ("env_id", "arguments"),
-    [
-        (ONE_WAYPOINT, {"time_limit": 11.0}),
-        (STATIC_OBSTACLE, {"time_limit": 20.0}),
-        (INTERSECTION, {"action_type": "continuous", "time_limit": 9.0}),
-        (INTERSECTION, {"end_together": True, "time_limit": 15.0}),
-    ],
-)
-def test_the_rates_of_all_reasons_to_end_add_up_to_one(env_id: str, arguments: dict[str, Any]) -> None:
-    agent = make_agent(A2C, env_id, env=arguments)
-    found = evaluate(agent, make_env(env_id, 8, arguments), episodes=20, greedy=False)
-    metrics = found.metrics()
-    assert len(set(found.ends.ravel())) > 1
-    for v in range(agent.env.vehicles):
-        rates = found.end_rates(v)
-        assert sum(rates.values()) == pytest.approx(1.0)
-        prefix = f"vehicle_{v}/end/" if agent.env.vehicles > 1 else "end/"
-        assert {prefix + end: rate for end, rate in rates.items()}.items() <= metrics.items()
-        for end, rate in rates.items():
-            assert rate == pytest.approx(np.mean(found.ends[:, v] == end))
-
-
 def test_ends_of_another_library_need_not_be_text() -> None:
     ends = np.array([[2], [3], [2], [2]], dtype=object)
     returns = np.zeros((4, 1, 1))
@@ -416,13 +337,6 @@ def test_the_success_of_all_vehicles_is_that_they_arrive_in_the_same_episode() -
     assert metrics["vehicle_0/success"] == metrics["vehicle_1/success"] == 0.5
 
 
-def test_metrics_are_plain_finite_numbers() -> None:
-    for env_id in (ONE_WAYPOINT, INTERSECTION, SEA):
-        agent = make_agent(A2C, env_id)
-        metrics = evaluate(agent, make_env(env_id, 3, {"max_episode_steps": 12}), episodes=3).metrics()
-        assert all(type(value) is float and np.isfinite(value) for value in metrics.values())
-
-
 # Arguments.
 
 
@@ -453,12 +367,6 @@ def test_a_utility_is_given_by_name_as_a_utility_or_as_a_function(utility: Any) 
     assert found.metrics()["utility_esr"] == found.estimates()["utility_esr"].value
 
 
-def test_a_given_utility_replaces_those_of_an_agent() -> None:
-    agent = make_agent(A2C)
-    found = evaluate(agent, make_env(ONE_WAYPOINT, 3, SHORT), episodes=3, utility="one_waypoint_nonlinear")
-    assert [utility.name for utility in found.utilities] == ["one_waypoint_nonlinear"]
-
-
 @pytest.mark.parametrize(
     ("env_id", "env_kwargs", "what"),
     [
@@ -471,12 +379,6 @@ def test_a_given_utility_replaces_those_of_an_agent() -> None:
 def test_an_agent_of_another_task_is_refused(env_id: str, env_kwargs: dict[str, Any], what: str) -> None:
     with pytest.raises(ValueError, match=f"a policy for {what} = .* cannot drive where {what} = "):
         evaluate(make_agent(A2C), env_id, episodes=2, env_kwargs=env_kwargs)
-
-
-def test_vehicles_may_have_different_utilities() -> None:
-    names = ["intersection_nonlinear", "intersection_linear"]
-    found = evaluate(idle, INTERSECTION, episodes=2, env_kwargs=SHORT, utility=names)
-    assert [utility.name for utility in found.utilities] == names
 
 
 def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> None:
@@ -518,31 +420,6 @@ def test_without_a_utility_the_estimates_are_those_of_returns_and_rates() -> Non
 def test_invalid_arguments_are_refused(policy: Any, options: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         evaluate(policy, ONE_WAYPOINT, **options)
-
-
-def test_arguments_of_an_environment_that_exists_are_refused() -> None:
-    with pytest.raises(ValueError, match="env_kwargs are for an environment given by its id"):
-        evaluate(idle, make_env(ONE_WAYPOINT, 1), env_kwargs={})
-
-
-@pytest.mark.slow
-def test_a_function_is_evaluated_without_torch(run_python: Callable[[str], str]) -> None:
-    loaded = run_python(
-        "import sys, mo_deepdrive.evaluation\n"
-        "assert not {'torch', 'numpy', 'gymnasium'} & set(sys.modules)\n"
-        "from mo_deepdrive.evaluation import Evaluation, evaluate\n"
-        "import numpy as np\n"
-        "policy = lambda observations, accrued, discounts: np.zeros(len(observations), dtype=int)\n"
-        f"assert isinstance(evaluate(policy, '{ONE_WAYPOINT}', episodes=2), Evaluation)\n"
-        "print([name for name in ('torch', 'mo_deepdrive.evaluation.evaluation', 'minari') if name in sys.modules])"
-    )
-    assert loaded == "[]\n"
-
-
-def test_the_names_of_the_package_are_listed() -> None:
-    assert {"Evaluation", "evaluate", "record_dataset"} <= set(dir(mo_deepdrive.evaluation))
-    with pytest.raises(AttributeError, match="has no attribute 'evaluat'"):
-        mo_deepdrive.evaluation.evaluat  # noqa: B018  (the access itself raises)
 
 
 @pytest.mark.slow

@@ -74,23 +74,6 @@ def test_intervals_are_as_wide_as_the_variation_of_the_episodes_implies() -> Non
     np.testing.assert_allclose(front.returns - front.low, expected, rtol=0.2)
 
 
-def test_intervals_have_no_width_if_all_episodes_are_the_same() -> None:
-    alike = np.repeat(np.random.default_rng(0).integers(-9, 9, (3, 1, 2)) / 4, 5, axis=1)
-    front = make_front(e=5, returns=alike)
-    np.testing.assert_array_equal(front.returns, alike[:, 0])
-    np.testing.assert_array_equal(front.low, front.returns)
-    np.testing.assert_array_equal(front.high, front.returns)
-    alone = make_front(e=1)
-    np.testing.assert_array_equal(alone.low, alone.returns)
-    np.testing.assert_array_equal(alone.high, alone.returns)
-
-
-def test_arrivals_and_commands_may_be_missing() -> None:
-    front = make_front(succeeded=None, conditions=None, condition_names=())
-    assert np.isnan(front.success).all()
-    assert front.conditions.shape == (3, 0)
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -222,46 +205,6 @@ def test_a_written_front_reads_back_to_the_last_bit(tmp_path: Path, changed: dic
         "seed": 17,
         "objectives": ["speed", "comfort"],
     }
-
-
-def test_the_file_of_a_front_has_a_row_per_policy(tmp_path: Path) -> None:
-    front = make_front()
-    front.write(tmp_path, {})
-    with (tmp_path / "front.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["policy"] for row in rows] == ["0", "1", "2"]
-    for k, row in enumerate(rows):
-        numbers = {name: float(text) for name, text in row.items()}
-        assert numbers == front.rows()[k]
-        assert numbers == {
-            "policy": k,
-            "success": front.success[k],
-            "length": front.length[k],
-            "return/speed": front.returns[k, 0],
-            "return/comfort": front.returns[k, 1],
-            "return/speed/low": front.low[k, 0],
-            "return/comfort/low": front.low[k, 1],
-            "return/speed/high": front.high[k, 0],
-            "return/comfort/high": front.high[k, 1],
-            "discounted_return/speed": front.discounted[k, 0],
-            "discounted_return/comfort": front.discounted[k, 1],
-            "condition/a": front.conditions[k, 0],
-            "condition/b": front.conditions[k, 1],
-            "condition/horizon": front.conditions[k, 2],
-        }
-
-
-def test_additional_content_does_not_replace_the_numbers_of_a_front(tmp_path: Path) -> None:
-    make_front().write(tmp_path, {"gamma": 0.1, "episodes": 7})
-    assert same(Front.read(tmp_path), make_front())
-
-
-@pytest.mark.parametrize("name", ["front.csv", "evaluation.json"])
-def test_a_missing_front_is_refused_by_name(tmp_path: Path, name: str) -> None:
-    make_front().write(tmp_path, {})
-    (tmp_path / name).unlink()
-    with pytest.raises(ValueError, match=rf"'{re.escape(str(tmp_path))}' holds no front: there is no {name}"):
-        Front.read(tmp_path)
 
 
 def edit_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[str], str]:

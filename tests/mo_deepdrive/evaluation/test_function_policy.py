@@ -6,7 +6,6 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
-import mo_gymnasium
 import numpy as np
 import pytest
 import torch
@@ -15,7 +14,6 @@ from algorithms import MOA2C
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
-from mo_deepdrive.evaluation.function_policy import FunctionPolicy
 from mo_deepdrive.utilities import make_utility
 
 if TYPE_CHECKING:
@@ -87,30 +85,6 @@ def test_a_function_is_given_what_the_documentation_says(env_id: str, shapes: li
     assert calls[0][0].dtype == (np.int32 if env_id == ROOMS else np.float32)
     for i, (_, _, discounts) in enumerate(calls[:4]):  # each call has arrays of its own
         np.testing.assert_array_equal(discounts, 0.5**i)
-
-
-def test_the_accrued_reward_is_the_discounted_sum_of_the_rewards() -> None:
-    accrued = []
-
-    def function(_observations: Any, rewards: Any, _discounts: Any) -> Any:
-        accrued.append(rewards)
-        return np.full(1, 3)
-
-    evaluate(function, ONE_WAYPOINT, episodes=1, seed=7, gamma=0.9)
-    env = mo_gymnasium.make(ONE_WAYPOINT)
-    env.reset(seed=7)
-    total = np.zeros(4)
-    for t, found in enumerate(accrued):
-        np.testing.assert_allclose(found[0], total, rtol=1e-5, atol=1e-6)
-        total += 0.9**t * env.step(3)[1]
-
-
-def test_the_policy_is_also_one_for_another_number_of_environments() -> None:
-    adapter = EnvAdapter(make_env(INTERSECTION, 1))
-    policy = FunctionPolicy(idle, adapter)
-    observations = np.zeros((3, 2, 29), dtype=np.float32)
-    assert policy.act(observations, AccruedReward.begin(3, 2, 6), None).shape == (3, 2)
-    assert policy.device == torch.device("cpu")
 
 
 WHOLE = {"action_type": "continuous"}

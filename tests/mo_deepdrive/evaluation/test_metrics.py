@@ -10,27 +10,18 @@ import pytest
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.metrics import (
     APPROX_KL,
-    RENAMED,
     end_rates,
     known_metric,
     label,
     lower_is_better,
     split_name,
     summarise,
-    title_of,
 )
 from mo_deepdrive.simulation.state import ENDS
 
 OBJECTIVES = ("distance", "g_force")
 
 # Names.
-
-
-def test_no_name_is_used_twice() -> None:
-    names = [
-        value for name, value in vars(metrics).items() if name.isupper() and isinstance(value, str) and name[0] != "_"
-    ]
-    assert len(set(names)) == len(names)
 
 
 @pytest.mark.parametrize(
@@ -49,17 +40,6 @@ def test_no_name_is_used_twice() -> None:
 )
 def test_names_are_split_into_policy_vehicle_and_metric(name: str, parts: tuple[str, str, str]) -> None:
     assert split_name(name) == parts
-
-
-def test_a_metric_is_known_if_it_is_available() -> None:
-    assert known_metric("greedy/success", ["step", "greedy/success"]) == "greedy/success"
-
-
-@pytest.mark.parametrize("prefix", ["", "vehicle_1/"])
-@pytest.mark.parametrize("old", RENAMED)
-def test_an_old_name_is_refused_with_the_new_one(prefix: str, old: str) -> None:
-    with pytest.raises(ValueError, match=f"metric '{prefix}{old}' was renamed; write '{prefix}{RENAMED[old]}'"):
-        known_metric(prefix + old, [prefix + RENAMED[old]])
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
@@ -83,14 +63,6 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
 )
 def test_some_metrics_are_better_when_lower(name: str, lower: bool) -> None:
     assert lower_is_better(name) is lower
-
-
-def test_titles_are_plain_words_with_units() -> None:
-    assert title_of("eval/greedy/vehicle_0/success") == "arrival rate"
-    assert title_of("train/utility") == title_of("utility_esr") == "utility per episode"
-    assert title_of("return/jerk") == "jerk (sum, m/s³)"
-    assert title_of("return/objective_0") == "objective 0"
-    assert title_of("max_jerk") == "max jerk"
 
 
 def test_labels_say_what_is_summed() -> None:
@@ -143,28 +115,6 @@ def test_training_logs_keep_their_sums_to_the_last_bit() -> None:
     columns = np.mean(list(table), axis=0)
     again = summarise(OBJECTIVES, table[:, 2:], table[:, 1], table[:, 0])
     assert list(again.values()) == columns.tolist()
-
-
-def test_evaluations_keep_their_sums_to_the_last_bit() -> None:
-    rng = np.random.default_rng(1)
-    returns, discounted = rng.normal(size=(257, 2, 2)), rng.normal(size=(257, 2, 2))
-    given = episodes(257)
-    given["returns"] = returns[:, 1]
-    found = summarise(OBJECTIVES, **given, utility=utility, discounted=discounted[:, 1])
-    for i, objective in enumerate(OBJECTIVES):
-        assert found[f"return/{objective}"] == returns[:, 1, i].mean()
-        assert found[f"discounted_return/{objective}"] == discounted[:, 1, i].mean()
-    assert found["utility_esr"] == utility(returns[:, 1]).mean()
-    assert found["utility_ser"] == utility(returns[:, 1].mean(axis=0))
-    assert found["discounted_utility_esr"] == utility(discounted[:, 1]).mean()
-    assert found["discounted_utility_ser"] == utility(discounted[:, 1].mean(axis=0))
-    assert "utility" not in found
-
-
-def test_without_a_utility_there_is_none_in_the_summary() -> None:
-    given = episodes(5)
-    assert not [name for name in summarise(OBJECTIVES, **given) if "utility" in name]
-    assert not [name for name in summarise(OBJECTIVES, **given, discounted=given["returns"]) if "utility" in name]
 
 
 def test_comfort_and_ends_are_reported_if_they_are_given() -> None:

@@ -15,22 +15,14 @@ from mo_deepdrive.evaluation.splits import (
     EVALUATION_SEED_LIMIT,
     FIRST_TRAINING_SEED,
     SPLITS,
-    SPLITS_VERSION,
     Split,
     check_episodes,
-    describe_episodes,
     first_seed,
 )
 from tests.helpers.short_runs import VALUES
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def test_the_splits_are_those_of_version_1() -> None:
-    assert SPLITS_VERSION == 1
-    assert dict(SPLITS) == {"validation": range(2_000_000, 3_000_000), "test": range(3_000_000, 3_002_000)}
-    assert FIRST_TRAINING_SEED == 2**32
 
 
 def test_no_scenario_is_in_two_splits() -> None:
@@ -78,21 +70,3 @@ def test_a_split_has_no_more_scenarios_than_it_has() -> None:
         make_experiment({**VALUES, "evaluation": {"final_episodes": 2001}})
     with pytest.raises(ValueError, match=r"evaluation\.episodes = 1000001 exceeds the 1,000,000 scenarios of the val"):
         make_experiment({**VALUES, "evaluation": {"episodes": 1_000_001}})
-
-
-def test_the_former_seed_of_evaluations_is_refused_with_the_new_setting() -> None:
-    with pytest.raises(ValueError, match=r"'evaluation\.seed' was renamed; write 'split'"):
-        make_experiment({**VALUES, "evaluation": {"seed": 1_000_000}})
-
-
-@pytest.mark.parametrize(
-    ("episodes", "seed", "text"),
-    [
-        (2000, 3_000_000, "2000 episodes of the test split"),
-        (100, 2_000_000, "100 episodes of the validation split"),
-        (100, 3_000_001, "100 episodes from seed 3000001"),
-        (2001, 3_000_000, "2001 episodes from seed 3000000"),
-    ],
-)
-def test_episodes_are_described_by_their_split(episodes: int, seed: int, text: str) -> None:
-    assert describe_episodes(episodes, seed) == text

@@ -6,7 +6,6 @@ import itertools
 import math
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
@@ -24,22 +23,6 @@ def reals(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 # --------------------------------------------------------------------------------------------------- plane geometry
-
-
-@numba.njit
-def segments_touch_boxes(boxes, segments, out):  # type: ignore[no-untyped-def]
-    for k in range(len(boxes)):
-        x, y, heading = boxes[k]
-        ax, ay, bx, by = segments[k]
-        out[k] = geometry.segment_touches_box(x, y, math.cos(heading), math.sin(heading), ax, ay, bx, by)
-
-
-@numba.njit
-def pairs_overlap(first, second, out):  # type: ignore[no-untyped-def]
-    for k in range(len(first)):
-        ax, ay, a = first[k]
-        bx, by, b = second[k]
-        out[k] = geometry.boxes_overlap(ax, ay, math.cos(a), math.sin(a), bx, by, math.cos(b), math.sin(b))
 
 
 def touches(box: tuple[float, float, float], segment: np.ndarray) -> bool:
@@ -95,58 +78,6 @@ def inside(shapes: Any, box: np.ndarray, many: np.ndarray) -> np.ndarray:
     right = away[..., 0] * cos + away[..., 1] * sin
     ahead = away[..., 1] * cos - away[..., 0] * sin
     return (abs(right) <= shapes.width / 2) & (abs(ahead) <= shapes.length / 2)
-
-
-@pytest.mark.slow
-def test_densely_sampled_segments_agree(shapes: Any) -> None:
-    rng = np.random.default_rng(0)
-    boxes = rng.uniform([-5, -5, -4], [5, 5, 4], (20_000, 3))
-    segments = rng.uniform(-6, 6, (20_000, 4))
-    along = np.linspace(0, 1, 201)[None, :, None]
-    sampled = inside(shapes, boxes, segments[:, None, :2] * (1 - along) + segments[:, None, 2:] * along).any(axis=1)
-    found = np.zeros(len(boxes), dtype=bool)
-    segments_touch_boxes(boxes, segments, found)
-    assert found[sampled].all()
-    # The samples may miss a corner that the segment clips between two of them.
-    clipped = np.flatnonzero(found & ~sampled)
-    assert len(clipped) < 0.01 * len(boxes)
-    for k in clipped:
-        assert -0.1 < shapes.gap(shapes.box(*boxes[k]), segments[k].reshape(2, 2)) < EDGE
-    assert 4_000 < sampled.sum() < 16_000
-
-
-@pytest.mark.slow
-def test_densely_sampled_boxes_agree(shapes: Any) -> None:
-    rng = np.random.default_rng(1)
-    first = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
-    second = rng.uniform([-4, -4, -4], [4, 4, 4], (10_000, 3))
-    # Two convex shapes overlap exactly if an edge of one meets the other, or one is inside the other.
-    parts = np.linspace(-0.5, 0.5, 41)
-    right, ahead = (axis.ravel() for axis in np.meshgrid(parts * shapes.width, parts * shapes.length))
-    cos, sin = np.cos(first[:, 2:]), np.sin(first[:, 2:])
-    grid = np.stack([first[:, :1] + cos * right - sin * ahead, first[:, 1:2] + sin * right + cos * ahead], axis=-1)
-    sampled = inside(shapes, second, grid).any(axis=1)
-    found = np.zeros(len(first), dtype=bool)
-    pairs_overlap(first, second, found)
-    assert found[sampled].all()
-    clipped = np.flatnonzero(found & ~sampled)
-    assert len(clipped) < 0.02 * len(first)
-    for k in clipped:
-        assert -0.2 < shapes.gap(shapes.box(*first[k]), shapes.box(*second[k])) < EDGE
-    assert 2_000 < sampled.sum() < 9_000
-
-
-@given(heading=reals(-7, 7), right=reals(-0.4, 0.4), ahead=reals(-0.4, 0.4), turn=reals(0, 7), length=reals(0, 0.4))
-def test_a_segment_inside_the_car_touches_it(
-    shapes: Any, heading: float, right: float, ahead: float, turn: float, length: float
-) -> None:
-    middle = np.array([3.0, 4.0])
-    middle += right * shapes.width * np.array([math.cos(heading), math.sin(heading)])
-    middle += ahead * shapes.length * np.array([-math.sin(heading), math.cos(heading)])
-    side = min(length, 0.09 * shapes.width) * np.array([math.cos(turn), math.sin(turn)])
-    segment = np.array([middle - side, middle + side])
-    assert shapes.gap(shapes.box(3.0, 4.0, heading), segment) < 0
-    assert touches((3.0, 4.0, heading), segment)
 
 
 # --------------------------------------------------------------------------------------------- a car and a bicycle

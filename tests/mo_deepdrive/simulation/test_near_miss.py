@@ -157,12 +157,6 @@ def test_a_vehicle_that_has_left_the_road_is_none(make_vector: Any) -> None:
     assert env.batch.rewards[0].ravel().tolist() == [0.0, 0.0]
 
 
-def test_scenarios_without_others_do_not_have_it(make_single: Any) -> None:
-    for scenario, title in (("one_waypoint", "OneWaypoint"), ("static_obstacle", "StaticObstacle")):
-        with pytest.raises(ValueError, match=f"objectives has 'near_miss', which {title} does not have"):
-            make_single(scenario, objectives=["near_miss"])
-
-
 @pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle", "intersection", "left_turn"])
 @pytest.mark.parametrize("frequency", [10, 4])
 def test_every_scenario_can_count_the_seconds(make_vector: Any, scenario: str, frequency: int) -> None:

@@ -319,13 +319,6 @@ def test_nobody_brakes_harder_for_the_agent_than_it_yields(worlds: Any) -> None:
         assert (first["acceleration"] >= -first["driver"]["yielding"] - 1e-9).all()
 
 
-def test_a_car_is_not_stopped_by_an_agent_that_waits_in_its_own_lane(worlds: Any) -> None:
-    env = worlds()
-    env.reset(options={**PINNED, "start": WAITING})
-    idle(env, 40)
-    assert cars_of(env)[0]["speed"] == pytest.approx(10.0)
-
-
 def test_a_collision_ends_the_episode_and_the_world_stands_still(worlds: Any) -> None:
     env = worlds()
     env.reset(options={**PINNED, "yielding": (0.5,)})
@@ -407,16 +400,6 @@ def test_nothing_hidden_is_observed(worlds: Any) -> None:
     assert env.batch.observations[0].tobytes() == env.batch.observations[1].tobytes()
 
 
-def test_telemetry_has_the_cars(make_single: Any) -> None:
-    env = make_single("left_turn")
-    env.reset(seed=0, options={"cars": 4, "headways": (2.0,), "desired_speeds": (10.0,)})
-    reading = env.telemetry()[0]
-    assert reading["car_1_x"] == pytest.approx(LANE_X)
-    assert reading["car_1_y"] == pytest.approx(ENTRY + 20.0 + LENGTH / 2)
-    assert (reading["car_1_speed"], reading["car_1_acceleration"]) == (10.0, 0.0)
-    assert [reading[f"car_{number}_present"] for number in range(1, 6)] == [1.0, 1.0, 1.0, 1.0, 0.0]
-
-
 # ------------------------------------------------------------------------------------------------------- reset options
 
 
@@ -494,12 +477,3 @@ def test_options_that_make_no_scenario_are_refused_by_name_and_nothing_changes(
     following = single.reset()[0]
     single.reset(seed=0)
     assert following.tobytes() == single.reset()[0].tobytes()
-
-
-def test_cars_of_a_scenario_without_traffic_are_refused(make_single: Any) -> None:
-    with pytest.raises(ValueError, match="unknown reset option 'cars' in OneWaypoint; known: destination, start"):
-        make_single("one_waypoint").reset(options={"cars": 1})
-    with pytest.raises(ValueError, match="traffic = 'dense' has no effect in Intersection; omit it"):
-        make_single("intersection", traffic="dense")
-    with pytest.raises(ValueError, match="'traffic' = 'rush': Input should be 'none', 'light', 'default' or 'dense'"):
-        make_single("left_turn", traffic="rush")
