@@ -90,7 +90,7 @@ def test_own_code_is_trained_and_a_run_that_fails_is_reported_with_its_reason(
     assert (done.returncode, [status(run)["state"] for run in runs(sweep)]) == (1, ["finished", "failed"]), log(sweep)
     assert "1 done, 0 running, 1 failed" in done.stdout
     assert "FAILED algorithm.name=reinforce:REINFORCE utility.name=broken:utility seed 0" in done.stdout
-    assert "no licence on this node" in done.stdout
+    assert "no [red] licence on this node" in done.stdout
 
 
 def test_the_dry_run_prints_a_script_that_sbatch_accepts(cluster: SlurmCluster, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from tests.helpers.sweep_files import eventually
 if TYPE_CHECKING:
     from pathlib import Path
 
-LONG = {"total_timesteps": 30_000, "num_envs": 32}  # a second or two
+LONG = {"total_timesteps": 60_000, "num_envs": 32}  # some seconds
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
 
@@ -175,7 +175,7 @@ def lockable(run: Run) -> bool:
 
 
 def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path) -> None:
-    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(12)]
+    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(16)]
     generator = random.Random(0)
     kills = 0
     over = threading.Event()
@@ -183,10 +183,10 @@ def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path
     def killer() -> None:
         nonlocal kills
         while not over.is_set():
-            enough = sum(wanted.done for wanted in jobs) + generator.randint(1, 3)
+            enough = sum(wanted.done for wanted in jobs) + generator.randint(1, 2)
             while not over.wait(0.05) and sum(wanted.done for wanted in jobs) < enough:
                 pass
-            over.wait(generator.uniform(0.0, 0.5))
+            over.wait(generator.uniform(0.0, 0.2))
             workers = [child.pid for child in multiprocessing.active_children() if child.pid is not None]
             if workers and not over.is_set():
                 os.kill(generator.choice(workers), signal.SIGKILL)
@@ -205,7 +205,7 @@ def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path
     for wanted in jobs:
         assert wanted.done
         assert_whole(wanted.path)
-    for seed in (0, 11):
+    for seed in (0, 15):
         whole = job(tmp_path / "whole", seed, total_timesteps=8_000, num_envs=8)
         perform(whole)
         assert_same_run(jobs[seed].path, whole.path)
