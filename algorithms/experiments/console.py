@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import ConsoleOptions, ConsoleRenderable, RenderableType, RenderResult
 
 WIDTH = 120  # columns, of files and where there is no terminal
+LINE_INTERVAL = 15.0  # s between lines about the progress, where there is no terminal
 
 
 class _Printable:

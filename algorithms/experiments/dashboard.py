@@ -12,8 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from algorithms.experiments.console import LiveDisplay, print_line
-from algorithms.experiments.progress_bar import LINE_INTERVAL
+from algorithms.experiments.console import LINE_INTERVAL, LiveDisplay, print_line
 from algorithms.experiments.run_directory import read_status
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from numba.core import event
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from algorithms.experiments.console import LiveDisplay, print_line
+from algorithms.experiments.console import LINE_INTERVAL, LiveDisplay, print_line
 from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     FRONT,
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 SHOWN = (STEPS_PER_SECOND, *(evaluation_prefix(FRONT) + name for name in (HYPERVOLUME, CARDINALITY)))
-LINE_INTERVAL = 15.0  # s between lines, without a terminal
 REFRESH_INTERVAL = 0.1  # s between refreshes of the bar
 FIRST_UPDATES = 2  # in which code may be compiled; the time left is known from later ones
 COMPILING = "compiling the simulator and the training loop (once, about 20 s)"

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -79,7 +80,7 @@ class Check:
 
 
 Criterion = Callable[["ReproductionResults", str], Check]  # of the results and the key of a protocol
-Decision = Callable[[Estimate], bool | None]
+Decision = Callable[[Estimate, float], bool | None]  # of an estimate and a limit
 
 
 @dataclass(frozen=True)
@@ -264,99 +265,67 @@ def _label(variant: str) -> str:
     return "A2C" if variant == BASELINE else "MO-A2C"
 
 
-def _success_rate(task: str, variant: str, condition: str, passes: Decision, lasting: bool) -> Criterion:
-    """A criterion on the share of episodes in which the vehicle, or all vehicles, arrive."""
-
-    def criterion(results: ReproductionResults, protocol: str) -> Check:
-        rate = iqm(results.values(task, protocol, variant, SUCCESS))
-        name = f"{_label(variant)}: success rate {condition}"
-        measured = f"success rate {percent(rate, results.episodes_width(task, protocol, variant, SUCCESS))}"
-        return _check(results, task, protocol, name, measured, passes(rate), lasting)
-
-    return criterion
+def success_above(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
+    """The share of episodes in which the vehicle, or all vehicles, arrive is above the limit."""
+    rate, measured = _success_rate(task, variant, results, protocol)
+    name = f"{_label(variant)}: success rate above {limit:.0%}"
+    return _check(results, task, protocol, name, measured, is_above(rate, limit), lasting=True)
 
 
-def solves(task: str, variant: str) -> Criterion:
-    """The success rate is above SOLVED."""
-    return _success_rate(task, variant, f"above {SOLVED:.0%}", lambda rate: is_above(rate, SOLVED), lasting=True)
+def success_below(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
+    """The share of episodes in which the vehicle, or all vehicles, arrive is below the limit."""
+    rate, measured = _success_rate(task, variant, results, protocol)
+    utility = f" ({utility_kind(task)} utility)" if task.startswith("intersection") else ""
+    name = f"{_label(variant)}: success rate below {limit:.0%}{utility}"
+    return _check(results, task, protocol, name, measured, _is_below(rate, limit), lasting=False)
 
 
-def fails(task: str, variant: str) -> Criterion:
-    """The success rate is below FAILED."""
-    condition = f"below {FAILED:.0%} ({utility_kind(task)} utility)"
-    return _success_rate(task, variant, condition, lambda rate: _is_below(rate, FAILED), lasting=False)
+def _success_rate(task: str, variant: str, results: ReproductionResults, protocol: str) -> tuple[Estimate, str]:
+    rate = iqm(results.values(task, protocol, variant, SUCCESS))
+    return rate, f"success rate {percent(rate, results.episodes_width(task, protocol, variant, SUCCESS))}"
 
 
-def learns(task: str, variant: str) -> Criterion:
-    """The success rate is above LEARNED."""
-    return _success_rate(task, variant, f"above {LEARNED:.0%}", lambda rate: is_above(rate, LEARNED), lasting=True)
-
-
-def does_not_learn(task: str, variant: str) -> Criterion:
-    """The success rate is below LEARNED."""
-    return _success_rate(task, variant, f"below {LEARNED:.0%}", lambda rate: _is_below(rate, LEARNED), lasting=False)
-
-
-def moves_away(task: str, variant: str) -> Criterion:
+def moves_away(task: str, variant: str, results: ReproductionResults, protocol: str) -> Check:
     """Episodes end farther from the destination than they start."""
-
-    def criterion(results: ReproductionResults, protocol: str) -> Check:
-        progress = iqm(results.values(task, protocol, variant, return_of("distance")))
-        name = f"{_label(variant)} moves away from the destination"
-        return _check(results, task, protocol, name, f"progress {progress.text()} m", _is_below(progress, 0.0))
-
-    return criterion
+    progress = iqm(results.values(task, protocol, variant, return_of("distance")))
+    name = f"{_label(variant)} moves away from the destination"
+    return _check(results, task, protocol, name, f"progress {progress.text()} m", _is_below(progress, 0.0))
 
 
-def similar_utility(task: str) -> Criterion:
+def similar_utility(task: str, results: ReproductionResults, protocol: str) -> Check:
     """The utilities differ by less than SIMILAR of the baseline's."""
-
-    def criterion(results: ReproductionResults, protocol: str) -> Check:
-        found = compare(results, task, protocol, utility_metric(task))
-        margin = SIMILAR * abs(found.baseline.value)
-        name = f"the utilities differ by less than {SIMILAR:.0%}"
-        measured = f"difference {found.difference.text(found.width)}, {SIMILAR:.0%} is {margin:.2g}"
-        return _check(results, task, protocol, name, measured, _is_within(found.difference, margin))
-
-    return criterion
+    found = compare(results, task, protocol, utility_metric(task))
+    margin = SIMILAR * abs(found.baseline.value)
+    name = f"the utilities differ by less than {SIMILAR:.0%}"
+    measured = f"difference {found.difference.text(found.width)}, {SIMILAR:.0%} is {margin:.2g}"
+    return _check(results, task, protocol, name, measured, _is_within(found.difference, margin))
 
 
-def higher_utility(task: str) -> Criterion:
+def higher_utility(task: str, results: ReproductionResults, protocol: str) -> Check:
     """MO-A2C has a higher utility than A2C."""
-
-    def criterion(results: ReproductionResults, protocol: str) -> Check:
-        found = compare(results, task, protocol, utility_metric(task))
-        name, measured = "MO-A2C has the higher utility", f"difference {found.difference.text(found.width)}"
-        return _check(results, task, protocol, name, measured, is_above(found.difference, 0.0))
-
-    return criterion
+    found = compare(results, task, protocol, utility_metric(task))
+    name, measured = "MO-A2C has the higher utility", f"difference {found.difference.text(found.width)}"
+    return _check(results, task, protocol, name, measured, is_above(found.difference, 0.0))
 
 
-def more_consistent(task: str) -> Criterion:
+def more_consistent(task: str, results: ReproductionResults, protocol: str) -> Check:
     """The utility of MO-A2C varies less between seeds than that of A2C."""
-
-    def criterion(results: ReproductionResults, protocol: str) -> Check:
-        metric = utility_metric(task)
-        first, second = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
-        ratio = spread_ratio(first, second)
-        runs = min(len(first), len(second))
-        powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
-        measured = f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}"
-        name = "MO-A2C varies less between seeds"
-        return _check(results, task, protocol, name, measured, _is_below(ratio, 1.0))
-
-    return criterion
+    metric = utility_metric(task)
+    first, second = (results.values(task, protocol, variant, metric) for variant in (MULTI_OBJECTIVE, BASELINE))
+    ratio = spread_ratio(first, second)
+    runs = min(len(first), len(second))
+    powers = [f"{spread_ratio_power(runs, true):.0%} for a true ratio of {true:g}" for true in RATIOS]
+    measured = f"ratio of deviations {ratio.text()}; power of the test: {', '.join(powers)}"
+    return _check(results, task, protocol, "MO-A2C varies less between seeds", measured, _is_below(ratio, 1.0))
 
 
-def _front_metric(metric: str, condition: str, passes: Decision, unit: str = "") -> Criterion:
-    """A criterion on a metric of PCN's front, which longer training broadens."""
-
-    def criterion(results: ReproductionResults, protocol: str) -> Check:
-        found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
-        measured = f"{found.text()}{unit}"
-        return _check(results, FRONT_TASK, protocol, condition, measured, passes(found), lasting=True)
-
-    return criterion
+def broad_front(
+    metric: str, limit: float, passes: Decision, name: str, results: ReproductionResults, protocol: str
+) -> Check:
+    """A metric of PCN's front, which longer training broadens, is on the right side of the limit."""
+    found = iqm(results.values(FRONT_TASK, protocol, FRONT_VARIANT, metric, FRONT))
+    unit = "" if metric == CARDINALITY else " m"
+    return _check(results, FRONT_TASK, protocol, name, f"{found.text()}{unit}", passes(found, limit), lasting=True)
 
 
 CLAIMS = (
@@ -366,9 +335,9 @@ CLAIMS = (
         "OneWaypoint, linear utility: A2C and MO-A2C both solve it, with similar utility (fig. 4a)",
         ("one_waypoint_linear",),
         [
-            solves("one_waypoint_linear", BASELINE),
-            solves("one_waypoint_linear", MULTI_OBJECTIVE),
-            similar_utility("one_waypoint_linear"),
+            partial(success_above, "one_waypoint_linear", BASELINE, SOLVED),
+            partial(success_above, "one_waypoint_linear", MULTI_OBJECTIVE, SOLVED),
+            partial(similar_utility, "one_waypoint_linear"),
         ],
     ),
     Claim(
@@ -376,14 +345,14 @@ CLAIMS = (
         (4,),
         "OneWaypoint, non-linear utility: MO-A2C reaches a higher utility, more consistently (fig. 4b)",
         ("one_waypoint_nonlinear",),
-        [higher_utility("one_waypoint_nonlinear"), more_consistent("one_waypoint_nonlinear")],
+        [partial(higher_utility, "one_waypoint_nonlinear"), partial(more_consistent, "one_waypoint_nonlinear")],
     ),
     Claim(
         3,
         (5,),
         "StaticObstacle, linear utility: A2C and MO-A2C reach similar utility (fig. 5a)",
         ("static_obstacle_linear",),
-        [similar_utility("static_obstacle_linear")],
+        [partial(similar_utility, "static_obstacle_linear")],
     ),
     Claim(
         4,
@@ -392,9 +361,9 @@ CLAIMS = (
         "(fig. 5b)",
         ("static_obstacle_nonlinear",),
         [
-            learns("static_obstacle_nonlinear", MULTI_OBJECTIVE),
-            does_not_learn("static_obstacle_nonlinear", BASELINE),
-            moves_away("static_obstacle_nonlinear", BASELINE),
+            partial(success_above, "static_obstacle_nonlinear", MULTI_OBJECTIVE, LEARNED),
+            partial(success_below, "static_obstacle_nonlinear", BASELINE, LEARNED),
+            partial(moves_away, "static_obstacle_nonlinear", BASELINE),
         ],
     ),
     Claim(
@@ -405,11 +374,11 @@ CLAIMS = (
         ("intersection_linear", "intersection_nonlinear"),
         [
             *(
-                fails(task, variant)
+                partial(success_below, task, variant, FAILED)
                 for task in ("intersection_linear", "intersection_nonlinear")
                 for variant in (BASELINE, MULTI_OBJECTIVE)
             ),
-            higher_utility("intersection_nonlinear"),
+            partial(higher_utility, "intersection_nonlinear"),
         ],
     ),
     Claim(
@@ -418,22 +387,20 @@ CLAIMS = (
         "OneWaypoint, unknown utility: PCN finds a broad range of behaviours (fig. 7, 10)",
         (FRONT_TASK,),
         [
-            _front_metric(
-                CARDINALITY,
-                f"over {MIN_POLICIES} non-dominated policies",
-                lambda found: is_above(found, MIN_POLICIES),
-            ),
-            _front_metric(
+            partial(broad_front, CARDINALITY, MIN_POLICIES, is_above, f"over {MIN_POLICIES} non-dominated policies"),
+            partial(
+                broad_front,
                 LOWEST_DISTANCE,
+                SHORT_PROGRESS,
+                _is_below,
                 f"some policy progresses less than {SHORT_PROGRESS:g} m",
-                lambda found: _is_below(found, SHORT_PROGRESS),
-                " m",
             ),
-            _front_metric(
+            partial(
+                broad_front,
                 HIGHEST_DISTANCE,
+                LONG_PROGRESS,
+                is_above,
                 f"some policy progresses over {LONG_PROGRESS:g} m",
-                lambda found: is_above(found, LONG_PROGRESS),
-                " m",
             ),
         ],
     ),

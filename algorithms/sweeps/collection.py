@@ -41,7 +41,7 @@ from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from algorithms.common.metrics_file import Columns
 
@@ -82,7 +82,7 @@ class Collection:
         logs: of the runs with a metrics.csv, by id.
         scored: ids of the runs with scores.
         problems: why final evaluations cannot be read, by id.
-        altered: what differs from the record of a finished run's files, by id.
+        altered: what differs from the record of a finished run's final evaluation and metrics, by id; left out.
         folder: of the files.
         not_stored: why they are not in the sweep; None if they are.
         temporary: the folder that then has them, and is deleted with this object.
@@ -133,10 +133,9 @@ class Collection:
 
     @property
     def remarks(self) -> list[str]:
-        """Messages about missing and unreadable results, one line each."""
+        """Messages about missing, unreadable and altered results, one line each."""
         found = []
-        left_out = {run: problems for run, problems in self.altered.items() if _unreliable(problems)}
-        told = {*self.scored, *left_out, *self.problems}
+        told = {*self.scored, *self.altered, *self.problems}
         without = [row for row in self.rows if row.id not in told]
         if without:
             counts = Counter(self.states[row.id] for row in without).most_common()
@@ -146,21 +145,18 @@ class Collection:
         broken = [*self.problems.values(), *(log.problem for log in self.logs.values() if log.problem)]
         if broken:
             found.append(f"{len(broken)} files cannot be read: {_shortened(broken)}")
-        return [*found, *self._altered_runs(left_out)]
+        altered = [f"{row.directory}: {'; '.join(self.altered[row.id])}" for row in self.rows if row.id in self.altered]
+        if altered:
+            count, advice = len(altered), "mo-deepdrive sweep --remake makes them again"
+            found.append(f"{count} runs differ from the record of their files, {advice}: {_shortened(altered)}")
+        return found
 
-    @property
-    def warnings(self) -> list[str]:
-        """Messages about runs whose scores count although other files differ from their record, one line each."""
-        altered = {run: each for run, each in self.altered.items() if not _unreliable(each)}
-        stored = [f"the collected results are not stored: {self.not_stored}"] if self.not_stored else []
-        return [*stored, *self._altered_runs(altered)]
-
-    def _altered_runs(self, altered: Mapping[str, Sequence[str]]) -> list[str]:
-        named = [f"{row.directory}: {'; '.join(altered[row.id])}" for row in self.rows if row.id in altered]
-        many = (
-            f"{len(named)} runs differ from the record of their files, mo-deepdrive sweep --remake makes them again: "
-        )
-        return [many + _shortened(named)] if named else []
+    def report_problems(self, warn: Callable[[str], None]) -> None:
+        """Call ``warn`` with a line about everything that is left out or not stored."""
+        for remark in self.remarks:
+            warn(f"left out: {remark}")
+        if self.not_stored:
+            warn(f"the collected results are not stored: {self.not_stored}")
 
     def curves(self, runs: Sequence[str], names: Sequence[str], points: int = MAX_POINTS) -> dict[str, Columns]:
         """Learning curves of some runs, averaged within equal intervals of environment steps.
@@ -276,34 +272,20 @@ def _collect(sweep: Path, rows: tuple[ManifestRow, ...], folder: Path) -> Collec
         steps = [int(status[row.id].get("step", 0)) for row in rows]
         runs = _runs_frame(rows, states, steps, logs)
         finished = [row for row in rows if states[row.id] == "finished"]
-        altered = {row.id: _differences(sweep / row.directory, status[row.id], logs.get(row.id)) for row in finished}
-        scores, problems = _scores_frame([row for row in finished if not _unreliable(altered[row.id])], sweep)
+        changed = {row.id: _changed(sweep / row.directory, status[row.id], logs.get(row.id)) for row in finished}
+        scores, problems = _scores_frame([row for row in finished if not changed[row.id]], sweep)
         of_runs = runs.drop("directory", "step", "rows")
         write_parquet(folder / "runs.parquet", runs)
         write_parquet(folder / "scores.parquet", scores.join(of_runs, on="run", how="left"))
-    altered = {run: found for run, found in altered.items() if found}
+    altered = {run: found for run, found in changed.items() if found}
     return Collection(sweep, rows, states, logs, frozenset(scores["run"].unique()), problems, altered, folder)
 
 
-def _differences(run: Path, status: Mapping[str, Any], log: LogState | None) -> list[str]:
-    """What differs from a finished run's record: the final evaluation and the metrics by hash, the rest by size."""
+def _changed(run: Path, status: Mapping[str, Any], log: LogState | None) -> list[str]:
+    """What differs from a finished run's record; its metrics are hashed only once, when they are read."""
     record = status.get("files")
-    if not isinstance(record, dict):
-        return []
-    suspects = [EVALUATION_FILE]
-    for name, entry in record.items():
-        if name == METRICS_FILE:
-            same = log is not None and {"size": log.size, "sha256": log.sha256} == entry
-        else:
-            path = run / name
-            same = path.is_file() and isinstance(entry, dict) and path.stat().st_size == entry.get("size")
-        suspects += [] if same else [name]
-    return changed_files(run, suspects)
-
-
-def _unreliable(problems: Sequence[str]) -> bool:
-    """Whether what differs is what tables and figures show."""
-    return any(problem.partition(":")[0] in (EVALUATION_FILE, METRICS_FILE) for problem in problems)
+    same = isinstance(record, dict) and log and record.get(METRICS_FILE) == {"size": log.size, "sha256": log.sha256}
+    return changed_files(run, [EVALUATION_FILE] if same else [EVALUATION_FILE, METRICS_FILE])
 
 
 @contextlib.contextmanager

@@ -9,8 +9,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Experiment, make_experiment, override
@@ -26,14 +27,6 @@ if TYPE_CHECKING:
 
 FILE = "manifest.jsonl"
 RUNS = "runs"
-FIELDS: dict[str, tuple[type, ...]] = {  # of a line
-    "id": (str,),
-    "directory": (str,),
-    "cell": (dict,),
-    "seed": (int,),
-    "trial": (int, NoneType),
-    "config": (dict,),
-}
 MAX_PROBLEMS = 5  # invalid cells that an error message lists
 ID_DIGITS = 12
 
@@ -51,8 +44,10 @@ class ManifestRow:
         config: the resolved experiment.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True)
+
     id: str
-    directory: str
+    directory: Annotated[str, Field(pattern=rf"^{RUNS}/[^/.][^/]*$")]
     cell: dict[str, Any]
     seed: int
     trial: int | None
@@ -245,40 +240,26 @@ def is_sweep(path: Path) -> bool:
 
 
 def read_manifest(sweep: Path) -> list[ManifestRow]:
-    """The rows of a sweep's manifest.
-
-    Raises:
-        ValueError: if it is missing or broken.
-    """
+    """All rows of a sweep's manifest; errors as of :func:`iterate_manifest`."""
     return list(iterate_manifest(sweep))
 
 
 def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
-    """As :func:`read_manifest`, one row at a time, because all of a large sweep take much memory."""
-    path = sweep / FILE
+    """The rows of a sweep's manifest, one at a time, because all of a large sweep take much memory.
+
+    Raises:
+        ValueError: if it is missing; or naming the line that is broken, and the field.
+    """
+    path, rows = sweep / FILE, TypeAdapter(ManifestRow)
     if not path.is_file():
         raise ValueError(f"{str(sweep)!r} is not a sweep: it has no {FILE}")
     with path.open("rb") as lines:
         for number, line in enumerate(lines, 1):
             try:
-                row = ManifestRow(**json.loads(line))
-                _check_row(row)
-            except (TypeError, ValueError, RecursionError) as error:
-                raise ValueError(f"manifest {str(path)!r} is broken in line {number}: {error}") from None
-            yield row
-
-
-def _check_row(row: ManifestRow) -> None:
-    """Refuse a row that no sweep writes, such as one whose run is elsewhere.
-
-    Raises:
-        ValueError: naming the field, its value and what is allowed.
-    """
-    for name, allowed in FIELDS.items():
-        value = getattr(row, name)
-        if not isinstance(value, allowed) or isinstance(value, bool):
-            types = " or ".join(each.__name__ for each in allowed)
-            raise ValueError(f"{name} = {value!r} must be of type {types}")
-    folder, _, name = row.directory.partition("/")
-    if folder != RUNS or name in ("", ".", "..") or "/" in name:
-        raise ValueError(f"directory = {row.directory!r} must be {RUNS}/NAME")
+                yield rows.validate_json(line)
+            except ValidationError as error:
+                problem = error.errors(include_url=False)[0]
+                field = f"{'.'.join(map(str, problem['loc']))} = {problem['input']!r}: " if problem["loc"] else ""
+                raise ValueError(
+                    f"manifest {str(path)!r} is broken in line {number}: {field}{problem['msg']}"
+                ) from None

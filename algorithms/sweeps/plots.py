@@ -35,10 +35,7 @@ def plot_sweep(sweep: Path, output: Path, print_line: Callable[[str], None], war
         OSError: if a file cannot be written.
     """
     collection = collect(sweep)
-    for remark in collection.remarks:
-        warn(f"left out: {remark}")
-    for warning in collection.warnings:
-        warn(warning)
+    collection.report_problems(warn)
     when, scores = collection.latest_scores()
     rankings = rank(collection.cells, scores)
     what = f"{when} {' or '.join(dict.fromkeys(ranking.score_name for ranking in rankings if ranking.scores))}"

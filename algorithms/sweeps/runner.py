@@ -18,7 +18,7 @@ from algorithms.sweeps.verification import discard, verify
 from mo_deepdrive.machine import GIB, available_cores, available_memory, check_memory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from rich.console import Console
@@ -63,6 +63,10 @@ class SweepRunner:
         self._backend = backend
         self._console = console
         self._failed: dict[Job, str] = {}
+
+    def _listed(self) -> Iterator[ManifestRow]:
+        """The rows of the manifest in the directory; none if it has no manifest yet."""
+        return iterate_manifest(self._directory) if is_sweep(self._directory) else iter(())
 
     def run(self) -> int:
         """Train all runs that are not done; with the backend "manifest", only list them.
@@ -144,7 +148,7 @@ class SweepRunner:
 
     def _refuse_other_sweep(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a directory whose manifest has none of ``rows``; that of a sweep that was extended or cut has some."""
-        before = {row.id: row.name for row in iterate_manifest(self._directory)} if is_sweep(self._directory) else {}
+        before = {row.id: row.name for row in self._listed()}
         if before and before.keys().isdisjoint(row.id for row in rows):
             raise ValueError(
                 f"{str(self._directory)!r} has another sweep: none of its {len(before)} runs, such as "
@@ -241,8 +245,7 @@ class SweepRunner:
 
     def _report_removed_runs(self, rows: Sequence[ManifestRow]) -> None:
         """Tell the user about runs of the previous manifest that the sweep no longer has."""
-        before = {row.id for row in iterate_manifest(self._directory)} if is_sweep(self._directory) else set()
-        removed = len(before - {row.id for row in rows})
+        removed = len({row.id for row in self._listed()} - {row.id for row in rows})
         if removed:
             self._say(f"{removed} runs of the previous manifest are no longer in the sweep; their directories are kept")
 

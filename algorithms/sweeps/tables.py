@@ -54,10 +54,7 @@ def print_sweep(
         ValueError: if it is not a sweep, or an empty one, or no run has a final evaluation or the metric.
     """
     collection = collect(sweep)
-    for remark in collection.remarks:
-        warn(f"left out: {remark}")
-    for warning in collection.warnings:
-        warn(warning)
+    collection.report_problems(warn)
     if not collection.scored:
         raise ValueError(
             f"no run of sweep {str(sweep)!r} has a final evaluation yet; mo-deepdrive plot draws what runs have logged"

@@ -58,13 +58,17 @@ def kill(what: str) -> int:
     return len(found)
 
 
-def test_ray_imports_the_package_even_where_the_working_directory_has_one_of_its_name(tmp_path: Path) -> None:
+def test_own_code_is_trained_and_a_run_that_fails_is_reported_with_its_reason(tmp_path: Path) -> None:
+    """Also where the working directory has a package of the name of ours."""
     (tmp_path / "algorithms").mkdir()
     (tmp_path / "algorithms" / "__init__.py").write_text("raise SystemExit('the wrong package')")
-    (tmp_path / "own.py").write_text("def utility(returns):\n    return returns[..., 0]\n")
-    file = write_sweep(tmp_path, overrides={"utility.name": "own:utility"})
-    assert run_sweep(file, "--on", "ray", "--output", "sweep").returncode == 0
-    assert {status(run)["state"] for run in runs(tmp_path / "sweep")} == {"finished"}
+    utilities = ["one_waypoint_linear", broken_utility(tmp_path, "RAY_JOB_ID")]
+    file = write_sweep(tmp_path, grid={"algorithm.name": [own_algorithm(tmp_path)], "utility.name": utilities})
+    done = run_sweep(file, "--on", "ray", "--output", "sweep")
+    assert (done.returncode, [status(run)["state"] for run in runs(tmp_path / "sweep")]) == (1, ["finished", "failed"])
+    assert "1 done, 0 running, 1 failed" in done.stdout
+    assert "FAILED algorithm.name=reinforce:REINFORCE utility.name=broken:utility seed 0" in done.stdout
+    assert "no [red] licence on this node" in done.stdout
 
 
 def test_embedded_ray_gives_the_same_results_and_reports_every_objective(short: Reference, tmp_path: Path) -> None:
@@ -113,7 +117,7 @@ def test_early_stopping_prunes_the_worse_runs(tmp_path: Path) -> None:
     asha = {"metric": "greedy/utility_esr", "grace_period": 10_000, "reduction_factor": 2}
     file = write_sweep(
         tmp_path,
-        overrides={"training.total_timesteps": 200_000, "training.num_envs": 64, "evaluation.interval": 10_000},
+        overrides={"training.total_timesteps": 60_000, "training.num_envs": 64, "evaluation.interval": 10_000},
         grid={"algorithm.learning_rate": [0.003, 1e-9]},
         seeds=2,
         ray={"asha": asha},
@@ -124,7 +128,7 @@ def test_early_stopping_prunes_the_worse_runs(tmp_path: Path) -> None:
     assert set(states) == {"finished", "pruned"}
     for run in runs(tmp_path / "asha"):
         if status(run)["state"] == "pruned":
-            assert status(run)["step"] < 200_000
+            assert status(run)["step"] < 60_000
             assert not (run / "evaluation.json").exists()
         else:
             assert_whole(run)
@@ -132,21 +136,6 @@ def test_early_stopping_prunes_the_worse_runs(tmp_path: Path) -> None:
     again = run_sweep(file, "--on", "ray", "--output", tmp_path / "asha")
     assert again.returncode == 0
     assert {run: (run / "status.json").read_bytes() for run in before} == before
-
-
-def test_a_run_that_fails_is_reported_with_its_reason(tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, grid={"utility.name": ["one_waypoint_linear", broken_utility(tmp_path, "RAY_JOB_ID")]})
-    done = run_sweep(file, "--on", "ray", "--output", tmp_path / "ray")
-    assert done.returncode == 1
-    assert "1 done, 0 running, 1 failed" in done.stdout
-    assert "FAILED utility.name=broken:utility seed 0" in done.stdout
-    assert "no licence on this node" in done.stdout
-
-
-def test_an_own_algorithm_is_trained(tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, grid={"algorithm.name": ["mo_a2c", own_algorithm(tmp_path)]})
-    done = run_sweep(file, "--on", "ray", "--output", tmp_path / "ray")
-    assert (done.returncode, [status(run)["state"] for run in runs(tmp_path / "ray")]) == (0, ["finished"] * 2)
 
 
 class Head:

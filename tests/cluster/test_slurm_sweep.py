@@ -39,7 +39,7 @@ pytestmark = pytest.mark.skipif(bool(unavailable()), reason=unavailable() or "av
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SlurmCluster]:
     """A cluster with a common setting: pre-empted jobs get SIGTERM."""
-    with slurm_cluster(tmp_path_factory.mktemp("slurm"), cpus=2, grace=20, signal_on_preemption=False) as started:
+    with slurm_cluster(tmp_path_factory.mktemp("slurm")) as started:
         yield started
 
 
@@ -80,11 +80,17 @@ def test_slurm_gives_the_same_results(cluster: SlurmCluster, short: Reference, t
     assert_same_sweep(sweep, short.directory)
 
 
-def test_an_own_algorithm_is_trained(cluster: SlurmCluster, tmp_path: Path) -> None:
+def test_own_code_is_trained_and_a_run_that_fails_is_reported_with_its_reason(
+    cluster: SlurmCluster, tmp_path: Path
+) -> None:
     sweep = tmp_path / "slurm"
-    file = write_sweep(tmp_path, grid={"algorithm.name": ["mo_a2c", own_algorithm(tmp_path)]})
+    utilities = ["one_waypoint_linear", broken_utility(tmp_path, "SLURM_JOB_ID")]
+    file = write_sweep(tmp_path, grid={"algorithm.name": [own_algorithm(tmp_path)], "utility.name": utilities})
     done = run_sweep(file, "--on", "slurm", "--output", sweep, environment=cluster.environment)
-    assert (done.returncode, [status(run)["state"] for run in runs(sweep)]) == (0, ["finished"] * 2), log(sweep)
+    assert (done.returncode, [status(run)["state"] for run in runs(sweep)]) == (1, ["finished", "failed"]), log(sweep)
+    assert "1 done, 0 running, 1 failed" in done.stdout
+    assert "FAILED algorithm.name=reinforce:REINFORCE utility.name=broken:utility seed 0" in done.stdout
+    assert "no [red] licence on this node" in done.stdout
 
 
 def test_the_dry_run_prints_a_script_that_sbatch_accepts(cluster: SlurmCluster, tmp_path: Path) -> None:
@@ -194,17 +200,6 @@ def test_the_submitting_command_can_be_interrupted_and_repeated_after_a_restart_
     assert run_sweep(long.file, *options, environment=cluster.environment).returncode == 0
     assert jobs(sweep) == submitted
     assert_same_sweep(sweep, long.directory)
-
-
-def test_a_run_that_fails_is_reported_with_its_reason(cluster: SlurmCluster, tmp_path: Path) -> None:
-    file = write_sweep(
-        tmp_path, grid={"utility.name": ["one_waypoint_linear", broken_utility(tmp_path, "SLURM_JOB_ID")]}
-    )
-    done = run_sweep(file, "--on", "slurm", "--output", tmp_path / "slurm", environment=cluster.environment)
-    assert done.returncode == 1
-    assert "1 done, 0 running, 1 failed" in done.stdout
-    assert "FAILED utility.name=broken:utility seed 0" in done.stdout
-    assert "no licence on this node" in done.stdout
 
 
 def test_the_error_without_slurm_says_so(tmp_path: Path) -> None:

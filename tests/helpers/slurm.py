@@ -66,8 +66,8 @@ MinJobAge=600
 JobRequeue=1
 PreemptType=preempt/partition_prio
 PreemptMode=REQUEUE
-NodeName={host} NodeHostname={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory=1048576 State=UNKNOWN
-PartitionName=main Nodes={host} Default=YES MaxTime=INFINITE State=UP PriorityTier=1 GraceTime={grace}
+NodeName={host} NodeHostname={host} NodeAddr=127.0.0.1 CPUs=2 RealMemory=1048576 State=UNKNOWN
+PartitionName=main Nodes={host} Default=YES MaxTime=INFINITE State=UP PriorityTier=1 GraceTime=20
 PartitionName=urgent Nodes={host} MaxTime=INFINITE State=UP PriorityTier=10
 """
 
@@ -122,32 +122,14 @@ class SlurmCluster:
         lines = self.run("squeue", "--noheader", "--array", "--states=all", f"--jobs={job}", "--format=%i %T")
         return dict(line.split() for line in lines.splitlines())
 
-    def wait_for(self, job: str, state: str = "COMPLETED", timeout: float = 60.0) -> None:
-        """Wait until a job, or every task of an array, is in a state; raises TimeoutError after ``timeout`` seconds."""
-        self._until(
-            lambda: set(self.states(job).values()) == {state}, timeout, lambda: f"{state} of {self.states(job)}"
-        )
-
-    def restart_controller(self, saved: bool = True) -> None:
-        """Kill slurmctld and start it again while jobs keep running."""
-        self.kill_controller(saved)
-        self.start_controller()
-
-    def kill_controller(self, saved: bool = True) -> None:
-        """Send SIGKILL to slurmctld; running jobs keep running.
-
-        Slurm writes its state to disk only every few seconds. With ``saved`` this waits for that before the kill, for
-        up to six seconds; without it, a job that was just submitted is forgotten and killed and its id is reused, and a
-        job that just started is killed and restarted.
-        """
-        if saved:
-            self._await_saved_state()
-        controller = self.daemons["slurmctld"]
-        controller.kill()
-        controller.wait()
-
-    def start_controller(self) -> None:
-        """Start slurmctld from its state on disk, and wait until it considers the node to be up."""
+    def restart_controller(self) -> None:
+        """Kill slurmctld, once its state is on disk, and start it again while jobs keep running."""
+        asked = time.time()
+        last = max(map(self._written, ("job_state", "node_state")))
+        while time.time() < last + SAVE_INTERVAL + 1.0 and self._written("job_state") <= asked:
+            time.sleep(0.05)
+        self.daemons["slurmctld"].kill()
+        self.daemons["slurmctld"].wait()
         self._start_controller()
         self._await_node({"idle", "mixed", "allocated"})
 
@@ -236,13 +218,6 @@ class SlurmCluster:
         command = ("sinfo", "--noheader", "--partition=main", "--format=%T")
         self._until(lambda: self._ask(*command) in states, 30.0, lambda: f"the node, which is {self._ask(*command)}")
 
-    def _await_saved_state(self) -> None:
-        """Wait until the current state of slurmctld is on disk."""
-        asked = time.time()
-        last = max(map(self._written, ("job_state", "node_state")))
-        while time.time() < last + SAVE_INTERVAL + 1.0 and self._written("job_state") <= asked:
-            time.sleep(0.05)
-
     def _written(self, name: str) -> float:
         """When a file of slurmctld's state was written, in seconds since 1970; 0 if there is none."""
         try:
@@ -279,16 +254,12 @@ def free_ports(count: int) -> list[int]:
 
 
 @contextlib.contextmanager
-def slurm_cluster(
-    folder: Path, cpus: int = 2, grace: int = 10, signal_on_preemption: bool = True
-) -> Iterator[SlurmCluster]:
-    """A cluster of one node with ``cpus`` CPUs (possibly more than exist), stopped with its jobs at the end.
+def slurm_cluster(folder: Path) -> Iterator[SlurmCluster]:
+    """A cluster of one node with two CPUs (possibly more than exist), stopped with its jobs at the end.
 
     Its partitions are ``main`` and ``urgent``. A job in ``urgent`` that needs the CPUs of a job in ``main`` preempts
-    it: the steps of the latter get a signal, and unless it ends or requeues itself it is killed and requeued
-    ``grace`` to ``grace`` + 10 seconds later. With ``signal_on_preemption`` the signal is the one that the job
-    requested with ``--signal``; otherwise, or without such a request, it is SIGTERM. SIGKILL follows SIGTERM after
-    five seconds.
+    it: the steps of the latter get SIGTERM, and unless it ends or requeues itself it is killed and requeued 20 to 30
+    seconds later.
 
     Jobs of a partition start in the order of submission, without backfill: Slurm does not write the start of a
     backfilled job to disk. Raises RuntimeError with the ends of the logs if the cluster does not start.
@@ -308,17 +279,14 @@ def slurm_cluster(
     key.write_bytes(secrets.token_bytes(128))
     controller_port, node_port = free_ports(2)
     configuration = folder / "slurm.conf"
-    text = CONFIGURATION + "SlurmctldParameters=preempt_send_user_signal\n" * signal_on_preemption
     configuration.write_text(
-        text.format(
+        CONFIGURATION.format(
             host=host,
             controller_port=controller_port,
             node_port=node_port,
             folder=folder,
             runtime=runtime,
             credential_lifetime=CREDENTIAL_LIFETIME,
-            cpus=cpus,
-            grace=grace,
         )
     )
     (folder / "plugstack.conf").write_text("")

@@ -115,12 +115,12 @@ def runs_in_progress(sweep: Path) -> list[Path]:
 
 
 def broken_utility(folder: Path, where: str) -> str:
-    """Write a utility that fails if an environment variable is set; returns its name for the YAML file."""
+    """Write a utility that fails in training if an environment variable is set; returns its name for the YAML file."""
     (folder / "broken.py").write_text(
         "import os\n"
         "def utility(returns):\n"
-        f"    if {where!r} in os.environ:\n"
-        "        raise RuntimeError('no licence on this node')\n"
+        f"    if returns.any() and {where!r} in os.environ:\n"
+        "        raise RuntimeError('no [red] licence on this node')\n"
         "    return returns[..., 0]\n"
     )
     return "broken:utility"

@@ -22,11 +22,11 @@ from algorithms.experiments.run_directory import InUse, Run
 from tests.helpers.short_runs import assert_same_run, job
 from tests.helpers.sweep_files import (
     assert_same_sweep,
+    broken_utility,
     enlarge_disk,
     eventually,
     forked_workers,
     interrupt,
-    run_sweep,
     runs,
     small_disk,
     start_sweep,
@@ -127,35 +127,11 @@ def test_a_finished_sweep_is_left_alone_and_new_runs_are_added(call: Call, tmp_p
     assert states(sweep) == ["finished"] * 6
 
 
-def test_removed_runs_are_counted_and_their_directories_kept(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(worker_pool, "perform_all", lambda *arguments, **options: {})
-    assert call(write_sweep(tmp_path, seeds=3), "--output", "sweep")[0] == 0
-    made = runs(tmp_path / "sweep")[-1]
-    made.mkdir(parents=True)
-    code, out, _ = call(write_sweep(tmp_path, seeds=2), "--output", "sweep")
-    assert code == 0
-    assert out.startswith("2 runs of the previous manifest are no longer in the sweep")
-    assert made.is_dir()
-    assert len(runs(tmp_path / "sweep")) == 4
-    assert "no longer" not in call(write_sweep(tmp_path, seeds=4), "--output", "sweep")[1]
-
-
 def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Path) -> None:
     code, out, _ = call(write_sweep(tmp_path), "--on", "manifest")
     assert code == 0
     assert out == f"{Path('runs') / 'sweeps' / 'short' / 'manifest.jsonl'}: 2 runs\n"
     assert len(runs(tmp_path / "runs" / "sweeps" / "short")) == 2
-
-
-def test_markup_in_the_name_of_a_directory_is_shown_literally(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(worker_pool, "perform_all", lambda *arguments, **options: {})
-    code, out, _ = call(write_sweep(tmp_path), "--output", Path("[bold]sweep [/x]"))
-    assert code == 0
-    assert "2 runs, 0 of them done, in [bold]sweep [/x]\n" in out
 
 
 # -------------------------------------------------------------------------------------------------------------- refused
@@ -165,21 +141,17 @@ def test_markup_in_the_name_of_a_directory_is_shown_literally(
     ("options", "message"),
     [
         (["--workers", "0"], "--workers 0 must be at least 1"),
-        (["--workers", "-3"], "--workers -3 must be at least 1"),
-        (["--workers", "2", "--on", "manifest"], "--workers is for --on local and ray, not manifest"),
         (["--workers", "2", "--on", "slurm"], "--workers is for --on local and ray, not slurm"),
         (["--address", "auto"], "--address is for --on ray, not local"),
-        (["--address", "auto", "--on", "slurm"], "--address is for --on ray, not slurm"),
-        (["--dry-run"], "--dry-run is for --on slurm, not local"),
         (["--dry-run", "--on", "ray"], "--dry-run is for --on slurm, not ray"),
         (["--no-wait"], "--no-wait is for --on slurm, not local"),
-        (["--no-wait", "--on", "manifest"], "--no-wait is for --on slurm, not manifest"),
+        (["--remake", "--on", "manifest"], "--remake is for --on local and ray and slurm, not manifest"),
         (["--status"], "is not a sweep: it has no manifest.jsonl"),
         (["--verify"], "is not a sweep: it has no manifest.jsonl"),
-        (["--remake", "--on", "manifest"], "--remake is for --on local and ray and slurm, not manifest"),
+        (["--output", "base.yaml"], "--output base.yaml"),
     ],
 )
-def test_an_option_of_another_backend_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
+def test_an_option_that_does_not_fit_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:
     code, out, error = call(write_sweep(tmp_path), *options)
     assert (code, out) == (2, "")
     assert error.startswith("error: ")
@@ -194,7 +166,7 @@ def test_the_directory_is_enough_to_show_the_progress(
     assert capfd.readouterr() == ("4 done, 0 running, 0 failed, 0 waiting of 4\n", "")
 
 
-@pytest.mark.parametrize("options", [[], ["--status"], ["--output", "sweep"], ["--output", "sweep", "--remake"]])
+@pytest.mark.parametrize("options", [["--status"], ["--output", "sweep", "--remake"]])
 def test_a_sweep_needs_its_file_for_all_else(
     script: ModuleType, capfd: pytest.CaptureFixture[str], options: list[str]
 ) -> None:
@@ -215,43 +187,14 @@ def test_a_backend_that_is_not_installed_is_refused_with_what_to_install(
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("options", [["--on", "moon"], ["--work", "2"], ["--workers", "two"], ["--seeds", "3"]])
-def test_an_unknown_option_is_refused(call: Call, tmp_path: Path, options: list[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        call(write_sweep(tmp_path), *options)
-    assert ended.value.code == 2
-    assert not (tmp_path / "runs").exists()
-
-
 @pytest.mark.parametrize("backend", ["local", "manifest"])
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"grid": {"algorithm.learning_rat": [0.1]}}, "did you mean 'learning_rate'?"),
-        (
-            {"grid": {"utility.name": ["one_waypoint_linear", "intersection_linear"]}},
-            "utility.name=intersection_linear",
-        ),
-        ({"grid": {"training.threads": [1, 2]}}, "have the same run"),
-        ({"seedz": 1}, "did you mean 'seeds'?"),
-    ],
-)
-def test_an_invalid_sweep_is_refused_before_anything_is_written(
-    call: Call, tmp_path: Path, backend: str, settings: dict[str, Any], message: str
-) -> None:
-    code, out, error = call(write_sweep(tmp_path, **settings), "--on", backend, "--output", "sweep")
+def test_an_invalid_sweep_is_refused_before_anything_is_written(call: Call, tmp_path: Path, backend: str) -> None:
+    file = write_sweep(tmp_path, grid={"algorithm.learning_rat": [0.1]})
+    code, out, error = call(file, "--on", backend, "--output", "sweep")
     assert (code, out) == (2, "")
-    assert message in error
+    assert "did you mean 'learning_rate'?" in error
     assert "Traceback" not in error
     assert {path.name for path in tmp_path.iterdir()} == {"base.yaml", "short.yaml"}
-
-
-def test_an_output_that_is_a_file_is_refused(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "taken").touch()
-    code, _, error = call(write_sweep(tmp_path), "--output", "taken")
-    assert code == 2
-    assert "taken" in error
-    assert "Traceback" not in error
 
 
 # --------------------------------------------------------------------------------------------------------------- failed
@@ -264,25 +207,23 @@ def failures(out: str) -> str:
     return "\n".join(lines[last + 1 :])
 
 
-@pytest.mark.slow
-def test_a_failed_run_is_listed_with_its_reason_and_trained_once_that_is_fixed(call: Call, tmp_path: Path) -> None:
+def test_a_failed_run_is_listed_with_its_reason_and_trained_once_that_is_fixed(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The utility is in a module next to the sweep's file, in the working directory."""
-    utility = "def utility(returns):\n{}    return returns[..., 0]\n"
-    module = tmp_path / "careless.py"
-    module.write_text(utility.format("    if returns.any():\n        raise RuntimeError('no [red] licence')\n"))
-    file = write_sweep(tmp_path, grid={"utility.name": ["careless:utility", "one_waypoint_linear"]})
-    done = run_sweep(file, "--output", "sweep", "--workers", "1")
-    assert done.returncode == 1
-    assert states(tmp_path / "sweep") == ["failed", "finished"]
+    file = write_sweep(tmp_path, grid={"utility.name": [broken_utility(tmp_path, "BROKEN"), "one_waypoint_linear"]})
+    monkeypatch.setenv("BROKEN", "1")
+    code, out, _ = call(file, "--output", "sweep", "--workers", "1")
+    assert (code, states(tmp_path / "sweep")) == (1, ["failed", "finished"])
     bad = runs(tmp_path / "sweep")[0]
-    (name,) = (json.loads(line)["id"] for line in (tmp_path / "sweep" / "manifest.jsonl").open() if "careless" in line)
-    assert "1 done, 0 running, 1 failed, 0 waiting of 2" in done.stdout
-    assert failures(done.stdout) == (
-        f"FAILED utility.name=careless:utility seed 0 ({name}): RuntimeError: no [red] licence\n"
-        f"  {bad.relative_to(tmp_path)}"
+    (name,) = (json.loads(line)["id"] for line in (tmp_path / "sweep" / "manifest.jsonl").open() if "broken" in line)
+    reason = "RuntimeError: no [red] licence on this node"
+    assert "1 done, 0 running, 1 failed, 0 waiting of 2" in out
+    assert failures(out) == (
+        f"FAILED utility.name=broken:utility seed 0 ({name}): {reason}\n  {bad.relative_to(tmp_path)}"
     )
-    assert "no [red] licence" in status(bad)["reason"]
-    module.write_text(utility.format(""))
+    assert status(bad)["reason"] == reason
+    monkeypatch.delenv("BROKEN")
     before = times(tmp_path / "sweep")
     code, out, _ = call(file, "--output", "sweep")
     assert (code, failures(out)) == (0, "")
@@ -419,7 +360,6 @@ def begun(run: Path) -> bool:
     return status(run).get("state") == "running" and status(run)["step"] > 0
 
 
-@pytest.mark.slow
 def test_a_sweep_that_was_interrupted_by_signals_resumes_to_the_same_results(call: Call, tmp_path: Path) -> None:
     file = write_sweep(tmp_path, overrides=TWO_SECONDS)
     sweep = tmp_path / "sweep"
@@ -444,7 +384,6 @@ def test_a_sweep_that_was_interrupted_by_signals_resumes_to_the_same_results(cal
     assert_same_sweep(sweep, tmp_path / "whole")
 
 
-@pytest.mark.slow
 def test_a_signal_while_the_workers_start_ends_the_command_without_a_traceback(tmp_path: Path) -> None:
     sweep = tmp_path / "sweep"
     with start_sweep(write_sweep(tmp_path), "--output", sweep, "--workers", "1") as process:
@@ -460,30 +399,29 @@ def test_a_signal_while_the_workers_start_ends_the_command_without_a_traceback(t
 # --------------------------------------------------------------------------------------------------------------- search
 
 
-@pytest.mark.slow
 def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     space = {RATE: {"low": 1e-4, "high": 1e-1, "log": True}, "algorithm.steps": {"low": 4, "high": 16}}
     metric = "stochastic/return/distance"
-    file = write_sweep(tmp_path, search={"space": space, "metric": metric, "trials": 12, "batch": 6})
+    file = write_sweep(tmp_path, search={"space": space, "metric": metric, "trials": 6, "batch": 3})
     code, out, _ = call(file, "--output", "first", "--workers", "1")
     assert code == 0
     assert [line for line in out.splitlines() if line.endswith("in first")] == [
-        "6 runs, 0 of them done, in first",
-        "12 runs, 6 of them done, in first",
+        "3 runs, 0 of them done, in first",
+        "6 runs, 3 of them done, in first",
     ]
     first = tmp_path / "first"
     made = runs(first)
-    assert len(made) == 12
-    ended = max((run / "status.json").stat().st_mtime_ns for run in made[:6])
-    assert all((run / "config.yaml").stat().st_mtime_ns > ended for run in made[6:])
+    assert len(made) == 6
+    ended = max((run / "status.json").stat().st_mtime_ns for run in made[:3])
+    assert all((run / "config.yaml").stat().st_mtime_ns > ended for run in made[3:])
 
     perform_all = worker_pool.perform_all
 
     def interrupted(jobs: Sequence[Job], workers: int, monitor: Dashboard, **options: Any) -> dict[Job, str]:
         def stop() -> bool:
-            if not sent and len(jobs) == 12 and sum(each.done for each in jobs) >= 8:
+            if not sent and len(jobs) == 6 and sum(each.done for each in jobs) >= 4:
                 sent.append(signal.SIGINT)
                 os.kill(os.getpid(), signal.SIGINT)
             return bool(given())
@@ -495,21 +433,9 @@ def test_a_search_proceeds_batch_by_batch_and_resumes_to_the_same_results(
     with monkeypatch.context() as patch:
         patch.setattr(worker_pool, "perform_all", interrupted)
         assert call(file, "--output", "second", "--workers", "2")[0] == 130
-    assert states(tmp_path / "second").count("finished") < 12
+    assert states(tmp_path / "second").count("finished") < 6
     assert call(file, "--output", "second", "--workers", "2")[0] == 0
     assert_same_sweep(first, tmp_path / "second")
-
-    before = times(first)
-    code, out, _ = call(file, "--output", "first")
-    assert (code, out) == (0, "12 done, 0 running, 0 failed, 0 waiting of 12\n")
-    assert times(first) == before
-
-
-def test_an_unknown_metric_of_a_search_is_refused_with_the_known_ones(call: Call, tmp_path: Path) -> None:
-    search = {"space": {RATE: [0.001]}, "metric": "greedy/utility", "trials": 1}
-    code, _, error = call(write_sweep(tmp_path, search=search), "--output", "sweep")
-    assert code == 2
-    assert "metric 'greedy/utility' is not among those of the runs; did you mean" in error
 
 
 # ---------------------------------------------------------------------------------------- several processes at once
@@ -520,23 +446,21 @@ def run_script(script: Any, arguments: list[str]) -> None:
     sys.exit(script.main(arguments))
 
 
-@pytest.mark.slow
 def test_two_processes_of_the_same_sweep_train_every_run_once(script: Any, tmp_path: Path, whole: Path) -> None:
     file = write_sweep(tmp_path, seeds=2)
+    sweep = tmp_path / "sweep"
+    arguments = ["--config", str(file), "--output", str(sweep), "--workers", "2"]
     context = multiprocessing.get_context("fork")
-    for number in range(2):
-        sweep = tmp_path / f"sweep{number}"
-        arguments = ["--config", str(file), "--output", str(sweep), "--workers", str(number + 1)]
-        processes = [context.Process(target=run_script, args=(script, arguments)) for _ in range(2)]
-        for process in processes:
-            process.start()
-        for process in processes:
-            process.join(120)
-        assert [process.exitcode for process in processes] == [0, 0]
-        assert_same_sweep(sweep, whole)
-        for run in runs(sweep):
-            files = [path.suffix == ".results" for path in (run / "tensorboard").iterdir()]
-            assert sorted(files) == [False, True]  # one for each time that it was started, and one of the results
+    processes = [context.Process(target=run_script, args=(script, arguments)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(120)
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert_same_sweep(sweep, whole)
+    for run in runs(sweep):
+        files = [path.suffix == ".results" for path in (run / "tensorboard").iterdir()]
+        assert sorted(files) == [False, True]  # one for each time that it was started, and one of the results
 
 
 @pytest.mark.parametrize("other", ["trains", "has trained"])
@@ -575,22 +499,17 @@ def pages(path: Path) -> int:
     return sum(math.ceil(each.stat().st_size / PAGE) for each in files)
 
 
-@pytest.mark.parametrize("space", ["less than the manifest", "the manifest alone", "half of the runs"])
+@pytest.mark.parametrize("space", ["the manifest alone", "half of the runs"])
 def test_a_full_disk_stops_the_sweep_with_one_message_and_with_more_space_it_resumes(
     call: Call, tmp_path: Path, whole: Path, space: str
 ) -> None:
-    manifest = pages(whole / "manifest.jsonl")
-    sizes = {
-        "less than the manifest": manifest - 1,
-        "the manifest alone": manifest,
-        "half of the runs": manifest + pages(whole / "runs") // 2,
-    }
+    half = pages(whole / "runs") // 2 if space == "half of the runs" else 0
     file = write_sweep(tmp_path, seeds=2)
     disk = tmp_path / "disk"
     sweep = disk / "sweep"
-    with small_disk(disk, sizes[space] * PAGE // 1024):
+    with small_disk(disk, (pages(whole / "manifest.jsonl") + half) * PAGE // 1024):
         code, out, error = call(file, "--output", sweep, "--workers", "1")
-        found = states(sweep) if (sweep / "manifest.jsonl").exists() else []
+        found = states(sweep)
         enlarge_disk(disk, 20_000)
         assert call(file, "--output", sweep)[0] == 0
         assert_same_sweep(sweep, whole)
@@ -599,5 +518,5 @@ def test_a_full_disk_stops_the_sweep_with_one_message_and_with_more_space_it_res
     assert "No space left on device" in error
     assert "Traceback" not in error
     assert "FAILED" not in out
-    assert "finished" in found or space != "half of the runs"
-    assert None in found or space == "less than the manifest"  # no other run is started
+    assert "finished" in found or not half
+    assert None in found  # no other run is started

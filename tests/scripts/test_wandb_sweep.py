@@ -112,7 +112,9 @@ class Server(ThreadingHTTPServer):
                 {"type": "run", "run_id": each, "program": program, "args": {k: {"value": v} for k, v in args.items()}}
                 for each, args in VALUES.items()
             ]
-        if LONG in running and directory_of(self.folder, LONG) is not None:
+        long = directory_of(self.folder, LONG)
+        metrics = None if long is None else long / "metrics.csv"
+        if LONG in running and metrics and metrics.exists() and len(read_metrics(metrics)["step"]):
             return [{"type": "stop", "run_id": LONG}]
         return [] if running else [{"type": "exit"}]
 

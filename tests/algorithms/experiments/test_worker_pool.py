@@ -175,7 +175,7 @@ def lockable(run: Run) -> bool:
 
 
 def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path) -> None:
-    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(30)]
+    jobs = [job(tmp_path / "killed", seed, total_timesteps=8_000, num_envs=8) for seed in range(16)]
     generator = random.Random(0)
     kills = 0
     over = threading.Event()
@@ -183,10 +183,10 @@ def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path
     def killer() -> None:
         nonlocal kills
         while not over.is_set():
-            enough = sum(wanted.done for wanted in jobs) + generator.randint(2, 5)
+            enough = sum(wanted.done for wanted in jobs) + generator.randint(1, 2)
             while not over.wait(0.05) and sum(wanted.done for wanted in jobs) < enough:
                 pass
-            over.wait(generator.uniform(0.0, 0.5))
+            over.wait(generator.uniform(0.0, 0.2))
             workers = [child.pid for child in multiprocessing.active_children() if child.pid is not None]
             if workers and not over.is_set():
                 os.kill(generator.choice(workers), signal.SIGKILL)
@@ -200,12 +200,12 @@ def test_workers_killed_at_random_lose_nothing_and_repeat_nothing(tmp_path: Path
         over.set()
         thread.join()
     assert failed == {}
-    assert kills >= 5
+    assert kills >= 3
     assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == sorted(wanted.path.name for wanted in jobs)
     for wanted in jobs:
         assert wanted.done
         assert_whole(wanted.path)
-    for seed in (0, 17, 29):
+    for seed in (0, 15):
         whole = job(tmp_path / "whole", seed, total_timesteps=8_000, num_envs=8)
         perform(whole)
         assert_same_run(jobs[seed].path, whole.path)

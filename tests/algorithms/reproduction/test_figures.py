@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 from PIL import Image
 
-from algorithms.reproduction import figures
 from algorithms.reproduction.figures import CURVE_FIGURES, draw_curves
 from algorithms.reproduction.plan import load_plan
 from algorithms.reproduction.results import ReproductionResults
@@ -31,12 +29,3 @@ def test_a_figure_shows_every_seed_in_the_colours_of_both_algorithms(tmp_path: P
         assert (np.abs(pixels.astype(int) - colour).max(axis=1) < 8).sum() > 500
     assert not draw_curves(5, plan, results, tmp_path / "nothing.png")
     assert not (tmp_path / "nothing.png").exists()
-
-
-def test_levels_that_hardly_differ_do_not_fill_an_axis() -> None:
-    axis = Figure().subplots()
-    values = 9.25 + 0.01 * np.sin(np.arange(20.0))
-    axis.plot(values)
-    figures._limit_y_axis(axis, values)
-    low, high = axis.get_ylim()
-    assert high - low >= 0.92

@@ -89,13 +89,3 @@ def test_an_invalid_plan_is_refused_with_the_place_of_the_error(tmp_path: Path) 
     path.write_text(TINY)
     with pytest.raises(ValueError, match=r"task 'one_waypoint_lineal' is unknown.*one_waypoint_linear"):
         planned_runs(load_plan(path), ["one_waypoint_lineal"], tmp_path)
-
-
-def test_keys_of_earlier_versions_are_refused_with_the_new_ones(tmp_path: Path) -> None:
-    path = tmp_path / "plan.yaml"
-    path.write_text(TINY.replace("tasks:", "cells:"))
-    with pytest.raises(ValueError, match="'cells' was renamed; write 'tasks'"):
-        load_plan(path)
-    path.write_text(TINY.replace("protocols:", "arms:"))
-    with pytest.raises(ValueError, match="arms' was renamed; write 'protocols'"):
-        load_plan(path)

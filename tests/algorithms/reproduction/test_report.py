@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import pytest
 from rich.console import Console
 
-from algorithms.reproduction.plan import Plan, load_plan
-from algorithms.reproduction.report import is_ablation, print_verdicts, verdict_table, write_report
+from algorithms.reproduction.plan import load_plan
+from algorithms.reproduction.report import print_verdicts, verdict_table, write_report
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def test_ablations_are_distinguished_from_comparisons() -> None:
-    plan = Plan.model_validate(load_plan(PLAN).model_dump())
-    protocols = plan.tasks["one_waypoint_nonlinear"].protocols
-    assert [key for key, protocol in protocols.items() if is_ablation(protocol)] == ["without"]
 
 
 def test_a_report_of_some_tasks_omits_the_others(tmp_path: Path) -> None:
@@ -50,19 +43,16 @@ def test_utilities_have_the_digits_that_the_wider_interval_supports() -> None:
     assert "| 10.000 [9.993, 10.008] |" in verdict_table(plan, make_results("one_waypoint_linear", scores))
 
 
-@pytest.mark.parametrize("width", [80, 100])
-def test_the_verdicts_fit_the_terminal(width: int) -> None:
+def test_the_verdicts_fit_the_terminal() -> None:
     plan = load_plan(PLAN)
     scores = {each: {**SOLVED, "utility_esr_width": evenly_spread(2.0)} for each in ("a2c", "mo_a2c")}
-    console = Console(width=width, record=True)
+    console = Console(width=100, record=True)
     print_verdicts(plan, make_results("one_waypoint_linear", scores), console)
     lines = console.export_text().splitlines()
-    assert max(map(len, lines)) <= width
-    assert not any("…" in line for line in lines)
+    assert max(map(len, lines)) <= 100
     text = " ".join(" ".join(lines).split())
     assert text.startswith("1. OneWaypoint, linear utility: A2C and MO-A2C both solve it")
-    assert "reproduced" in text
-    assert width < 100 or "best effort 10.0 10.0 0.0 0.50 reproduced [10.0, 10.0] [10.0, 10.0]" in text
+    assert "best effort 10.0 10.0 0.0 0.50 reproduced [10.0, 10.0] [10.0, 10.0]" in text
 
 
 def test_the_report_says_which_protocols_were_evaluated_in_which_episodes(tmp_path: Path) -> None:
@@ -95,12 +85,6 @@ def test_collapsed_runs_of_pcn_are_counted(tmp_path: Path) -> None:
     assert "| 1 of 5 |" in (tmp_path / "reproduction.md").read_text()
 
 
-published = pytest.mark.skipif(
-    not (PUBLISHED / "reproduction_scores.csv").exists(), reason="there are no published results"
-)
-
-
-@published
 def test_the_report_agrees_with_the_published_scores() -> None:
     plan, results = load_plan(PLAN), ReproductionResults.read(PUBLISHED)
     table = verdict_table(plan, results)

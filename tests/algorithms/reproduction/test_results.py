@@ -53,12 +53,6 @@ def test_broken_results_are_refused(tmp_path: Path, damage: str) -> None:
         ReproductionResults.read(tmp_path)
 
 
-published = pytest.mark.skipif(
-    not (PUBLISHED / "reproduction_scores.csv").exists(), reason="there are no published results"
-)
-
-
-@published
 def test_the_published_scores_cover_the_whole_plan(tmp_path: Path) -> None:
     plan, results = load_plan(PLAN), ReproductionResults.read(PUBLISHED)
     wanted = {(r.task, r.protocol, r.variant, r.seed) for r in planned_runs(plan, list(plan.tasks), tmp_path)}
@@ -66,14 +60,6 @@ def test_the_published_scores_cover_the_whole_plan(tmp_path: Path) -> None:
     assert {(row["task"], row["protocol"], row["variant"], row["seed"]) for row in results.curves} == wanted
     for figure in FIGURES:
         assert list(PUBLISHED.glob(f"figure_{figure:02}*.png"))
-
-
-def test_results_with_the_columns_of_earlier_versions_are_refused(tmp_path: Path) -> None:
-    make_results("one_waypoint_linear", {"a2c": SOLVED}).write(tmp_path)
-    scores = tmp_path / "reproduction_scores.csv"
-    scores.write_text(scores.read_text().replace("task,protocol", "cell,arm"))
-    with pytest.raises(ValueError, match=r"column 'protocol' is missing; versions before 0\.2 had 'cell' and 'arm'"):
-        ReproductionResults.read(tmp_path)
 
 
 def test_runs_that_cannot_be_read_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import optuna
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from algorithms.sweeps.hyperparameter_search import propose_points
 from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings
@@ -43,40 +41,6 @@ def points(
 
     propose_points(settings, runs_of, scores or {})
     return found
-
-
-@st.composite
-def intervals(draw: st.DrawFn) -> dict[str, Any]:
-    """Valid ranges."""
-    if draw(st.booleans()):
-        low = draw(st.integers(1, 1000))
-        high = low + draw(st.integers(0, 1000))
-        step = draw(st.none() | st.integers(1, 7))
-    else:
-        low = draw(st.floats(1e-6, 10.0))
-        high = low + draw(st.floats(0.0, 100.0))
-        step = draw(st.none() | st.floats(0.01, 3.0))
-    values: dict[str, Any] = {"low": low, "high": high}
-    if step is None:
-        values["log"] = draw(st.booleans())
-    else:
-        values["step"] = step
-    return values
-
-
-@pytest.mark.filterwarnings("ignore:The distribution is specified by")
-@given(values=intervals(), seed=st.integers(0, 1000), sampler=st.sampled_from(["random", "tpe"]))
-def test_points_respect_bounds_and_steps(values: dict[str, Any], seed: int, sampler: str) -> None:
-    found = points(settings_of(space={"a.b": values}, seed=seed, sampler=sampler, trials=8))
-    assert len(found) == 8
-    low, high, step = values["low"], values["high"], values.get("step")
-    for point in found:
-        assert list(point) == ["a.b"]
-        value = point["a.b"]
-        assert low <= value <= high
-        assert type(value) is type(low)
-        if step is not None:
-            assert (value - low) / step == pytest.approx(round((value - low) / step), abs=1e-6)
 
 
 def test_integer_bounds_give_integers_unless_the_step_is_a_fraction() -> None:

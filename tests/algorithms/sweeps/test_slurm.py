@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import pickle
 import shutil
@@ -13,8 +12,8 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from rich.console import Console
 
+from tests.helpers.short_runs import quiet
 from tests.helpers.sweep_files import write_sweep
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
@@ -59,10 +58,10 @@ class FakeSlurm:
     def run(self, command: Sequence[str], **options: Any) -> subprocess.CompletedProcess[str]:
         """The commands of Slurm."""
         self.commands += [list(command)]
-        found, code = {"squeue": self.states, "sacct": self.accounting, "scontrol": {}}[command[0]], 0
+        found = {"squeue": self.states, "sacct": self.accounting, "scontrol": {}}[command[0]]
         if found is None:
             return subprocess.CompletedProcess(command, 1, "", "Slurm accounting storage is disabled\n")
-        return subprocess.CompletedProcess(command, code, "".join(f"{job}|{state}\n" for job, state in found.items()))
+        return subprocess.CompletedProcess(command, 0, "".join(f"{job}|{state}\n" for job, state in found.items()))
 
     def calls(self, program: str) -> list[list[str]]:
         """The calls of a program."""
@@ -92,10 +91,6 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
     monkeypatch.setattr(slurm, "POLL", 1e-3)
     monkeypatch.setattr(slurm.time, "sleep", lambda seconds: None)
     return found
-
-
-def quiet() -> Console:
-    return Console(file=io.StringIO())
 
 
 def jobs_of(settings: SweepSettings, sweep: Path) -> list[Job]:
@@ -190,8 +185,8 @@ def test_an_array_task_that_is_cancelled_before_it_starts_is_not_submitted_again
     assert len(fake.arrays) == 1
 
 
-@pytest.mark.parametrize("state", ["NODE_FAIL", "OUT_OF_MEMORY", "FAILED", "gone"])
-@pytest.mark.parametrize("retries", [0, 1, 3])
+@pytest.mark.parametrize("state", ["NODE_FAIL", "gone"])
+@pytest.mark.parametrize("retries", [0, 2])
 def test_a_job_that_dies_is_submitted_again_as_often_as_allowed(
     tmp_path: Path, fake: FakeSlurm, state: str, retries: int
 ) -> None:
@@ -214,17 +209,15 @@ def test_a_job_that_dies_is_submitted_again_as_often_as_allowed(
 @pytest.mark.parametrize(
     ("state", "submissions", "shown"), [("CANCELLED by 0", 1, "CANCELLED"), ("NODE_FAIL", 2, "NODE_FAIL")]
 )
-@pytest.mark.parametrize("started", [False, True])
 def test_where_there_is_accounting_it_is_asked_about_jobs_that_are_gone(
-    tmp_path: Path, fake: FakeSlurm, state: str, submissions: int, shown: str, started: bool
+    tmp_path: Path, fake: FakeSlurm, state: str, submissions: int, shown: str
 ) -> None:
     settings = load_sweep(write_sweep(tmp_path, grid={}, retries=1))
     (job,) = jobs_of(settings, tmp_path)
 
     def vanish(submitted: list[str]) -> None:
         fake.accounting = {submitted[0]: state, "99_[2-3]": "PENDING"}
-        if started:
-            fake.start(submitted[0])
+        fake.start(submitted[0])
 
     fake.after_submission = vanish
     failed = run_on_slurm(settings, [job], tmp_path)
@@ -235,7 +228,7 @@ def test_where_there_is_accounting_it_is_asked_about_jobs_that_are_gone(
 
 @pytest.mark.parametrize(
     ("states", "requeued"),
-    [({"4_1": "RUNNING"}, True), ({"4_1": "COMPLETING"}, False), ({"4_1": "CANCELLED"}, False), ({}, False)],
+    [({"4_1": "RUNNING"}, True), ({"4_1": "CANCELLED"}, False), ({}, False)],
 )
 def test_a_task_that_was_stopped_requeues_itself_unless_it_was_cancelled(
     tmp_path: Path, fake: FakeSlurm, monkeypatch: pytest.MonkeyPatch, states: dict[str, str], requeued: bool
@@ -309,7 +302,6 @@ def test_without_waiting_a_sweep_without_search_submits_failed_runs_again(tmp_pa
     [
         ({"1_0": "RUNNING", "1_1": "COMPLETED"}, "the jobs stay in Slurm's queue: the same command watches them again, "
          "`scancel 1` cancels them"),
-        ({"1_0": "COMPLETED"}, "no job is in Slurm's queue: the same command submits the runs that are not done"),
         ({}, "no job is in Slurm's queue: the same command submits the runs that are not done"),
     ],
 )  # fmt: skip

@@ -37,26 +37,26 @@ def refused(folder: Path, **settings: Any) -> str:
         ),
         ({"overrides": {RATE: 0.1}}, [f"'{RATE}' is in overrides and in grid"]),
         ({"grid": {"seed": [1, 2]}}, ["'seed' in grid: set seeds with the key 'seeds'"]),
-        ({"grid": {"training.seed": [1]}}, ["'training.seed' in grid"]),
         ({"overrides": {"training.seed": 1}}, ["'training.seed' in overrides"]),
         ({"overrides": {"training": {"seed": 1}}}, ["'seed' in 'training': set seeds with the key 'seeds'"]),
         ({"seeds": [3, 5, 3]}, ["[3, 5, 3] has a duplicate seed"]),
-        ({"seeds": []}, ["'seeds' = []"]),
         ({"seeds": 0}, ["'seeds' = 0"]),
         ({"seeds": -2}, ["'seeds' = -2"]),
-        ({"seeds": [-1]}, ["'seeds.0' = -1"]),
         ({"seeds": [2**31]}, [f"'seeds.0' = {2**31}"]),
         ({"seeds": True}, ["'seeds' = True"]),
-        ({"seeds": 2.5}, ["'seeds' = 2.5"]),
         ({"grid": {RATE: []}}, [f"'grid.{RATE}' = []"]),
         ({"grid": {RATE: 0.1}}, [f"'grid.{RATE}' = 0.1", "list"]),
         ({"config": []}, ["'config' = []"]),
-        ({"config": 3}, ["'config' = 3"]),
         ({"retries": -1}, ["'retries' = -1"]),
         ({"resources": {"cpus": 0}}, ["'resources.cpus' = 0"]),
-        ({"resources": {"minutes": "an hour"}}, ["'resources.minutes' = 'an hour'"]),
         ({"resources": {"memory_gb": math.nan}}, ["'resources.memory_gb' = nan"]),
-        ({"overrides": None}, ["'overrides' = None"]),
+        (
+            {"grid": {RATE: [1]}, "search": {"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1}},
+            [f"'{RATE}' is in grid and in search.space"],
+        ),
+        ({"search": {"space": {RATE: [1, 2]}}}, ["'search.metric' is missing", "'search.trials' is missing"]),
+        ({"search": {"space": {}, "metric": METRIC, "trials": 1}}, ["'search.space' = {}"]),
+        ({"search": {"space": {RATE: [1]}, "metric": METRIC, "trials": 0}}, ["'search.trials' = 0"]),
     ],
 )
 def test_an_invalid_setting_is_refused_with_its_name(
@@ -80,22 +80,13 @@ def test_all_errors_in_a_file_are_reported_together(tmp_path: Path) -> None:
     [
         ({"low": 3, "high": 2}, "low = 3 is above high = 2"),
         ({"low": 0, "high": 2, "log": True}, "low = 0 must be positive"),
-        ({"low": -1.0, "high": 2.0, "log": True}, "low = -1.0 must be positive"),
         ({"low": 1, "high": 8, "log": True, "step": 2}, "a logarithmic range takes no step"),
         ({"low": 1, "high": 8, "step": 0}, "step = 0 must be positive"),
-        ({"low": 1, "high": 8, "step": -0.5}, "step = -0.5 must be positive"),
         ({"choices": [1, 2], "low": 0}, "'choices' excludes the other keys"),
-        ({"choices": [1, 2], "log": False}, "'choices' excludes the other keys"),
-        ({"choices": []}, "choices' = []"),
         ([], "choices' = []"),
         ({"low": 1}, "needs 'low' and 'high'"),
-        ({"high": 1}, "needs 'low' and 'high'"),
-        ({}, "needs 'low' and 'high', or 'choices'"),
-        ({"low": math.nan, "high": 1}, "= nan"),
+        ({"high": 1}, "needs 'low' and 'high', or 'choices'"),
         ({"low": 0, "high": math.inf}, "= inf"),
-        ({"low": "a", "high": 1}, "= 'a'"),
-        ({"low": True, "high": 2}, "= True"),
-        ({"low": 0, "high": 2, "log": "yes"}, "'search.space.algorithm.learning_rate.log' = 'yes'"),
         (3, "= 3"),
     ],
 )
@@ -103,23 +94,6 @@ def test_an_invalid_range_is_refused_with_its_key(tmp_path: Path, values: Any, m
     said = refused(tmp_path, search={"space": {RATE: values}, "metric": METRIC, "trials": 1})
     assert f"search.space.{RATE}" in said
     assert message in said
-
-
-@pytest.mark.parametrize(
-    ("values", "name"),
-    [
-        ({"trials": 0}, "search.trials"),
-        ({"batch": 0}, "search.batch"),
-        ({"space": {}}, "search.space"),
-        ({"sampler": "grid"}, "search.sampler"),
-        ({"direction": "up"}, "search.direction"),
-        ({"metric": 3}, "search.metric"),
-        ({"seed": -1}, "search.seed"),
-    ],
-)
-def test_an_invalid_search_is_refused_with_its_key(tmp_path: Path, values: dict[str, Any], name: str) -> None:
-    said = refused(tmp_path, search={"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1, **values})
-    assert f"'{name}' = " in said
 
 
 def test_a_seed_in_another_section_and_a_step_of_one_are_allowed(tmp_path: Path) -> None:
@@ -130,17 +104,6 @@ def test_a_seed_in_another_section_and_a_step_of_one_are_allowed(tmp_path: Path)
     assert settings.overrides == arguments
     assert settings.search is not None
     assert settings.search.space["algorithm.steps"].step == 1
-
-
-def test_a_search_requires_a_metric_and_a_number_of_trials(tmp_path: Path) -> None:
-    said = refused(tmp_path, search={"space": {RATE: [1, 2]}})
-    assert "'search.metric' is missing" in said
-    assert "'search.trials' is missing" in said
-
-
-def test_a_key_in_both_grid_and_search_is_refused(tmp_path: Path) -> None:
-    said = refused(tmp_path, grid={RATE: [1]}, search={"space": {RATE: [1, 2]}, "metric": METRIC, "trials": 1})
-    assert f"'{RATE}' is in grid and in search.space" in said
 
 
 def test_a_number_of_seeds_is_short_for_that_many_from_zero(tmp_path: Path) -> None:
