@@ -177,12 +177,6 @@ class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
     max_grad_norm: Positive = 0.5
     state_dependent_std: bool = True
 
-    new_defaults: ClassVar[dict[str, Any]] = {
-        **NetworkSettings.new_defaults,
-        "state_dependent_std": True,
-        "vector_critic": False,
-    }
-
     @model_validator(mode="after")
     def _consistent(self) -> ConditionedMOPPOConfig:
         check_entropy_schedule(self.entropy_start, self.entropy_end)
@@ -366,10 +360,8 @@ class ConditionedMOPPO(FrontAgent):
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        seed: determines the run, bit for bit on one machine.
-        device: of the networks.
         guides: what begins episodes.
-        **hyperparameters: fields of ConditionedMOPPOConfig.
+        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
         preferences: what a condition means; ``agent.policy(agent.preferences.condition("linear", {"distance": 1}))``
@@ -384,16 +376,8 @@ class ConditionedMOPPO(FrontAgent):
     Config = ConditionedMOPPOConfig
     trains_with_guides = True
 
-    def __init__(
-        self,
-        env: VectorEnv,
-        *,
-        seed: int = 0,
-        device: str = "cpu",
-        guides: Sequence[Guide] = (),
-        **hyperparameters: Any,
-    ):
-        super().__init__(env, seed=seed, device=device, **hyperparameters)
+    def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), **options: Any):
+        super().__init__(env, **options)
         if self.env.cost_sign != "maximise":
             raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
         self.guides = Guides(guides, self.accrued_discount)
@@ -520,10 +504,9 @@ class ConditionedMOPPO(FrontAgent):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share; with other scales, families, rho or price a preference means something else."""
         config = self.config
-        guides = self.guides.identity()
         return {
             **super().identity(),
-            **({GUIDES: guides} if guides else {}),
+            GUIDES: self.guides.identity(),
             **config.identity(continuous=self.env.continuous),
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
@@ -564,7 +547,6 @@ class ConditionedMOPPO(FrontAgent):
         self.guides.set_state(state)
         restore_generator(self.generator, GENERATOR, state[GENERATOR])
         restore_generator(self.draws, "draws", state["draws"])
-        # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:

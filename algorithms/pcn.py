@@ -98,13 +98,6 @@ class PCNConfig(Settings):
         max_policies: largest size of a front; a subset that covers it represents a larger one.
     """
 
-    renamed = {
-        "haste": "horizon_reduction",
-        "ambition": "return_noise",
-        "store_episodes": "buffer_size",
-        "updates": "gradient_steps",
-    }
-
     learning_rate: LearningRate = 1e-3
     learning_rate_end: FinalLearningRate | None = None
     gamma: PositiveFraction = 0.99
@@ -130,9 +123,7 @@ class PCN(FrontAgent):
     Args:
         env: a vector environment with vector rewards and one vehicle, from
             `mo_deepdrive.evaluation.env_adapter.make_env`.
-        seed: determines the run, bit for bit on one machine.
-        device: of the network.
-        **hyperparameters: fields of PCNConfig.
+        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
         bounds: two vectors (d,), the lowest and highest returns-to-go in the buffer.
@@ -146,8 +137,8 @@ class PCN(FrontAgent):
     Config = PCNConfig
     varying_shapes = ("optimiser.", "store.", "attained.")
 
-    def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
-        super().__init__(env, seed=seed, device=device, **hyperparameters)
+    def __init__(self, env: VectorEnv, **options: Any):
+        super().__init__(env, **options)
         if HORIZON in self.env.objectives:
             raise ValueError(
                 f"an objective is named {HORIZON!r}, as a part of the commands of {self.name!r}; rename it"

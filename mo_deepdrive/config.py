@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
@@ -24,12 +24,12 @@ Traffic = Literal["none", "light", "default", "dense"]
 class Settings(BaseModel):
     """Base of every settings model: strict but for NumPy's numbers, immutable, and closed to unknown keys.
 
-    Attributes:
-        renamed: old names of fields, refused with the new one.
+    A field is described by the string under it.
     """
 
-    renamed: ClassVar[Mapping[str, str]] = {}
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -72,13 +72,6 @@ def _model_at(model: Any, path: tuple[int | str, ...]) -> type[Settings] | None:
     return model if _is_model(model) else None
 
 
-def _unknown(model: type[Settings] | None, key: str) -> str:
-    """Why ``key`` is refused, with its new name or the nearest known one."""
-    if model is not None and key in model.renamed:
-        return f"was renamed; write {model.renamed[key]!r}"
-    return f"is unknown; {nearest(key, model.model_fields if model is not None else [])}"
-
-
 def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
     """Build ``model`` from ``values``.
 
@@ -93,7 +86,8 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
             path = problem["loc"]
             name = ".".join(str(part) for part in path)
             if problem["type"] == "extra_forbidden":
-                lines.append(f"{name!r} {_unknown(_model_at(model, path[:-1]), str(path[-1]))}")
+                found = _model_at(model, path[:-1])
+                lines.append(f"{name!r} is unknown; {nearest(str(path[-1]), found.model_fields if found else [])}")
             elif problem["type"] == "missing":
                 lines.append(f"{name!r} is missing")
             else:

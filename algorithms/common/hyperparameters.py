@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import AfterValidator, Field
 
 from mo_deepdrive.config import Settings
 
@@ -58,21 +58,6 @@ class NetworkSettings(Settings):
     network: DottedPath | None = None
     state_dependent_std: bool = False
 
-    # What earlier versions did not have is left out where it changes nothing, so that their runs and sweeps remain the
-    # same experiments.
-    new_defaults: ClassVar[dict[str, Any]] = {
-        "activation": "relu",
-        "network": None,
-        "state_dependent_std": False,
-        "utility_scale": 10.0,
-    }
-
-    @model_serializer(mode="wrap")
-    def _without_new_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = dump(self)
-        new = self.new_defaults
-        return {key: value for key, value in values.items() if key not in new or value != new[key]}
-
     def identity(self, *, continuous: bool) -> dict[str, Any]:
         """What two agents must share to have networks alike, for the identity of a checkpoint."""
         return {
@@ -93,8 +78,6 @@ class ActorCriticSettings(NetworkSettings):
     """
 
     cost_growth: Fraction = 0.0
-
-    new_defaults: ClassVar[dict[str, Any]] = {**NetworkSettings.new_defaults, "cost_growth": 0.0}
 
 
 class GuideSettings(Settings):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
-from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BeforeValidator, Field, SerializationInfo, model_serializer
 
 import mo_deepdrive
 from algorithms.common.hyperparameters import GuideSettings, a_twentieth
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
-
+T = TypeVar("T")
 
 LARGEST_COUNT = 10**15
 
@@ -96,12 +96,6 @@ class TrainingSettings(Settings):
     partners: dict[str, list[str]] = {}
     guides: dict[str, GuideSettings] = {}
 
-    @model_serializer(mode="wrap")
-    def _without_nobody(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what earlier versions did not have, so that their runs and sweeps remain the same experiments."""
-        values: dict[str, Any] = dump(self)
-        return {key: value for key, value in values.items() if key not in ("partners", "guides") or value}
-
 
 class EvaluationSettings(Settings):
     """How the policy is evaluated, independent of how it learns.
@@ -116,8 +110,6 @@ class EvaluationSettings(Settings):
         reference_point: reference point of a front's hypervolume, one number per objective; None for the default of
             this package's environments, and for no hypervolume on others.
     """
-
-    renamed = {"seed": "split"}
 
     interval: Count | None = None
     episodes: Count = 100
@@ -157,12 +149,21 @@ class LoggingSettings(Settings):
         wandb: log to Weights & Biases too; None to leave it out.
     """
 
-    renamed = {"pictures": "save_figures"}
-
     interval: Count = 10
     checkpoint_interval: Count | None = None
     save_figures: bool = True
     wandb: WandbSettings | None = None
+
+
+class AlgorithmSettings(Settings):
+    """The algorithm and its hyperparameters, which stand beside its name in YAML."""
+
+    name: str
+    config: Any  # an instance of the Config of any algorithm
+
+    @model_serializer
+    def _beside_the_name(self, info: SerializationInfo) -> dict[str, Any]:
+        return {"name": self.name, **self.config.model_dump(mode=info.mode)}
 
 
 class Experiment(Settings):
@@ -180,7 +181,7 @@ class Experiment(Settings):
 
     environment: EnvironmentSettings
     utility: UtilitySettings | None = None
-    algorithm: dict[str, Any]
+    algorithm: AlgorithmSettings
     training: TrainingSettings
     evaluation: EvaluationSettings = EvaluationSettings()
     logging: LoggingSettings = LoggingSettings()
@@ -188,12 +189,7 @@ class Experiment(Settings):
     @property
     def known_utility(self) -> bool:
         """Whether the algorithm learns for a known utility, rather than a front for every utility."""
-        return find_algorithm(self.algorithm["name"]).known_utility
-
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """The algorithm's settings without its name."""
-        return {key: value for key, value in self.algorithm.items() if key != "name"}
+        return find_algorithm(self.algorithm.name).known_utility
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, from which :func:`make_experiment` makes an equal experiment."""
@@ -232,25 +228,29 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     Raises:
         ValueError: as :func:`load_experiment`.
     """
-    experiment = parse(Experiment, values, what)
     problems: list[str] = []
 
-    def attempt(check: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
+    def attempt(check: Callable[[], T]) -> T | None:
         try:
-            return check() or {}
+            return check()
         except ValueError as error:
             problems.append(str(error))
-            return {}
+            return None
 
+    sections, given = dict(values), values.get("algorithm")
+    if isinstance(given, dict):
+        # If it is refused, the other sections are checked nevertheless.
+        sections["algorithm"] = attempt(lambda: _algorithm(given)) or AlgorithmSettings(name="", config=Settings())
+    experiment = parse(Experiment, sections, what)
+    algorithm = experiment.algorithm.name
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
-    algorithm = attempt(lambda: _algorithm(experiment.algorithm))
     attempt(lambda: check_device("training.device", experiment.training.device, here))
     attempt(lambda: _check_episodes(experiment.evaluation))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
     reference: dict[str, Any] = {}
-    if algorithm and arguments and not experiment.known_utility:
-        reference = attempt(lambda: _reference_point(experiment, arguments))
+    if algorithm and arguments is not None and not experiment.known_utility:
+        reference = attempt(lambda: _reference_point(experiment, arguments)) or {}
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     default = a_twentieth(experiment.training.total_timesteps)
@@ -258,7 +258,6 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     return experiment.model_copy(
         update={
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
-            "algorithm": algorithm,
             "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **reference}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
@@ -364,17 +363,17 @@ def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"scenario"})
 
 
-def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
+def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
     if "name" not in values:
         raise ValueError(f"'algorithm.name' is missing; known: {', '.join(algorithm_names())}")
     name = values["name"]
     rest = {key: value for key, value in values.items() if key != "name"}
     config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
-    return {"name": name, **config.model_dump(mode="json")}
+    return AlgorithmSettings(name=name, config=config)
 
 
 def _check_utility(experiment: Experiment) -> None:
-    name = experiment.algorithm["name"]
+    name = experiment.algorithm.name
     if experiment.known_utility and experiment.utility is None:
         raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
     if not experiment.known_utility and experiment.utility is not None:

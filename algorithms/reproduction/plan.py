@@ -64,8 +64,6 @@ class PlannedTask(Settings):
         protocols: by key.
     """
 
-    renamed = {"arms": "protocols"}
-
     title: str
     protocols: dict[str, Protocol] = Field(min_length=1)
 
@@ -81,8 +79,6 @@ class Plan(Settings):
         quick_overrides: of every run of a quick reproduction.
         tasks: by key.
     """
-
-    renamed = {"cells": "tasks"}
 
     first_seed: Annotated[int, Field(ge=0)]
     seeds: Annotated[int, Field(ge=1)]
