@@ -76,7 +76,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
@@ -132,49 +132,46 @@ if TYPE_CHECKING:
 
 
 class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
-    """Hyperparameters of conditioned MO-PPO; the others are described in PreferenceSettings and NetworkSettings.
-
-    Attributes:
-        objective_scales: s, nominal size of each objective's return; None for the environment's own.
-        switching: probability per decision that the preference changes in the middle of an episode.
-        cost_growth: fraction of the training in which c of eq. 12 grows linearly from 0 to 1; 0 for weights as drawn
-            from the start. Until the first arrival the destination counts as a cost.
-        max_policies: number of preferences under which the front is evaluated.
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the return of which the utility is taken.
-        gae_lambda: lambda of eq. 8.
-        steps: T, time steps per environment and update.
-        epochs: passes over every rollout.
-        minibatches: gradient steps per pass.
-        clip: epsilon of eq. 9.
-        entropy_start: c_e at the start of training.
-        entropy_end: c_e at the end, to which it moves geometrically.
-        entropy_until: fraction of the training after which c_e is ``entropy_end``.
-        value_coefficient: c_v.
-        vector_critic: whether the critic predicts the return of each objective, as the vector-valued Q of Abels et al.
-            (2019) and Yang et al. (2019) do, instead of linear utilities of them; only where families has linear ones.
-        max_grad_norm: maximum norm of the gradient.
-    """
+    """Hyperparameters of conditioned MO-PPO; the others are described in PreferenceSettings and NetworkSettings."""
 
     objective_scales: Scales | None = None
+    """s, nominal size of each objective's return; None for the environment's own."""
     switching: Fraction = 0.01
+    """Probability per decision that the preference changes in the middle of an episode."""
     cost_growth: Fraction = 0.15
+    """Fraction of the training in which c of eq. 12 grows linearly from 0 to 1; 0 for weights as drawn from the start.
+    Until the first arrival the destination counts as a cost."""
     max_policies: Annotated[int, Field(ge=1, le=100_000)] = 200
+    """Number of preferences under which the front is evaluated."""
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: PositiveFraction = 0.99
+    """Discount of the return of which the utility is taken."""
     gae_lambda: Fraction = 0.95
+    """lambda of eq. 8."""
     steps: Count = 32
+    """T, time steps per environment and update."""
     epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    """Passes over every rollout."""
     minibatches: Count = 4
+    """Gradient steps per pass."""
     clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    """epsilon of eq. 9."""
     entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
     entropy_end: NonNegative = 0.001
+    """c_e at the end, to which it moves geometrically."""
     entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
     value_coefficient: Positive = 0.5
+    """c_v."""
     vector_critic: bool = False
+    """Whether the critic predicts the return of each objective, as the vector-valued Q of Abels et al. (2019) and Yang
+    et al. (2019) do, instead of linear utilities of them; only where families has linear ones."""
     max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
     state_dependent_std: bool = True
 
     @model_validator(mode="after")

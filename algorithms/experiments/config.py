@@ -46,27 +46,19 @@ Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_intege
 
 
 class EnvironmentSettings(Settings):
-    """The environment of an experiment.
-
-    Attributes:
-        id: a registered Gymnasium id with vector rewards; "module:id" imports the module first.
-        arguments: keyword arguments of the environment.
-    """
+    """The environment of an experiment."""
 
     id: str
+    """A registered Gymnasium id with vector rewards; "module:id" imports the module first."""
     arguments: dict[str, Any] = {}
+    """Keyword arguments of the environment."""
 
 
 class UtilitySettings(UtilityChoice):
-    """The utility that is maximised.
-
-    Attributes:
-        name: of the utility of every vehicle: a registered one, or "package.module:callable".
-        arguments: keyword arguments of that utility.
-        vehicles: utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1".
-    """
+    """The utility that is maximised."""
 
     vehicles: dict[str, UtilityChoice] = {}
+    """Utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1"."""
 
     def of_vehicle(self, v: int) -> UtilityChoice:
         """The utility of vehicle ``v``."""
@@ -74,49 +66,43 @@ class UtilitySettings(UtilityChoice):
 
 
 class TrainingSettings(Settings):
-    """Length, seed and hardware of the training.
-
-    Attributes:
-        total_timesteps: environment steps, summed over the parallel environments.
-        num_envs: number of parallel environments.
-        seed: seed of everything random in training.
-        device: the device of the networks, in PyTorch's notation.
-        threads: how many collect samples and compute gradients; each needs a core of its own, or training becomes
-            slower. A run is the same, bit for bit, for the same number.
-        partners: what drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo
-            and scripted drivers, which take turns over the parallel environments.
-        guides: what begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings.
-    """
+    """Length, seed and hardware of the training."""
 
     total_timesteps: Count
+    """Environment steps, summed over the parallel environments."""
     num_envs: Environments
+    """Number of parallel environments."""
     seed: int = Field(default=0, ge=0, lt=2**31)
+    """Seed of everything random in training."""
     device: str = "cpu"
+    """The device of the networks, in PyTorch's notation."""
     threads: int = Field(default=1, ge=1, le=1024)
+    """How many collect samples and compute gradients; each needs a core of its own, or training becomes slower. A run
+    is the same, bit for bit, for the same number."""
     partners: dict[str, list[str]] = {}
+    """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
+    drivers, which take turns over the parallel environments."""
     guides: dict[str, GuideSettings] = {}
+    """What begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings."""
 
 
 class EvaluationSettings(Settings):
-    """How the policy is evaluated, independent of how it learns.
-
-    Attributes:
-        interval: environment steps between evaluations during training; None for a twentieth of the training.
-        episodes: episodes per evaluation during training, which are the first ones of the validation split.
-        final_episodes: episodes of the evaluation at the end.
-        split: the split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end;
-            "validation" for runs that are compared in order to choose one.
-        gamma: discount of the reported discounted returns.
-        reference_point: reference point of a front's hypervolume, one number per objective; None for the default of
-            this package's environments, and for no hypervolume on others.
-    """
+    """How the policy is evaluated, independent of how it learns."""
 
     interval: Count | None = None
+    """Environment steps between evaluations during training; None for a twentieth of the training."""
     episodes: Count = 100
+    """Episodes per evaluation during training, which are the first ones of the validation split."""
     final_episodes: Count = 1000
+    """Episodes of the evaluation at the end."""
     split: Split = "test"
+    """The split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end; "validation"
+    for runs that are compared in order to choose one."""
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
+    """Discount of the reported discounted returns."""
     reference_point: list[float] | None = None
+    """Reference point of a front's hypervolume, one number per objective; None for the default of this package's
+    environments, and for no hypervolume on others."""
 
     @property
     def final_seed(self) -> int:
@@ -125,41 +111,40 @@ class EvaluationSettings(Settings):
 
 
 class WandbSettings(Settings):
-    """Logging to Weights & Biases.
-
-    Attributes:
-        project, entity, group, tags: as in ``wandb.init``.
-        mode: "online", which falls back to offline without an API key or network; or "offline".
-    """
+    """Logging to Weights & Biases."""
 
     project: str
+    """As in ``wandb.init``."""
     entity: str | None = None
+    """As in ``wandb.init``."""
     group: str | None = None
+    """As in ``wandb.init``."""
     tags: list[str] = []
+    """As in ``wandb.init``."""
     mode: Literal["online", "offline"] = "online"
+    """Either "online", which falls back to offline without an API key or network; or "offline"."""
 
 
 class LoggingSettings(Settings):
-    """What is written during training, besides metrics.csv and TensorBoard's event files.
-
-    Attributes:
-        interval: updates between two rows of training metrics.
-        checkpoint_interval: environment steps between checkpoints; None for a twentieth of the training.
-        save_figures: draw the learning curves and film the policy at the end.
-        wandb: log to Weights & Biases too; None to leave it out.
-    """
+    """What is written during training, besides metrics.csv and TensorBoard's event files."""
 
     interval: Count = 10
+    """Updates between two rows of training metrics."""
     checkpoint_interval: Count | None = None
+    """Environment steps between checkpoints; None for a twentieth of the training."""
     save_figures: bool = True
+    """Draw the learning curves and film the policy at the end."""
     wandb: WandbSettings | None = None
+    """Log to Weights & Biases too; None to leave it out."""
 
 
 class AlgorithmSettings(Settings):
-    """The algorithm and its hyperparameters, which stand beside its name in YAML."""
+    """An algorithm and its hyperparameters, which stand beside its name in YAML."""
 
     name: str
-    config: Any  # an instance of the Config of any algorithm
+    """Name of the algorithm; "package.module:Class" for your own."""
+    config: Any
+    """Its hyperparameters, an instance of the algorithm's Config."""
 
     @model_serializer
     def _beside_the_name(self, info: SerializationInfo) -> dict[str, Any]:
@@ -167,24 +152,20 @@ class AlgorithmSettings(Settings):
 
 
 class Experiment(Settings):
-    """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default.
-
-    Attributes:
-        environment: the environment to learn in.
-        utility: the utility to maximise; None for algorithms that learn a front.
-        algorithm: "name" (a key of ``algorithms.ALGORITHMS`` or ``algorithms.peers.PEERS``) and that algorithm's
-            hyperparameters.
-        training: length, seed and hardware of the training.
-        evaluation: how the policy is evaluated.
-        logging: what is written during and after the training.
-    """
+    """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default."""
 
     environment: EnvironmentSettings
+    """The environment to learn in."""
     utility: UtilitySettings | None = None
+    """The utility to maximise; None for algorithms that learn a front."""
     algorithm: AlgorithmSettings
+    """The algorithm and its hyperparameters."""
     training: TrainingSettings
+    """Length, seed and hardware of the training."""
     evaluation: EvaluationSettings = EvaluationSettings()
+    """How the policy is evaluated."""
     logging: LoggingSettings = LoggingSettings()
+    """What is written during and after the training."""
 
     @property
     def known_utility(self) -> bool:
