@@ -45,39 +45,36 @@ if TYPE_CHECKING:
 
 
 class A2CConfig(ActorCriticSettings):
-    """Hyperparameters of A2C; those of actor and critic are described in ActorCriticSettings.
-
-    Attributes:
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount.
-        gae_lambda: lambda of eq. 2; 0 gives one-step advantages, 1 uses the whole rollout.
-        steps: T, time steps per environment and update.
-        entropy_start: c_e at the start of training.
-        entropy_end: c_e at the end, to which it moves geometrically.
-        entropy_until: fraction of the training after which c_e is ``entropy_end``.
-        value_coefficient: c_v.
-        value_scale: nominal size of a scalar return, by which the critic's output is multiplied.
-        max_grad_norm: maximum norm of the gradient.
-        normalise_advantages: normalise the advantages of an update to mean 0 and standard deviation 1.
-        objective_scales: nominal size of each objective's return; None for the environment's own.
-        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
-    """
+    """Hyperparameters of A2C; those of actor and critic are described in ActorCriticSettings."""
 
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: Fraction = 0.99
+    """Discount."""
     gae_lambda: Fraction = 0.95
+    """lambda of eq. 2; 0 gives one-step advantages, 1 uses the whole rollout."""
     steps: Count = 16
+    """T, time steps per environment and update."""
     entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
     entropy_end: NonNegative = 0.01
+    """c_e at the end, to which it moves geometrically."""
     entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
     value_coefficient: Positive = 0.5
+    """c_v."""
     value_scale: Positive = 10.0
+    """Nominal size of a scalar return, by which the critic's output is multiplied."""
     max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
     normalise_advantages: bool = True
+    """Normalise the advantages of an update to mean 0 and standard deviation 1."""
     objective_scales: Scales | None = None
+    """Nominal size of each objective's return; None for the environment's own."""
     centralised_critic: bool = False
+    """The critic also sees the observations of the other vehicles; the actor does not."""
 
     @model_validator(mode="after")
     def _consistent(self) -> A2CConfig:

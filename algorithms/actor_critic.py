@@ -122,11 +122,9 @@ class ActorCritic(Agent):
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
         utility: the known utility, its name or a function of returns (..., d), or a list with one per vehicle.
-        seed: determines the run, bit for bit on one machine.
-        device: of the networks.
         partners: what drives the vehicles that do not learn, by their indices.
         guides: what begins episodes of vehicles that learn.
-        **hyperparameters: fields of the class's Config.
+        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
         learners: one per vehicle that learns, in the order of the vehicles.
@@ -145,13 +143,11 @@ class ActorCritic(Agent):
         env: VectorEnv,
         utility: UtilityLike | Sequence[UtilityLike],
         *,
-        seed: int = 0,
-        device: str = "cpu",
         partners: Mapping[int, Population] | None = None,
         guides: Sequence[Guide] = (),
-        **hyperparameters: Any,
+        **options: Any,
     ):
-        super().__init__(env, utility, seed=seed, device=device, **hyperparameters)
+        super().__init__(env, utility, **options)
         self.partners = dict(partners or {})
         if guides and not self.trains_with_guides:
             raise ValueError(f"algorithm {self.name!r} cannot train with guides")
@@ -318,16 +314,14 @@ class ActorCritic(Agent):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share with the agent that reads it."""
         drivers = {vehicle_name(v): list(partner.digests) for v, partner in self.partners.items()}
-        guides = self.guides.identity()
         return {
             **super().identity(),
             **self.config.identity(continuous=self.env.continuous),
             "centralised_critic": self.config.centralised_critic,
             "inputs": self.learners[0].input_size,
             **self._units(),
-            # Files of earlier versions, which knew neither, lack the entries.
-            **({PARTNERS: drivers} if drivers else {}),
-            **({GUIDES: guides} if guides else {}),
+            PARTNERS: drivers,
+            GUIDES: self.guides.identity(),
         }
 
     def _units(self) -> dict[str, Any]:
@@ -359,7 +353,6 @@ class ActorCritic(Agent):
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         self.guides.set_state(state)
         restore_generator(self.generator, GENERATOR, state[GENERATOR])
-        # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def get_policy(self) -> dict[str, torch.Tensor]:

@@ -121,7 +121,8 @@ class Agent(ABC):
             agents that learn a front.
         seed: determines the run, bit for bit on one machine.
         device: of the networks.
-        **hyperparameters: fields of the class's Config.
+        config: the hyperparameters, an instance of the class's Config.
+        **hyperparameters: fields of the Config, in place of ``config``.
 
     Attributes:
         name: of the algorithm, in checkpoints; that of the class where it is not set.
@@ -165,9 +166,10 @@ class Agent(ABC):
         *,
         seed: int = 0,
         device: str = "cpu",
+        config: Settings | None = None,
         **hyperparameters: Any,
     ):
-        self.config = parse(self.Config, hyperparameters, f"hyperparameters of {self.name}")
+        self.config = self._config_of(config, hyperparameters)
         if self.known_utility and utility is None:
             raise ValueError(f"utility is missing: algorithm {self.name!r} learns for a known utility")
         self.env = EnvAdapter(env)
@@ -181,6 +183,16 @@ class Agent(ABC):
         self.step = 0
         self.updates = 0
         self.episodes: list[Episodes] = []
+
+    @classmethod
+    def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:
+        if config is None:
+            return parse(cls.Config, hyperparameters, f"hyperparameters of {cls.name}")
+        if not isinstance(config, cls.Config):
+            raise ValueError(f"config = {config!r} must be a {cls.Config.__name__}, as algorithm {cls.name!r} takes it")
+        if hyperparameters:
+            raise ValueError(f"{', '.join(hyperparameters)}: give either config or single hyperparameters")
+        return config
 
     @property
     def observes_accrued_reward(self) -> bool:
@@ -459,9 +471,7 @@ class FrontAgent(Agent):
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        seed: determines the run, bit for bit on one machine.
-        device: of the networks.
-        **hyperparameters: fields of the class's Config.
+        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`Agent`.
 
     Attributes:
         scales: (d,) nominal size of each objective's return, by which distances between returns are measured.
@@ -471,8 +481,8 @@ class FrontAgent(Agent):
 
     known_utility = False
 
-    def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
-        super().__init__(env, seed=seed, device=device, **hyperparameters)
+    def __init__(self, env: VectorEnv, **options: Any):
+        super().__init__(env, **options)
         self.scales = self.env.objective_scales
 
     @property

@@ -76,7 +76,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
@@ -132,56 +132,47 @@ if TYPE_CHECKING:
 
 
 class ConditionedMOPPOConfig(PreferenceSettings, NetworkSettings):
-    """Hyperparameters of conditioned MO-PPO; the others are described in PreferenceSettings and NetworkSettings.
-
-    Attributes:
-        objective_scales: s, nominal size of each objective's return; None for the environment's own.
-        switching: probability per decision that the preference changes in the middle of an episode.
-        cost_growth: fraction of the training in which c of eq. 12 grows linearly from 0 to 1; 0 for weights as drawn
-            from the start. Until the first arrival the destination counts as a cost.
-        max_policies: number of preferences under which the front is evaluated.
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the return of which the utility is taken.
-        gae_lambda: lambda of eq. 8.
-        steps: T, time steps per environment and update.
-        epochs: passes over every rollout.
-        minibatches: gradient steps per pass.
-        clip: epsilon of eq. 9.
-        entropy_start: c_e at the start of training.
-        entropy_end: c_e at the end, to which it moves geometrically.
-        entropy_until: fraction of the training after which c_e is ``entropy_end``.
-        value_coefficient: c_v.
-        vector_critic: whether the critic predicts the return of each objective, as the vector-valued Q of Abels et al.
-            (2019) and Yang et al. (2019) do, instead of linear utilities of them; only where families has linear ones.
-        max_grad_norm: maximum norm of the gradient.
-    """
+    """Hyperparameters of conditioned MO-PPO; the others are described in PreferenceSettings and NetworkSettings."""
 
     objective_scales: Scales | None = None
+    """s, nominal size of each objective's return; None for the environment's own."""
     switching: Fraction = 0.01
+    """Probability per decision that the preference changes in the middle of an episode."""
     cost_growth: Fraction = 0.15
+    """Fraction of the training in which c of eq. 12 grows linearly from 0 to 1; 0 for weights as drawn from the start.
+    Until the first arrival the destination counts as a cost."""
     max_policies: Annotated[int, Field(ge=1, le=100_000)] = 200
+    """Number of preferences under which the front is evaluated."""
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: PositiveFraction = 0.99
+    """Discount of the return of which the utility is taken."""
     gae_lambda: Fraction = 0.95
+    """lambda of eq. 8."""
     steps: Count = 32
+    """T, time steps per environment and update."""
     epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    """Passes over every rollout."""
     minibatches: Count = 4
+    """Gradient steps per pass."""
     clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    """epsilon of eq. 9."""
     entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
     entropy_end: NonNegative = 0.001
+    """c_e at the end, to which it moves geometrically."""
     entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
     value_coefficient: Positive = 0.5
+    """c_v."""
     vector_critic: bool = False
+    """Whether the critic predicts the return of each objective, as the vector-valued Q of Abels et al. (2019) and Yang
+    et al. (2019) do, instead of linear utilities of them; only where families has linear ones."""
     max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
     state_dependent_std: bool = True
-
-    new_defaults: ClassVar[dict[str, Any]] = {
-        **NetworkSettings.new_defaults,
-        "state_dependent_std": True,
-        "vector_critic": False,
-    }
 
     @model_validator(mode="after")
     def _consistent(self) -> ConditionedMOPPOConfig:
@@ -366,10 +357,8 @@ class ConditionedMOPPO(FrontAgent):
 
     Args:
         env: a vector environment with vector rewards, from `mo_deepdrive.evaluation.env_adapter.make_env`.
-        seed: determines the run, bit for bit on one machine.
-        device: of the networks.
         guides: what begins episodes.
-        **hyperparameters: fields of ConditionedMOPPOConfig.
+        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
         preferences: what a condition means; ``agent.policy(agent.preferences.condition("linear", {"distance": 1}))``
@@ -384,16 +373,8 @@ class ConditionedMOPPO(FrontAgent):
     Config = ConditionedMOPPOConfig
     trains_with_guides = True
 
-    def __init__(
-        self,
-        env: VectorEnv,
-        *,
-        seed: int = 0,
-        device: str = "cpu",
-        guides: Sequence[Guide] = (),
-        **hyperparameters: Any,
-    ):
-        super().__init__(env, seed=seed, device=device, **hyperparameters)
+    def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), **options: Any):
+        super().__init__(env, **options)
         if self.env.cost_sign != "maximise":
             raise ValueError(f"cost_sign = {self.env.cost_sign!r}: algorithm {self.name!r} needs 'maximise'")
         self.guides = Guides(guides, self.accrued_discount)
@@ -520,10 +501,9 @@ class ConditionedMOPPO(FrontAgent):
     def identity(self) -> dict[str, Any]:
         """What a checkpoint must share; with other scales, families, rho or price a preference means something else."""
         config = self.config
-        guides = self.guides.identity()
         return {
             **super().identity(),
-            **({GUIDES: guides} if guides else {}),
+            GUIDES: self.guides.identity(),
             **config.identity(continuous=self.env.continuous),
             "preferences": list(self.preferences.names),
             "objective_scales": self.scales.tolist(),
@@ -564,7 +544,6 @@ class ConditionedMOPPO(FrontAgent):
         self.guides.set_state(state)
         restore_generator(self.generator, GENERATOR, state[GENERATOR])
         restore_generator(self.draws, "draws", state["draws"])
-        # Known to the file, too, unless an earlier version wrote it.
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:

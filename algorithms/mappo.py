@@ -66,43 +66,40 @@ if TYPE_CHECKING:
 
 
 class MAPPOConfig(ActorCriticSettings):
-    """Hyperparameters of MAPPO; those of actor and critic are described in ActorCriticSettings.
-
-    Attributes:
-        joint: J, the joint utility: "sum", "worst_off" or "gini".
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the team's rewards.
-        gae_lambda: lambda of eq. 3; 0 gives one-step advantages, 1 uses the whole rollout.
-        steps: T, time steps per environment and update.
-        epochs: passes over every rollout.
-        minibatches: gradient steps per pass.
-        clip: epsilon of eq. 5.
-        entropy_start: c_e at the start of training.
-        entropy_end: c_e at the end, to which it moves geometrically.
-        entropy_until: fraction of the training after which c_e is ``entropy_end``.
-        value_coefficient: c_v.
-        value_scale: nominal size of the team's utility, by which the critic's output is multiplied.
-        max_grad_norm: maximum norm of the gradient.
-        objective_scales: nominal size of each objective's return; None for the environment's own.
-    """
+    """Hyperparameters of MAPPO; those of actor and critic are described in ActorCriticSettings."""
 
     joint: JointUtility = "sum"
+    """J, the joint utility: "sum", "worst_off" or "gini"."""
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: Fraction = 1.0
+    """Discount of the team's rewards."""
     gae_lambda: Fraction = 0.95
+    """lambda of eq. 3; 0 gives one-step advantages, 1 uses the whole rollout."""
     steps: Count = 16
+    """T, time steps per environment and update."""
     epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    """Passes over every rollout."""
     minibatches: Count = 4
+    """Gradient steps per pass."""
     clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    """epsilon of eq. 5."""
     entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
     entropy_end: NonNegative = 0.01
+    """c_e at the end, to which it moves geometrically."""
     entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
     value_coefficient: Positive = 0.5
+    """c_v."""
     value_scale: Positive = 10.0
+    """Nominal size of the team's utility, by which the critic's output is multiplied."""
     max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
     objective_scales: Scales | None = None
+    """Nominal size of each objective's return; None for the environment's own."""
 
     @model_validator(mode="after")
     def _consistent(self) -> MAPPOConfig:

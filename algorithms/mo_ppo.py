@@ -75,54 +75,50 @@ if TYPE_CHECKING:
 
 
 class MOPPOConfig(ActorCriticSettings):
-    """Hyperparameters of MO-PPO; those of actor and critic are described in ActorCriticSettings.
-
-    Attributes:
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the critic; with "expected_utility" at most g, and gamma / g is that of the increases of u.
-        gae_lambda: lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout.
-        advantage: "utility_difference" (eqs. 4 and 5), "as_printed", "utility_gradient" or "expected_utility" (eqs. 8
-            and 9).
-        accrued_gamma: g, discount of the accrued reward; None for gamma, as in the paper.
-        observe_accrued: include R_t in the state, as the theory requires; without it the policy ignores the past.
-        observe_discount: include g^t in the state, on which eq. 4 depends too.
-        steps: T, time steps per environment and update.
-        epochs: passes over every rollout.
-        minibatches: gradient steps per pass.
-        clip: epsilon of eq. 7.
-        entropy_start: c_e at the start of training.
-        entropy_end: c_e at the end, to which it moves geometrically.
-        entropy_until: fraction of the training after which c_e is ``entropy_end``.
-        value_coefficient: c_v.
-        max_grad_norm: maximum norm of the gradient.
-        normalise_advantages: normalise the advantages of a rollout to mean 0 and standard deviation 1.
-        objective_scales: nominal size of each objective's return; None for the environment's own.
-        utility_scale: nominal size of the utility of a return, for the critic of "expected_utility".
-        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
-    """
+    """Hyperparameters of MO-PPO; those of actor and critic are described in ActorCriticSettings."""
 
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: Fraction = 0.99
+    """Discount of the critic; with "expected_utility" at most g, and gamma / g is that of the increases of u."""
     gae_lambda: Fraction = 0.95
+    """lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout."""
     advantage: AdvantageForm = "utility_difference"
+    """How A_t is calculated: eqs. 4 and 5, as printed in the paper, by the gradient of u, or by eqs. 8 and 9."""
     accrued_gamma: PositiveFraction | None = None
+    """g, discount of the accrued reward; None for gamma, as in the paper."""
     observe_accrued: bool = True
+    """Include R_t in the state, as the theory requires; without it the policy ignores the past."""
     observe_discount: bool = True
+    """Include g^t in the state, on which eq. 4 depends too."""
     steps: Count = 16
+    """T, time steps per environment and update."""
     epochs: Annotated[int, Field(ge=1, le=100)] = 4
+    """Passes over every rollout."""
     minibatches: Count = 4
+    """Gradient steps per pass."""
     clip: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
+    """epsilon of eq. 7."""
     entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
     entropy_end: NonNegative = 0.01
+    """c_e at the end, to which it moves geometrically."""
     entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
     value_coefficient: Positive = 0.5
+    """c_v."""
     max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
     normalise_advantages: bool = True
+    """Normalise the advantages of a rollout to mean 0 and standard deviation 1."""
     objective_scales: Scales | None = None
+    """Nominal size of each objective's return; None for the environment's own."""
     utility_scale: Positive = 10.0
+    """Nominal size of the utility of a return, for the critic of "expected_utility"."""
     centralised_critic: bool = False
+    """The critic also sees the observations of the other vehicles; the actor does not."""
 
     @model_validator(mode="after")
     def _consistent(self) -> MOPPOConfig:

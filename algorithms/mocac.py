@@ -82,52 +82,49 @@ WIDE = 10.0  # bound of particles, in nominal scales
 
 
 class MOCACConfig(ActorCriticSettings):
-    """Hyperparameters of MOCAC; those of actor and critic are described in ActorCriticSettings.
-
-    Attributes:
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: g, discount of the return that the utility judges.
-        gae_lambda: lambda of eq. 4; 0 gives one-step advantages, 1 uses the whole rollout.
-        critic: "particles" for any number of objectives, or "categorical" for few.
-        atoms: A, atoms per objective of a categorical critic; A^d is at most 4096.
-        v_min: smallest rest of a return, per objective: the first atom of a grid, or the bound of the particles'
-            targets; None for minus the nominal scale on a grid, minus ten times the nominal scale with particles.
-        v_max: largest rest of a return, per objective; None for minus the default of v_min.
-        particles: K, of a critic of particles.
-        target_rate: tau of the weights of Z'; None for 1 (Z itself) with a grid, 0.05 with particles.
-        observe_discount: include g^t in the state, on which V depends where gamma < 1.
-        steps: T, time steps per environment and update.
-        entropy_start: c_e at the start of training.
-        entropy_end: c_e at the end, to which it moves geometrically.
-        entropy_until: fraction of the training after which c_e is ``entropy_end``.
-        value_coefficient: c_v.
-        max_grad_norm: maximum norm of the gradient.
-        normalise_advantages: normalise the advantages of an update to mean 0 and standard deviation 1.
-        objective_scales: nominal size of each objective's return; None for the environment's own.
-        centralised_critic: the critic also sees the observations of the other vehicles; the actor does not.
-    """
+    """Hyperparameters of MOCAC; those of actor and critic are described in ActorCriticSettings."""
 
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: PositiveFraction = 0.99
+    """g, discount of the return that the utility judges."""
     gae_lambda: Fraction = 0.95
+    """lambda of eq. 4; 0 gives one-step advantages, 1 uses the whole rollout."""
     critic: Literal["particles", "categorical"] = "particles"
+    """Critic: "particles" for any number of objectives, or "categorical" for few."""
     atoms: Count = 11
+    """A, atoms per objective of a categorical critic; A^d is at most 4096."""
     v_min: list[float] | None = None
+    """Smallest rest of a return, per objective: the first atom of a grid, or the bound of the particles' targets; None
+    for minus the nominal scale on a grid, minus ten times the nominal scale with particles."""
     v_max: list[float] | None = None
+    """Largest rest of a return, per objective; None for minus the default of v_min."""
     particles: Count = 32
+    """K, of a critic of particles."""
     target_rate: PositiveFraction | None = None
+    """tau of the weights of Z'; None for 1 (Z itself) with a grid, 0.05 with particles."""
     observe_discount: bool = True
+    """Include g^t in the state, on which V depends where gamma < 1."""
     steps: Count = 16
+    """T, time steps per environment and update."""
     entropy_start: NonNegative = 0.01
+    """c_e at the start of training."""
     entropy_end: NonNegative = 0.01
+    """c_e at the end, to which it moves geometrically."""
     entropy_until: PositiveFraction = 1.0
+    """Fraction of the training after which c_e is ``entropy_end``."""
     value_coefficient: Positive = 0.5
+    """c_v."""
     max_grad_norm: Positive = 0.5
+    """Maximum norm of the gradient."""
     normalise_advantages: bool = True
+    """Normalise the advantages of an update to mean 0 and standard deviation 1."""
     objective_scales: Scales | None = None
+    """Nominal size of each objective's return; None for the environment's own."""
     centralised_critic: bool = False
+    """The critic also sees the observations of the other vehicles; the actor does not."""
 
     @property
     def tau(self) -> float:

@@ -75,53 +75,43 @@ AtLeastOne = Annotated[int, Field(ge=1)]
 
 
 class PCNConfig(Settings):
-    """Hyperparameters of PCN.
-
-    Attributes:
-        learning_rate: Adam's step size at the start of training.
-        learning_rate_end: its step size at the end, to which it moves linearly; None for a constant one.
-        gamma: discount of the returns that commands ask for.
-        hidden: width of the two embeddings, then of the layers after them.
-        batch_size: time steps of a gradient step.
-        gradient_steps: gradient steps per update; an update also collects one episode per environment.
-        warmup_episodes: minimum number of episodes of random actions before the first update.
-        persistence: probability that a random action repeats the previous one.
-        exploration: probability that an episode continues with random actions from a random decision on.
-        buffer_size: episodes kept.
-        crowding: crowding distance up to which episodes of the buffer count as too similar.
-        return_noise: largest increase of the desired return, in standard deviations (eq. 3).
-        horizon_reduction: decisions by which the desired horizon is shorter than the episode's (eq. 3).
-        action_noise: standard deviation of the exploration noise on continuous actions; discrete ones are sampled.
-        objective_scales: nominal size of each objective's return, by which distances between returns are measured, and
-            commands are divided where inputs are not standardised; None for the environment's own.
-        horizon_scale: nominal number of decisions of an episode, where inputs are not standardised.
-        max_policies: largest size of a front; a subset that covers it represents a larger one.
-    """
-
-    renamed = {
-        "haste": "horizon_reduction",
-        "ambition": "return_noise",
-        "store_episodes": "buffer_size",
-        "updates": "gradient_steps",
-    }
+    """Hyperparameters of PCN."""
 
     learning_rate: LearningRate = 1e-3
+    """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None
+    """Adam's step size at the end, to which it moves linearly; None for a constant one."""
     gamma: PositiveFraction = 0.99
+    """Discount of the returns that commands ask for."""
     hidden: HiddenSizes = [64, 64]
+    """Width of the two embeddings, then of the layers after them."""
     batch_size: AtLeastOne = 256
+    """Time steps of a gradient step."""
     gradient_steps: AtLeastOne = 100
+    """Gradient steps per update; an update also collects one episode per environment."""
     warmup_episodes: AtLeastOne = 32
+    """Minimum number of episodes of random actions before the first update."""
     persistence: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Probability that a random action repeats the previous one."""
     exploration: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2
+    """Probability that an episode continues with random actions from a random decision on."""
     buffer_size: Annotated[int, Field(ge=2)] = 100
+    """Episodes kept."""
     crowding: NonNegative = 0.2
+    """Crowding distance up to which episodes of the buffer count as too similar."""
     return_noise: NonNegative = 1.0
+    """Largest increase of the desired return, in standard deviations (eq. 3)."""
     horizon_reduction: Annotated[int, Field(ge=0)] = 2
+    """Decisions by which the desired horizon is shorter than the episode's (eq. 3)."""
     action_noise: NonNegative = 0.1
+    """Standard deviation of the exploration noise on continuous actions; discrete ones are sampled."""
     objective_scales: Scales | None = None
+    """Nominal size of each objective's return, by which distances between returns are measured, and commands are
+    divided where inputs are not standardised; None for the environment's own."""
     horizon_scale: Positive = 100.0
+    """Nominal number of decisions of an episode, where inputs are not standardised."""
     max_policies: AtLeastOne = 100
+    """Largest size of a front; a subset that covers it represents a larger one."""
 
 
 class PCN(FrontAgent):
@@ -130,9 +120,7 @@ class PCN(FrontAgent):
     Args:
         env: a vector environment with vector rewards and one vehicle, from
             `mo_deepdrive.evaluation.env_adapter.make_env`.
-        seed: determines the run, bit for bit on one machine.
-        device: of the network.
-        **hyperparameters: fields of PCNConfig.
+        **options: ``seed``, ``device`` and the hyperparameters, as of :class:`algorithms.agent.Agent`.
 
     Attributes:
         bounds: two vectors (d,), the lowest and highest returns-to-go in the buffer.
@@ -146,8 +134,8 @@ class PCN(FrontAgent):
     Config = PCNConfig
     varying_shapes = ("optimiser.", "store.", "attained.")
 
-    def __init__(self, env: VectorEnv, *, seed: int = 0, device: str = "cpu", **hyperparameters: Any):
-        super().__init__(env, seed=seed, device=device, **hyperparameters)
+    def __init__(self, env: VectorEnv, **options: Any):
+        super().__init__(env, **options)
         if HORIZON in self.env.objectives:
             raise ValueError(
                 f"an objective is named {HORIZON!r}, as a part of the commands of {self.name!r}; rename it"

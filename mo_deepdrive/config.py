@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,6 +11,9 @@ from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.plain_values import plain
 from mo_deepdrive.scenarios import SCENARIOS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 ActionType = Literal["discrete", "discrete-16", "continuous"]
 CostSign = Literal["maximise", "paper"]
@@ -24,12 +26,12 @@ Traffic = Literal["none", "light", "default", "dense"]
 class Settings(BaseModel):
     """Base of every settings model: strict but for NumPy's numbers, immutable, and closed to unknown keys.
 
-    Attributes:
-        renamed: old names of fields, refused with the new one.
+    A field is described by the string under it.
     """
 
-    renamed: ClassVar[Mapping[str, str]] = {}
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -72,13 +74,6 @@ def _model_at(model: Any, path: tuple[int | str, ...]) -> type[Settings] | None:
     return model if _is_model(model) else None
 
 
-def _unknown(model: type[Settings] | None, key: str) -> str:
-    """Why ``key`` is refused, with its new name or the nearest known one."""
-    if model is not None and key in model.renamed:
-        return f"was renamed; write {model.renamed[key]!r}"
-    return f"is unknown; {nearest(key, model.model_fields if model is not None else [])}"
-
-
 def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
     """Build ``model`` from ``values``.
 
@@ -93,7 +88,8 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
             path = problem["loc"]
             name = ".".join(str(part) for part in path)
             if problem["type"] == "extra_forbidden":
-                lines.append(f"{name!r} {_unknown(_model_at(model, path[:-1]), str(path[-1]))}")
+                found = _model_at(model, path[:-1])
+                lines.append(f"{name!r} is unknown; {nearest(str(path[-1]), found.model_fields if found else [])}")
             elif problem["type"] == "missing":
                 lines.append(f"{name!r} is missing")
             else:
@@ -105,15 +101,12 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
 
 
 class UtilityChoice(Settings):
-    """A utility, as the arguments of :func:`mo_deepdrive.utilities.make_utility`.
-
-    Attributes:
-        name: a registered utility, or "package.module:callable" for a custom one.
-        arguments: its keyword arguments.
-    """
+    """A utility, as the arguments of :func:`mo_deepdrive.utilities.make_utility`."""
 
     name: str
+    """A registered utility, or "package.module:callable" for a custom one."""
     arguments: dict[str, Any] = {}
+    """Its keyword arguments."""
 
     @pydantic.field_validator("arguments")
     @classmethod
@@ -125,49 +118,46 @@ class UtilityChoice(Settings):
 
 
 class EnvConfig(Settings):
-    """Everything that determines an environment, apart from its seed.
-
-    Attributes:
-        scenario: its name, a key of :data:`mo_deepdrive.scenarios.SCENARIOS`.
-        action_type: "discrete" (the paper's 22 actions), "discrete-16" or "continuous".
-        fixed_destination: the same destination in every episode (OneWaypoint, StaticObstacle).
-        fixed_obstacle: the same bicycles in every episode: place along the route, length and angle (StaticObstacle).
-        time_limit: seconds after which an episode is truncated.
-        objectives: names of the reward's objectives, in order; None for all of the scenario's.
-        cost_sign: "maximise" negates every cost; with "paper" rewards are magnitudes.
-        simulation_frequency: physics steps per second.
-        decision_frequency: decisions per second; divides simulation_frequency.
-        constrain_controls: limit how fast steer and throttle change.
-        ignore_brake: the brake has no effect.
-        harmful_g_force: g-force above which the episode ends (g); None for never.
-        harmful_jerk: jerk above which the episode ends (m/s^3); None for never.
-        lane_margin: distance to the lane line below which lane violation counts (m).
-        end_on_lane_violation: end the episode more than 0.25 m outside the lane (Intersection, LeftTurn).
-        yield_to_oncoming: progress of the left turn is negative while the other vehicle (Intersection) or an oncoming
-            car on the map (LeftTurn) approaches.
-        end_together: both vehicles end when the first one ends, as in the published code (Intersection).
-        traffic: flow of the oncoming cars: "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or
-            2.5 s (LeftTurn).
-    """
+    """Everything that determines an environment, apart from its seed."""
 
     scenario: str
+    """Name of the scenario, a key of :data:`mo_deepdrive.scenarios.SCENARIOS`."""
     action_type: ActionType = "discrete"
+    """The kind of actions: "discrete" (the paper's 22 actions), "discrete-16" or "continuous"."""
     fixed_destination: bool = False
+    """The same destination in every episode (OneWaypoint, StaticObstacle)."""
     fixed_obstacle: bool = False
+    """The same bicycles in every episode: place along the route, length and angle (StaticObstacle)."""
     time_limit: float = Field(default=60.0, gt=0.0, le=3600.0)
+    """Seconds after which an episode is truncated."""
     objectives: tuple[str, ...] | None = None
+    """Names of the reward's objectives, in order; None for all of the scenario's."""
     cost_sign: CostSign = "maximise"
+    """With "maximise" every cost is negated; with "paper" rewards are magnitudes."""
     simulation_frequency: int = Field(default=60, ge=1, le=1000)
+    """Physics steps per second."""
     decision_frequency: int = Field(default=10, ge=1, le=1000)
+    """Decisions per second; divides simulation_frequency."""
     constrain_controls: bool = False
+    """Limit how fast steer and throttle change."""
     ignore_brake: bool = False
+    """The brake has no effect."""
     harmful_g_force: float | None = Field(default=1.0, gt=0.0)
+    """g-force above which the episode ends (g); None for never."""
     harmful_jerk: float | None = Field(default=None, gt=0.0)
+    """Jerk above which the episode ends (m/s^3); None for never."""
     lane_margin: float = Field(default=0.0, ge=0.0, le=10.0)
+    """Distance to the lane line below which lane violation counts (m)."""
     end_on_lane_violation: bool = False
+    """End the episode more than 0.25 m outside the lane (Intersection, LeftTurn)."""
     yield_to_oncoming: bool = True
+    """Progress of the left turn is negative while the other vehicle (Intersection) or an oncoming car on the map
+    (LeftTurn) approaches."""
     end_together: bool = False
+    """Both vehicles end when the first one ends, as in the published code (Intersection)."""
     traffic: Traffic = "default"
+    """Flow of the oncoming cars: "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or 2.5 s
+    (LeftTurn)."""
 
     @pydantic.field_validator("scenario")
     @classmethod

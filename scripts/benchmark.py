@@ -209,7 +209,7 @@ def our_pcn() -> tuple[float, float]:
 def peer_pcn() -> tuple[float, float] | None:
     """The same for morl-baselines' PCN with the arguments of its example; None if it is not installed."""
     experiment = load_experiment(DEEP_SEA / "morl_baselines_pcn.yaml")
-    peer = PEERS[experiment.algorithm["name"]]
+    peer = PEERS[experiment.algorithm.name]
     if peer.unavailable_reason() is not None:
         return None
     task = prepare(experiment, lambda _step, _metrics: None)

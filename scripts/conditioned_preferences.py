@@ -158,7 +158,7 @@ def parts(served: Served, run: Run, vehicle: int) -> list[Part]:
     chosen: list[tuple[str, str, NDArray[np.bool_]]] = [(ALL, ALL, everything)]
     for component, name in enumerate(served.components):
         chosen += [(name, third, mask) for third, mask in zip(THIRDS, served.thirds(component), strict=True)]
-    family = next(name for name, share in experiment.hyperparameters["families"].items() if share)
+    family = next(name for name, share in experiment.algorithm.config.families.items() if share)
     found = []
     for name, third, mask in chosen:
         i = None if name == ALL else served.objectives.index(name.partition("/")[2])

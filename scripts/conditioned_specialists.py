@@ -84,7 +84,7 @@ class Result:
 def specialist_experiment(experiment: Experiment, weights: NDArray[np.float64]) -> Experiment:
     """MO-PPO for the linear utility of ``weights`` (d,) of returns, with what its settings share with the network's."""
     values: dict[str, Any] = experiment.to_dict()
-    network = ConditionedMOPPOConfig(**experiment.hyperparameters)
+    network: ConditionedMOPPOConfig = experiment.algorithm.config
     shared = {
         key: getattr(network, key) for key in ConditionedMOPPOConfig.model_fields if key in MOPPOConfig.model_fields
     }

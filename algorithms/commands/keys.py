@@ -69,7 +69,7 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         name, env_id = options.algorithm, None
         if options.config is not None:
             experiment = load_experiment(options.config)
-            values, name, env_id = experiment.to_dict(), experiment.algorithm["name"], experiment.environment.id
+            values, name, env_id = experiment.to_dict(), experiment.algorithm.name, experiment.environment.id
         elif name is not None:
             find_algorithm(name, "--algorithm")
         for title, keys in key_sections(name, env_id).items():

@@ -52,7 +52,7 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
     from algorithms.peers.running import prepare
 
     experiment = load_experiment(path, overrides)
-    name = experiment.algorithm["name"]
+    name = experiment.algorithm.name
     if name not in PEERS:
         raise ValueError(
             f"algorithm.name = {name!r} is not another library's; use mo-deepdrive train, or {nearest(name, PEERS)}"

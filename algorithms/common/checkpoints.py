@@ -24,9 +24,7 @@ PARTNERS = "partners"  # entry of the identity: what identifies the drivers of v
 GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
 STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
 OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
-ADDED = {"activation": "relu", "state_dependent_std": False, UPDATES: 0}  # entries that files of earlier versions lack
 RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
-UNKNOWN = (OBJECTIVE_SCALES, ACCRUED_GAMMA, RHO, PRICE)  # entries that they lack, and whose value is not known
 GENERATOR = "generator"  # tensor of an agent's generator, which has another size on a GPU
 STAYS = "training continues on the kind of device, CPU or GPU, on which it began"
 MOST_STEPS = 2**63 - 1
@@ -76,7 +74,7 @@ def read_checkpoint(
 
     Args:
         path: the file.
-        identity: of the agent that reads; every entry must equal that in the file, if earlier versions wrote it.
+        identity: of the agent that reads; every entry must equal that in the file.
         may_differ: entries that need not be equal.
         whole: refuse a file that holds the policy alone.
 
@@ -99,7 +97,6 @@ def read_checkpoint(
             f"checkpoint {path} holds the policy alone, like those of the zoo: it can be evaluated, "
             "but training cannot be resumed from it"
         )
-    found = {**ADDED, **{key: identity[key] for key in UNKNOWN if key in identity}, **found}
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")

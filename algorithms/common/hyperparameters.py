@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import AfterValidator, Field
 
 from mo_deepdrive.config import Settings
 
@@ -42,36 +42,18 @@ def a_twentieth(total_timesteps: int) -> int:
 
 
 class NetworkSettings(Settings):
-    """Hyperparameters of networks, the base of every Config whose algorithm uses :mod:`algorithms.common.networks`.
-
-    Attributes:
-        hidden: sizes of the hidden layers.
-        activation: the function between the layers.
-        network: "package.module:function" of a function that makes the networks instead, called as
-            ``function(inputs, outputs, generator)``; ``hidden`` and ``activation`` are not used then.
-        state_dependent_std: whether the standard deviations of continuous actions are outputs of the network, or one
-            number per axis for all states.
-    """
+    """Hyperparameters of networks, the base of every Config whose algorithm uses :mod:`algorithms.common.networks`."""
 
     hidden: HiddenSizes = [64, 32]
+    """Sizes of the hidden layers."""
     activation: Activation = "relu"
+    """The function between the layers."""
     network: DottedPath | None = None
+    """Path "package.module:function" of a function that makes the networks instead, called as ``function(inputs,
+    outputs, generator)``; ``hidden`` and ``activation`` are not used then."""
     state_dependent_std: bool = False
-
-    # What earlier versions did not have is left out where it changes nothing, so that their runs and sweeps remain the
-    # same experiments.
-    new_defaults: ClassVar[dict[str, Any]] = {
-        "activation": "relu",
-        "network": None,
-        "state_dependent_std": False,
-        "utility_scale": 10.0,
-    }
-
-    @model_serializer(mode="wrap")
-    def _without_new_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = dump(self)
-        new = self.new_defaults
-        return {key: value for key, value in values.items() if key not in new or value != new[key]}
+    """Whether the standard deviations of continuous actions are outputs of the network, or one number per axis for all
+    states."""
 
     def identity(self, *, continuous: bool) -> dict[str, Any]:
         """What two agents must share to have networks alike, for the identity of a checkpoint."""
@@ -84,33 +66,25 @@ class NetworkSettings(Settings):
 
 
 class ActorCriticSettings(NetworkSettings):
-    """Hyperparameters that all algorithms of :mod:`algorithms.actor_critic` have beside those of NetworkSettings.
-
-    Attributes:
-        cost_growth: fraction of the training in which costs, the objectives whose rewards are never positive, grow from
-            0 to their full size in what is learnt from; 0 for none. It is a curriculum: who is punished from the first
-            step on may learn to stand still before the first arrival.
-    """
+    """Hyperparameters that all algorithms of :mod:`algorithms.actor_critic` have beside those of NetworkSettings."""
 
     cost_growth: Fraction = 0.0
-
-    new_defaults: ClassVar[dict[str, Any]] = {**NetworkSettings.new_defaults, "cost_growth": 0.0}
+    """Fraction of the training in which costs, the objectives whose rewards are never positive, grow from 0 to their
+    full size in what is learnt from; 0 for none. It is a curriculum: who is punished from the first step on may learn
+    to stand still before the first arrival."""
 
 
 class GuideSettings(Settings):
-    """When a guide (:mod:`algorithms.common.guides`) begins episodes of a vehicle that learns.
-
-    Attributes:
-        driver: a run, a policy of the zoo or a scripted driver.
-        share: of the episodes, how many begin with the guide at the start of the training.
-        until: fraction of the training after which no episode does; the share falls linearly to 0.
-        decisions: most decisions of the guide in an episode; their number is drawn uniformly from 1 on.
-    """
+    """When a guide (:mod:`algorithms.common.guides`) begins episodes of a vehicle that learns."""
 
     driver: Annotated[str, Field(min_length=1)]
+    """A run, a policy of the zoo or a scripted driver."""
     share: PositiveFraction = 0.5
+    """Share of the episodes that begin with the guide at the start of the training."""
     until: PositiveFraction = 0.5
+    """Fraction of the training after which no episode does; the share falls linearly to 0."""
     decisions: Count = 160
+    """Most decisions of the guide in an episode; their number is drawn uniformly from 1 on."""
 
 
 def schedules(config: Settings) -> list[str]:

@@ -129,7 +129,7 @@ def find_gap(name: str, rows: Sequence[Sequence[str]], after: int, noted: Mappin
         A line that names the file and what is missing; None if nothing is. Where nothing was noted, a checkpoint beyond
         step 0 without a row is missing all of them.
     """
-    if noted is None:  # status.json was lost, too, unless an earlier version wrote it
+    if noted is None:  # status.json was lost, too
         return None if rows or after <= 0 else f"{name} has no rows up to step {after:,}"
     if RowTally(rows).note() == noted:
         return None

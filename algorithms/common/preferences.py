@@ -30,24 +30,21 @@ TINY = 1e-9  # added to the weights of gains, so that they are equal where all a
 
 
 class PreferenceSettings(Settings):
-    """What preferences are drawn from.
-
-    Attributes:
-        families: share of the episodes by family of utilities: "linear", "chebyshev", "comfort_budget".
-        concentration: of the Dirichlet distribution from which weights are drawn; below 1 favours few objectives.
-        emphasis: factor of the concentration by objective, 1 unless set; with 3 an objective has, in the mean, three
-            times the weight of another.
-        rho: of the Chebyshev function (eq. 2).
-        budgets: largest budget by objective (a cost), for "comfort_budget"; budgets are drawn evenly from 0 to it.
-        price: of what exceeds a budget, in units of a scale (eq. 3).
-    """
+    """What preferences are drawn from."""
 
     families: dict[Family, Share] = {"linear": 1.0}
+    """Share of the episodes by family of utilities: "linear", "chebyshev", "comfort_budget"."""
     concentration: Concentration = 0.5
+    """Concentration of the Dirichlet distribution from which weights are drawn; below 1 favours few objectives."""
     emphasis: dict[str, Concentration] = {}
+    """Factor of the concentration by objective, 1 unless set; with 3 an objective has, in the mean, three times the
+    weight of another."""
     rho: NonNegative = 0.05
+    """rho of the Chebyshev function (eq. 2)."""
     budgets: dict[str, Positive] = {}
+    """Largest budget by objective (a cost), for "comfort_budget"; budgets are drawn evenly from 0 to it."""
     price: Positive = 5.0
+    """Price of what exceeds a budget, in units of a scale (eq. 3)."""
 
     @model_validator(mode="after")
     def _one_family_at_least(self) -> PreferenceSettings:

@@ -75,7 +75,7 @@ def report_agent(
         report_front(
             front,
             console,
-            algorithm=experiment.algorithm["name"],
+            algorithm=experiment.algorithm.name,
             env_id=experiment.environment.id,
             env_arguments=experiment.environment.arguments,
             reference_point=experiment.evaluation.reference_point,
@@ -181,7 +181,7 @@ def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path,
         from algorithms.reporting.front_report import draw_report
 
         env = experiment.environment
-        name = experiment.algorithm["name"]
+        name = experiment.algorithm.name
         draw_report(front, directory, algorithm=name, env_id=env.id, env_arguments=env.arguments)
     return accessory.works
 

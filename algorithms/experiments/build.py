@@ -57,7 +57,7 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
     Raises:
         ValueError: if environment, utility and hyperparameters do not fit together.
     """
-    algorithm = agent_class(experiment.algorithm["name"])
+    algorithm = agent_class(experiment.algorithm.name)
     num_envs = num_envs or experiment.training.num_envs
     if num_envs >= MANY_ENVS:
         check_memory(f"training.num_envs = {num_envs}", training_memory(experiment, num_envs))
@@ -83,7 +83,7 @@ def build(experiment: Experiment, num_envs: int | None = None, *, partners: bool
         **options,
         seed=experiment.training.seed,
         device=experiment.training.device,
-        **experiment.hyperparameters,
+        config=experiment.algorithm.config,
     )
 
 
@@ -97,13 +97,13 @@ def training_memory(experiment: Experiment, num_envs: int) -> float:
         num_envs: number of parallel environments.
     """
     env = EnvAdapter(make_environment(experiment.environment, 1))
-    settings, arguments = experiment.hyperparameters, experiment.environment.arguments
+    config, arguments = experiment.algorithm.config, experiment.environment.arguments
     sample: float = 8 * env.observation_size + 24 * len(env.objectives) + 32
-    if ":" in experiment.algorithm["name"]:  # a user's own, of which nothing is known
+    if ":" in experiment.algorithm.name:  # a user's own, of which nothing is known
         steps = 1.0
-    elif "steps" in settings:
-        steps = settings["steps"]
-        sample += ACTIVATION * sum(settings["hidden"]) if experiment.training.device == "cpu" else 0
+    elif hasattr(config, "steps"):
+        steps = config.steps
+        sample += ACTIVATION * sum(config.hidden) if experiment.training.device == "cpu" else 0
     else:  # whole episodes
         steps = min(EPISODE_STEPS, arguments.get("time_limit", math.inf) * arguments.get("decision_frequency", 1))
     return num_envs * (ENVIRONMENT + env.vehicles * steps * sample)
@@ -224,7 +224,7 @@ def _make_partners(
     """What drives the vehicles that do not learn, by their indices."""
     settings = experiment.training.partners
     if not algorithm.trains_with_partners:
-        raise ValueError(f"training.partners: algorithm {experiment.algorithm['name']!r} cannot train with partners")
+        raise ValueError(f"training.partners: algorithm {experiment.algorithm.name!r} cannot train with partners")
     indices = _vehicles_named(settings, "training.partners", adapter)
     if len(settings) == adapter.vehicles:
         raise ValueError(f"training.partners has drivers of all vehicles, {', '.join(settings)}: none is left to learn")
@@ -243,7 +243,7 @@ def _make_guides(experiment: Experiment, algorithm: type[Agent], adapter: EnvAda
     """What begins episodes of vehicles that learn."""
     settings = experiment.training.guides
     if not algorithm.trains_with_guides:
-        raise ValueError(f"training.guides: algorithm {experiment.algorithm['name']!r} cannot train with guides")
+        raise ValueError(f"training.guides: algorithm {experiment.algorithm.name!r} cannot train with guides")
     indices = _vehicles_named(settings, "training.guides", adapter)
     found = []
     for (name, each), v in zip(settings.items(), indices, strict=True):

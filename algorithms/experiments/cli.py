@@ -194,7 +194,7 @@ def warn_of_changes(run: Path, names: Sequence[str] | None = None) -> bool:
     """Print to standard error how the files of a finished run differ from what it wrote.
 
     Args:
-        run: the run's directory; runs of earlier versions, which have no record, are not warned of.
+        run: the run's directory; a run whose record is lost is not warned of.
         names: check these files alone; None for all.
 
     Returns:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
-from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BeforeValidator, Field, SerializationInfo, model_serializer
 
 import mo_deepdrive
 from algorithms.common.hyperparameters import GuideSettings, a_twentieth
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
 SHORT_FORMS = {"seed": "training.seed", "device": "training.device"}
-
+T = TypeVar("T")
 
 LARGEST_COUNT = 10**15
 
@@ -46,27 +46,19 @@ Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_intege
 
 
 class EnvironmentSettings(Settings):
-    """The environment of an experiment.
-
-    Attributes:
-        id: a registered Gymnasium id with vector rewards; "module:id" imports the module first.
-        arguments: keyword arguments of the environment.
-    """
+    """The environment of an experiment."""
 
     id: str
+    """A registered Gymnasium id with vector rewards; "module:id" imports the module first."""
     arguments: dict[str, Any] = {}
+    """Keyword arguments of the environment."""
 
 
 class UtilitySettings(UtilityChoice):
-    """The utility that is maximised.
-
-    Attributes:
-        name: of the utility of every vehicle: a registered one, or "package.module:callable".
-        arguments: keyword arguments of that utility.
-        vehicles: utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1".
-    """
+    """The utility that is maximised."""
 
     vehicles: dict[str, UtilityChoice] = {}
+    """Utilities of single vehicles that differ from it, by "vehicle_0" or "vehicle_1"."""
 
     def of_vehicle(self, v: int) -> UtilityChoice:
         """The utility of vehicle ``v``."""
@@ -74,57 +66,43 @@ class UtilitySettings(UtilityChoice):
 
 
 class TrainingSettings(Settings):
-    """Length, seed and hardware of the training.
-
-    Attributes:
-        total_timesteps: environment steps, summed over the parallel environments.
-        num_envs: number of parallel environments.
-        seed: seed of everything random in training.
-        device: the device of the networks, in PyTorch's notation.
-        threads: how many collect samples and compute gradients; each needs a core of its own, or training becomes
-            slower. A run is the same, bit for bit, for the same number.
-        partners: what drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo
-            and scripted drivers, which take turns over the parallel environments.
-        guides: what begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings.
-    """
+    """Length, seed and hardware of the training."""
 
     total_timesteps: Count
+    """Environment steps, summed over the parallel environments."""
     num_envs: Environments
+    """Number of parallel environments."""
     seed: int = Field(default=0, ge=0, lt=2**31)
+    """Seed of everything random in training."""
     device: str = "cpu"
+    """The device of the networks, in PyTorch's notation."""
     threads: int = Field(default=1, ge=1, le=1024)
+    """How many collect samples and compute gradients; each needs a core of its own, or training becomes slower. A run
+    is the same, bit for bit, for the same number."""
     partners: dict[str, list[str]] = {}
+    """What drives the vehicles that do not learn, by "vehicle_0" or "vehicle_1": runs, policies of the zoo and scripted
+    drivers, which take turns over the parallel environments."""
     guides: dict[str, GuideSettings] = {}
-
-    @model_serializer(mode="wrap")
-    def _without_nobody(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what earlier versions did not have, so that their runs and sweeps remain the same experiments."""
-        values: dict[str, Any] = dump(self)
-        return {key: value for key, value in values.items() if key not in ("partners", "guides") or value}
+    """What begins some episodes of vehicles that learn, by "vehicle_0" or "vehicle_1"; see GuideSettings."""
 
 
 class EvaluationSettings(Settings):
-    """How the policy is evaluated, independent of how it learns.
-
-    Attributes:
-        interval: environment steps between evaluations during training; None for a twentieth of the training.
-        episodes: episodes per evaluation during training, which are the first ones of the validation split.
-        final_episodes: episodes of the evaluation at the end.
-        split: the split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end;
-            "validation" for runs that are compared in order to choose one.
-        gamma: discount of the reported discounted returns.
-        reference_point: reference point of a front's hypervolume, one number per objective; None for the default of
-            this package's environments, and for no hypervolume on others.
-    """
-
-    renamed = {"seed": "split"}
+    """How the policy is evaluated, independent of how it learns."""
 
     interval: Count | None = None
+    """Environment steps between evaluations during training; None for a twentieth of the training."""
     episodes: Count = 100
+    """Episodes per evaluation during training, which are the first ones of the validation split."""
     final_episodes: Count = 1000
+    """Episodes of the evaluation at the end."""
     split: Split = "test"
+    """The split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end; "validation"
+    for runs that are compared in order to choose one."""
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
+    """Discount of the reported discounted returns."""
     reference_point: list[float] | None = None
+    """Reference point of a front's hypervolume, one number per objective; None for the default of this package's
+    environments, and for no hypervolume on others."""
 
     @property
     def final_seed(self) -> int:
@@ -133,67 +111,66 @@ class EvaluationSettings(Settings):
 
 
 class WandbSettings(Settings):
-    """Logging to Weights & Biases.
-
-    Attributes:
-        project, entity, group, tags: as in ``wandb.init``.
-        mode: "online", which falls back to offline without an API key or network; or "offline".
-    """
+    """Logging to Weights & Biases."""
 
     project: str
+    """As in ``wandb.init``."""
     entity: str | None = None
+    """As in ``wandb.init``."""
     group: str | None = None
+    """As in ``wandb.init``."""
     tags: list[str] = []
+    """As in ``wandb.init``."""
     mode: Literal["online", "offline"] = "online"
+    """Either "online", which falls back to offline without an API key or network; or "offline"."""
 
 
 class LoggingSettings(Settings):
-    """What is written during training, besides metrics.csv and TensorBoard's event files.
-
-    Attributes:
-        interval: updates between two rows of training metrics.
-        checkpoint_interval: environment steps between checkpoints; None for a twentieth of the training.
-        save_figures: draw the learning curves and film the policy at the end.
-        wandb: log to Weights & Biases too; None to leave it out.
-    """
-
-    renamed = {"pictures": "save_figures"}
+    """What is written during training, besides metrics.csv and TensorBoard's event files."""
 
     interval: Count = 10
+    """Updates between two rows of training metrics."""
     checkpoint_interval: Count | None = None
+    """Environment steps between checkpoints; None for a twentieth of the training."""
     save_figures: bool = True
+    """Draw the learning curves and film the policy at the end."""
     wandb: WandbSettings | None = None
+    """Log to Weights & Biases too; None to leave it out."""
+
+
+class AlgorithmSettings(Settings):
+    """An algorithm and its hyperparameters, which stand beside its name in YAML."""
+
+    name: str
+    """Name of the algorithm; "package.module:Class" for your own."""
+    config: Any
+    """Its hyperparameters, an instance of the algorithm's Config."""
+
+    @model_serializer
+    def _beside_the_name(self, info: SerializationInfo) -> dict[str, Any]:
+        return {"name": self.name, **self.config.model_dump(mode=info.mode)}
 
 
 class Experiment(Settings):
-    """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default.
-
-    Attributes:
-        environment: the environment to learn in.
-        utility: the utility to maximise; None for algorithms that learn a front.
-        algorithm: "name" (a key of ``algorithms.ALGORITHMS`` or ``algorithms.peers.PEERS``) and that algorithm's
-            hyperparameters.
-        training: length, seed and hardware of the training.
-        evaluation: how the policy is evaluated.
-        logging: what is written during and after the training.
-    """
+    """Everything that determines a training run; :func:`make_experiment` builds one and fills in every default."""
 
     environment: EnvironmentSettings
+    """The environment to learn in."""
     utility: UtilitySettings | None = None
-    algorithm: dict[str, Any]
+    """The utility to maximise; None for algorithms that learn a front."""
+    algorithm: AlgorithmSettings
+    """The algorithm and its hyperparameters."""
     training: TrainingSettings
+    """Length, seed and hardware of the training."""
     evaluation: EvaluationSettings = EvaluationSettings()
+    """How the policy is evaluated."""
     logging: LoggingSettings = LoggingSettings()
+    """What is written during and after the training."""
 
     @property
     def known_utility(self) -> bool:
         """Whether the algorithm learns for a known utility, rather than a front for every utility."""
-        return find_algorithm(self.algorithm["name"]).known_utility
-
-    @property
-    def hyperparameters(self) -> dict[str, Any]:
-        """The algorithm's settings without its name."""
-        return {key: value for key, value in self.algorithm.items() if key != "name"}
+        return find_algorithm(self.algorithm.name).known_utility
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, from which :func:`make_experiment` makes an equal experiment."""
@@ -232,25 +209,29 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     Raises:
         ValueError: as :func:`load_experiment`.
     """
-    experiment = parse(Experiment, values, what)
     problems: list[str] = []
 
-    def attempt(check: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
+    def attempt(check: Callable[[], T]) -> T | None:
         try:
-            return check() or {}
+            return check()
         except ValueError as error:
             problems.append(str(error))
-            return {}
+            return None
 
+    sections, given = dict(values), values.get("algorithm")
+    if isinstance(given, dict):
+        # If it is refused, the other sections are checked nevertheless.
+        sections["algorithm"] = attempt(lambda: _algorithm(given)) or AlgorithmSettings(name="", config=Settings())
+    experiment = parse(Experiment, sections, what)
+    algorithm = experiment.algorithm.name
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
-    algorithm = attempt(lambda: _algorithm(experiment.algorithm))
     attempt(lambda: check_device("training.device", experiment.training.device, here))
     attempt(lambda: _check_episodes(experiment.evaluation))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
     reference: dict[str, Any] = {}
-    if algorithm and arguments and not experiment.known_utility:
-        reference = attempt(lambda: _reference_point(experiment, arguments))
+    if algorithm and arguments is not None and not experiment.known_utility:
+        reference = attempt(lambda: _reference_point(experiment, arguments)) or {}
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     default = a_twentieth(experiment.training.total_timesteps)
@@ -258,7 +239,6 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     return experiment.model_copy(
         update={
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
-            "algorithm": algorithm,
             "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **reference}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
@@ -364,17 +344,17 @@ def _environment_arguments(settings: EnvironmentSettings) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"scenario"})
 
 
-def _algorithm(values: Mapping[str, Any]) -> dict[str, Any]:
+def _algorithm(values: Mapping[str, Any]) -> AlgorithmSettings:
     if "name" not in values:
         raise ValueError(f"'algorithm.name' is missing; known: {', '.join(algorithm_names())}")
     name = values["name"]
     rest = {key: value for key, value in values.items() if key != "name"}
     config = parse(find_algorithm(name).config_class, rest, f"hyperparameters of algorithm {name!r}")
-    return {"name": name, **config.model_dump(mode="json")}
+    return AlgorithmSettings(name=name, config=config)
 
 
 def _check_utility(experiment: Experiment) -> None:
-    name = experiment.algorithm["name"]
+    name = experiment.algorithm.name
     if experiment.known_utility and experiment.utility is None:
         raise ValueError(f"'utility' is missing: algorithm {name!r} learns for a known utility")
     if not experiment.known_utility and experiment.utility is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ from mo_deepdrive.config import EnvConfig
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-_ENTRY = re.compile(r"(\w+(?:, \w+)*)(?: \([^)]*\))?: (.*)")  # "name, name (type): description"
 _TYPES = {"integer": "int", "number": "float", "boolean": "bool", "string": "str", "object": "mapping"}
 _BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
 
@@ -58,10 +56,8 @@ def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
     hyperparameters = find_algorithm(algorithm).config_class
     keys: list[Key] = []
     for key in model_keys(Experiment):
-        if key.name == "algorithm":
-            keys.append(Key("algorithm", "section", "required", key.description))
-            name = Key("algorithm.name", "str", "required", 'of the algorithm; "package.module:Class" for your own.')
-            keys += [name, *model_keys(hyperparameters, "algorithm.")]
+        if key.name == "algorithm.config":  # stands beside the name
+            keys += model_keys(hyperparameters, "algorithm.")
             continue
         keys.append(key)
         if key.name == "environment.arguments" and ours:
@@ -74,43 +70,26 @@ def model_keys(model: type[BaseModel], prefix: str = "") -> list[Key]:
     """The keys that a settings model reads, each section followed by the keys in it.
 
     Args:
-        model: its fields are described under "Attributes:" in its docstring, or with ``Field(description=...)``.
+        model: its fields are described by the strings under them, or with ``Field(description=...)``.
         prefix: of the names.
     """
     schema = model.model_json_schema()
-    descriptions = attribute_descriptions(model)
     keys: list[Key] = []
     for name, field in model.model_fields.items():
         inner = _section(field.annotation)
         default = "required" if field.is_required() else _as_text(field.get_default(call_default_factory=True))
         kind = _type_text(schema["properties"][name]) if inner is None else "section"
-        described = field.description or descriptions.get(name, "")
-        keys.append(Key(prefix + name, kind, default, described))
+        keys.append(Key(prefix + name, kind, default, _description(model, name)))
         if inner is not None:
             keys += model_keys(inner[1], f"{prefix}{name}.{inner[0]}")
     return keys
 
 
-def attribute_descriptions(model: type) -> dict[str, str]:
-    """The descriptions under "Attributes:" in the Google-style docstrings of a class and its bases, by attribute."""
-    found: dict[str, str] = {}
-    for base in reversed(model.__mro__):
-        doc = inspect.cleandoc(base.__dict__.get("__doc__") or "")
-        section = re.search(r"^Attributes:\n((?: .*\n?|\n)*)", doc, re.MULTILINE)
-        names: list[str] = []
-        for line in inspect.cleandoc(section[1]).splitlines() if section else []:
-            entry = _ENTRY.fullmatch(line)
-            if entry is not None:
-                names = entry[1].split(", ")
-                found |= dict.fromkeys(names, entry[2])
-            else:
-                found |= {name: f"{found[name]} {line.strip()}" for name in names}
-    return {name: _plain(text) for name, text in found.items()}
-
-
-def _plain(text: str) -> str:
-    """A description without the markup of reStructuredText, and with YAML's name of None."""
-    text = re.sub(r":\w+:`~?([^`]+)`", r"\1", text).replace("``", "").strip()
+def _description(model: type[BaseModel], name: str) -> str:
+    """A field in a line, without markup and with YAML's name of None; as a base describes it, if the model does not."""
+    fields = (base.model_fields.get(name) for base in model.__mro__ if issubclass(base, BaseModel))
+    text = next((field.description for field in fields if field and field.description), "")
+    text = re.sub(r":\w+:`~?([^`]+)`", r"\1", " ".join(text.split())).replace("``", "")
     return re.sub(r"\bNone\b", "null", text)
 
 

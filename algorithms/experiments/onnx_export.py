@@ -129,7 +129,7 @@ def _about(agent: Any, experiment: Experiment, graph: _Graph, condition: Any) ->
         "environment": experiment.environment.id,
         "environment_arguments": json.dumps(experiment.environment.arguments),
         "objectives": json.dumps(list(agent.env.objectives)),
-        "algorithm": experiment.algorithm["name"],
+        "algorithm": experiment.algorithm.name,
         "steps": str(agent.step),
         "vehicles": json.dumps(graph.driven),
         "accrued_discount": repr(float(agent.accrued_discount)),

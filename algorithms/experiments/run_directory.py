@@ -392,7 +392,7 @@ def default_directory(root: str | Path, config: str | Path, experiment: Experime
         ValueError: if it cannot be made.
     """
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    name = f"{directory_name(experiment.algorithm['name'])}-seed{experiment.training.seed}-{stamp}"
+    name = f"{directory_name(experiment.algorithm.name)}-seed{experiment.training.seed}-{stamp}"
     path = Path(root) / Path(config).stem / name
     number = 1
     while True:

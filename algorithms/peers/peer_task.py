@@ -24,40 +24,31 @@ if TYPE_CHECKING:
 
 
 class PeerConfig(Settings):
-    """Settings of another library's algorithm.
-
-    Attributes:
-        gamma: discount factor.
-        nominal_scales: whether observations and rewards are divided by their nominal scales, as for our own algorithms.
-        arguments: of its constructor; they override those that the adapter sets.
-        train_arguments: of its training method, likewise.
-    """
+    """Settings of another library's algorithm."""
 
     gamma: float = Field(default=0.99, gt=0.0, le=1.0)
+    """Discount factor."""
     nominal_scales: bool = True
+    """Whether observations and rewards are divided by their nominal scales, as for our own algorithms."""
     arguments: dict[str, Any] = {}
+    """Arguments of its constructor; they override those that the adapter sets."""
     train_arguments: dict[str, Any] = {}
+    """Arguments of its training method, likewise."""
 
 
 class WeightedConfig(PeerConfig):
-    """Settings of an algorithm whose policy takes a weight per objective.
-
-    Attributes:
-        policies: number of evenly spaced weights at which the policy is evaluated.
-    """
+    """Settings of an algorithm whose policy takes a weight per objective."""
 
     policies: int = Field(default=100, ge=1)
+    """Number of evenly spaced weights at which the policy is evaluated."""
 
 
 class ScalarConfig(PeerConfig):
-    """Settings of an algorithm that learns from a scalar reward.
-
-    Attributes:
-        utility_of: whether the scalar reward is the utility of the reward or of the return; see
-            :class:`mo_deepdrive.wrappers.UtilityReward`.
-    """
+    """Settings of an algorithm that learns from a scalar reward."""
 
     utility_of: Literal["reward", "return"] = "return"
+    """Whether the scalar reward is the utility of the reward or of the return; see
+    :class:`mo_deepdrive.wrappers.UtilityReward`."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
 from algorithms.reporting.front_report import report_front
 from algorithms.reporting.tables import evaluation_table
-from mo_deepdrive.config import parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate_each
 from mo_deepdrive.evaluation.evaluation_files import write_evaluation
@@ -57,7 +56,7 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     Raises:
         ValueError: if the peer is not installed, or does not support the environment or the utility.
     """
-    name = experiment.algorithm["name"]
+    name = experiment.algorithm.name
     peer, settings, training = PEERS[name], experiment.environment, experiment.training
     reason = peer.unavailable_reason()
     if reason is not None:
@@ -82,7 +81,7 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     task = PeerTask(
         make_single_env=make_single_env,
         env=env,
-        config=parse(peer.Config, experiment.hyperparameters, f"settings of algorithm {name!r}"),
+        config=experiment.algorithm.config,
         utility=utility,
         steps=training.total_timesteps,
         num_envs=training.num_envs,
@@ -106,7 +105,7 @@ def run_peer(run: Run, console: Console) -> None:
         OSError: if something cannot be written.
     """
     experiment = run.experiment
-    peer = PEERS[experiment.algorithm["name"]]
+    peer = PEERS[experiment.algorithm.name]
     with Logger(run.path, wandb=experiment.logging.wandb, config=experiment.to_dict(), name=run.path.name) as logger:
         task = prepare(experiment, logger.log)
         with open_log(run.path / "peer.log") as file, contextlib.redirect_stdout(file):
@@ -157,7 +156,7 @@ def _finish_front(
     measured = report_front(
         front,
         console,
-        algorithm=run.experiment.algorithm["name"],
+        algorithm=run.experiment.algorithm.name,
         env_id=environment.id,
         env_arguments=environment.arguments,
         reference_point=settings.reference_point,

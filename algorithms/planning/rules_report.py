@@ -137,7 +137,7 @@ def score_runs(
             raise ValueError(f"{str(run.path)!r} is a front of policies, not one")
         agent = load_turner(run)
         arguments = {**experiment.environment.arguments, "traffic": traffic, "objectives": OBJECTIVES}
-        algorithm = experiment.algorithm["name"]
+        algorithm = experiment.algorithm.name
         for kind in (SHOWN, "greedy"):
             generator = seeded_generator(agent, first_seed(split, None, episodes)) if kind == SHOWN else None
             evaluation = evaluate(

@@ -84,7 +84,7 @@ def record_run(path: str, scenario: str, action_type: str, episodes: int, *, tru
     training = run.experiment.training
     return RunRecording(
         name="/".join(run.path.absolute().parts[-3:]),
-        description=f"{run.experiment.algorithm['name']}, seed {training.seed}, {training.total_timesteps} steps",
+        description=f"{run.experiment.algorithm.name}, seed {training.seed}, {training.total_timesteps} steps",
         sequences=sequences,
     )
 

@@ -162,7 +162,7 @@ def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: Reproductio
         chosen = median_run(mine, results, metric, policy)
         if chosen is not None:
             suffix = "" if protocol == "best" else f"-{protocol}"
-            name = f"{task}-{chosen.job.experiment.algorithm['name']}{suffix}"
+            name = f"{task}-{chosen.job.experiment.algorithm.name}{suffix}"
             export_run(chosen, name, f"median {metric} of {len(mine)} seeds")
             solved = [run for run in mine if success_rate(run) > SOLVED]
             success = median_run(solved, results, metric, policy)

@@ -23,69 +23,57 @@ QUICK_EVALUATIONS = 5  # during training, in a quick reproduction
 
 
 class Variant(Settings):
-    """One curve of a figure, one row of a table: an experiment's config with overrides.
-
-    Attributes:
-        label: name in figures and tables.
-        config: YAML file of the experiment, or the name of a shipped one.
-        overrides: values of keys of the experiment.
-    """
+    """One curve of a figure, one row of a table: an experiment's config with overrides."""
 
     label: str
+    """Name in figures and tables."""
     config: str
+    """YAML file of the experiment, or the name of a shipped one."""
     overrides: dict[str, Any] = {}
+    """Values of keys of the experiment."""
 
 
 class Protocol(Settings):
-    """Variants that are trained under the same conditions and compared with each other.
-
-    Attributes:
-        title: describes the conditions.
-        seeds: number of runs of each variant; None for the plan's.
-        first_seed: None for the plan's; a different one if settings were chosen on the plan's seeds.
-        quick_timesteps: environment steps in a quick reproduction; None to leave out the protocol there.
-        overrides: of every variant.
-        variants: by key, which is also the name of the folder of their runs.
-    """
+    """Variants that are trained under the same conditions and compared with each other."""
 
     title: str
+    """The conditions in words."""
     seeds: int | None = Field(default=None, ge=1)
+    """Number of runs of each variant; None for the plan's."""
     first_seed: int | None = Field(default=None, ge=0)
+    """Seed of the first run; None for the plan's, a different one if settings were chosen on the plan's seeds."""
     quick_timesteps: Count | None = None
+    """Environment steps in a quick reproduction; None to leave out the protocol there."""
     overrides: dict[str, Any] = {}
+    """Changes of the config of every variant."""
     variants: dict[str, Variant] = Field(min_length=1)
+    """Variants by key, which is also the name of the folder of their runs."""
 
 
 class PlannedTask(Settings):
-    """One scenario under one utility, or with an unknown utility.
-
-    Attributes:
-        title: scenario and utility.
-        protocols: by key.
-    """
+    """One scenario under one utility, or with an unknown utility."""
 
     title: str
+    """Scenario and utility."""
     protocols: dict[str, Protocol] = Field(min_length=1)
+    """By key."""
 
 
 class Plan(Settings):
-    """The whole reproduction.
-
-    Attributes:
-        first_seed: seed of the first run of each variant; the others follow.
-        seeds: number of runs of each variant.
-        quick_seeds: the same in a quick reproduction.
-        overrides: of every run.
-        quick_overrides: of every run of a quick reproduction.
-        tasks: by key.
-    """
+    """The whole reproduction."""
 
     first_seed: Annotated[int, Field(ge=0)]
+    """Seed of the first run of each variant; the others follow."""
     seeds: Annotated[int, Field(ge=1)]
+    """Number of runs of each variant."""
     quick_seeds: Annotated[int, Field(ge=1)]
+    """The same in a quick reproduction."""
     overrides: dict[str, Any] = {}
+    """Of every run."""
     quick_overrides: dict[str, Any] = {}
+    """Of every run of a quick reproduction."""
     tasks: dict[str, PlannedTask] = Field(min_length=1)
+    """By key."""
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ def _cell_rows(
     for seed in settings.seeds:
         config = {**resolved, "training": {**resolved["training"], "seed": seed}}
         name = run_id(config)
-        directory = f"{RUNS}/{directory_name(experiment.algorithm['name'])}-seed{seed}-{name}"
+        directory = f"{RUNS}/{directory_name(experiment.algorithm.name)}-seed{seed}-{name}"
         rows.append(ManifestRow(name, directory, cell, seed, trial, config))
     return rows
 

@@ -40,44 +40,39 @@ Seed = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class SearchRange(Settings):
-    """The values that a search may choose for a key: numbers in an interval, or a list of choices.
-
-    Attributes:
-        low, high: bounds, inclusive; if both are integers, so are the values.
-        log: whether to sample on a logarithmic scale.
-        step: distance between values; None for a continuous range.
-        choices: the values themselves, instead of an interval.
-    """
+    """The values that a search may choose for a key: numbers in an interval, or a list of choices."""
 
     low: int | float | None = None
+    """Bounds, inclusive; if both are integers, so are the values."""
     high: int | float | None = None
+    """Bounds, inclusive; if both are integers, so are the values."""
     log: bool = False
+    """Whether to sample on a logarithmic scale."""
     step: int | float | None = None
+    """Distance between values; None for a continuous range."""
     choices: Annotated[list[Any] | None, Field(min_length=1)] = None
+    """The values themselves, instead of an interval."""
 
 
 class HyperparameterSearchSettings(Settings):
-    """A hyperparameter search with Optuna.
-
-    Attributes:
-        space: the values of each key; a list is short for ``choices``.
-        metric: the objective, a metric of the final evaluation such as "greedy/utility_esr", "stochastic/success" or
-            "front/hypervolume"; averaged over seeds.
-        direction: whether to maximize or minimize it.
-        sampler: "random" chooses all points in advance, "tpe" from the scores of earlier points.
-        trials: number of points.
-        batch: number of points that "tpe" chooses at a time; all runs of a batch end before the next is chosen, so
-            that the points do not depend on which run finishes first.
-        seed: of the sampler.
-    """
+    """A hyperparameter search with Optuna."""
 
     space: dict[str, Annotated[SearchRange, BeforeValidator(_as_choices)]] = Field(min_length=1)
+    """The values of each key; a list is short for ``choices``."""
     metric: str
+    """The objective, a metric of the final evaluation such as "greedy/utility_esr", "stochastic/success" or
+    "front/hypervolume"; averaged over seeds."""
     direction: Literal["maximize", "minimize"] = "maximize"
+    """Whether to maximize or minimize it."""
     sampler: Literal["tpe", "random"] = "tpe"
+    """Sampler: "random" chooses all points in advance, "tpe" from the scores of earlier points."""
     trials: Count
+    """Number of points."""
     batch: Count = 8
+    """Number of points that "tpe" chooses at a time; all runs of a batch end before the next is chosen, so that the
+    points do not depend on which run finishes first."""
     seed: Seed = 0
+    """Seed of the sampler."""
 
     @property
     def points_at_a_time(self) -> int:
@@ -86,98 +81,87 @@ class HyperparameterSearchSettings(Settings):
 
 
 class Resources(Settings):
-    """What one run needs.
-
-    Attributes:
-        cpus: cores; with a fraction, several runs share a core.
-        gpus: devices; with a fraction, several runs share a device (Ray); Slurm rounds up.
-        memory_gb: main memory in GB; None for the backend's default.
-        minutes: wall-clock limit of a Slurm job, after which it is requeued and resumes.
-    """
+    """What one run needs."""
 
     cpus: float = Field(default=1.0, gt=0)
+    """Cores; with a fraction, several runs share a core."""
     gpus: float = Field(default=0.0, ge=0)
+    """Devices; with a fraction, several runs share a device (Ray); Slurm rounds up."""
     memory_gb: float | None = Field(default=None, gt=0)
+    """Main memory in GB; None for the backend's default."""
     minutes: Count = 60
+    """Wall-clock limit of a Slurm job, after which it is requeued and resumes."""
 
 
 class AshaSettings(Settings):
-    """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung.
-
-    Attributes:
-        metric: of the evaluations during training, named as the metric of a search.
-        direction: whether to maximize or minimize it.
-        grace_period: environment steps before a run may be pruned.
-        reduction_factor: one in this many runs continues past each rung.
-    """
+    """Early stopping on Ray by asynchronous successive halving (Li et al. 2020): poor runs are pruned at each rung."""
 
     metric: str
+    """The objective, a metric of the evaluations during training, named as the metric of a search."""
     direction: Literal["maximize", "minimize"] = "maximize"
+    """Whether to maximize or minimize it."""
     grace_period: Count
+    """Environment steps before a run may be pruned."""
     reduction_factor: float = Field(default=4.0, gt=1)
+    """One in this many runs continues past each rung."""
 
 
 class RaySettings(Settings):
-    """Settings of the Ray Tune backend.
-
-    Attributes:
-        asha: early stopping; None to run every run to its end.
-    """
+    """Settings of the Ray Tune backend."""
 
     asha: AshaSettings | None = None
+    """Early stopping; None to run every run to its end."""
 
 
 class SlurmSettings(Settings):
-    """Settings of the Slurm backend; :mod:`algorithms.sweeps.slurm_script` turns them into options of sbatch.
-
-    Attributes:
-        partition, account, qos, constraint: passed to sbatch.
-        runs_per_job: number of runs in one task of the job array.
-        side_by_side: how many of these run concurrently.
-        array_parallelism: maximum number of tasks that run concurrently.
-        signal_delay_s: seconds before the time limit at which a job is told to save and requeue.
-        max_requeues: how often a job may reach its time limit.
-        setup: shell commands to run before each job.
-        additional: any other options of sbatch.
-    """
+    """Settings of the Slurm backend; :mod:`algorithms.sweeps.slurm_script` turns them into options of sbatch."""
 
     partition: str | None = None
+    """Passed to sbatch."""
     account: str | None = None
+    """Passed to sbatch."""
     qos: str | None = None
+    """Passed to sbatch."""
     constraint: str | None = None
+    """Passed to sbatch."""
     runs_per_job: Count = 1
+    """Number of runs in one task of the job array."""
     side_by_side: Count = 1
+    """How many of these run concurrently."""
     array_parallelism: Count = 256
+    """Maximum number of tasks that run concurrently."""
     signal_delay_s: Count = 90
+    """Seconds before the time limit at which a job is told to save and requeue."""
     max_requeues: Count = 100
+    """How often a job may reach its time limit."""
     setup: list[str] = []
+    """Shell commands to run before each job."""
     additional: dict[str, Any] = {}
+    """Any other options of sbatch."""
 
 
 class SweepSettings(Settings):
-    """A sweep: a base experiment, what varies, and the resources of each run.
-
-    Attributes:
-        config: YAML file of the base experiment, relative to the working directory or to the folder of the sweep's own
-            file, or the name of a shipped one; a list is the outermost dimension of the grid.
-        overrides: values of experiment keys, the same for all runs.
-        grid: values of experiment keys; every combination is a cell. A mapping is merged into its section.
-        search: a hyperparameter search, instead of a grid or within each cell of it.
-        seeds: seeds of each cell; a number is short for that many from 0 on.
-        resources: needed by each run.
-        retries: how often to retry a run whose process died or could not write.
-        ray, slurm: settings of the backend of this name.
-    """
+    """A sweep: a base experiment, what varies, and the resources of each run."""
 
     config: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
+    """YAML file of the base experiment, relative to the working directory or to the folder of the sweep's own file, or
+    the name of a shipped one; a list is the outermost dimension of the grid."""
     overrides: dict[str, Any] = {}
+    """Values of experiment keys, the same for all runs."""
     grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    """Values of experiment keys; every combination is a cell. A mapping is merged into its section."""
     search: HyperparameterSearchSettings | None = None
+    """A hyperparameter search, instead of a grid or within each cell of it."""
     seeds: Annotated[list[Seed], BeforeValidator(_as_seeds), Field(min_length=1)] = [0]
+    """Seeds of each cell; a number is short for that many from 0 on."""
     resources: Resources = Resources()
+    """What each run needs."""
     retries: int = Field(default=3, ge=0)
+    """How often to retry a run whose process died or could not write."""
     ray: RaySettings = RaySettings()
+    """Settings of the backend of this name."""
     slurm: SlurmSettings = SlurmSettings()
+    """Settings of the backend of this name."""
 
 
 def load_sweep(path: str | Path) -> SweepSettings:

@@ -9,7 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from algorithms.common.yaml_io import read_mapping
-from algorithms.experiments.config import Experiment, find_environment
+from algorithms.experiments.config import find_environment
+from algorithms.reporting.run_records import ExperimentRecord
 from algorithms.zoo import ABOUT, CONFIG, find, names
 from mo_deepdrive.config import parse
 from mo_deepdrive.evaluation.metrics import (
@@ -52,12 +53,12 @@ def zoo_table() -> Table:
         table.add_column(column, overflow="fold")
     for name in names():
         config = find(name) / CONFIG
-        experiment = parse(Experiment, read_mapping(config), f"experiment {str(config)!r}")
+        experiment = parse(ExperimentRecord, read_mapping(config), f"experiment {str(config)!r}")
         table.add_row(name, _task(experiment), *_score_columns(find(name) / ABOUT))
     return table
 
 
-def _task(experiment: Experiment) -> str:
+def _task(experiment: ExperimentRecord) -> str:
     """The utilities of an experiment, and its scenario unless their names begin with it."""
     scenario: str = find_environment(experiment.environment.id).kwargs.get("scenario", experiment.environment.id)
     settings = experiment.utility

@@ -67,13 +67,6 @@ ARRIVED, COLLISION, OFF_LANE, TIME_LIMIT = "arrived", "collision", "off_lane", "
 USUAL_FAILURES = (COLLISION, OFF_LANE, TIME_LIMIT)
 OUR_ENDS = frozenset(ENDS) - {""}  # all reasons of this package's environments
 
-# Old names of metrics, and the names that replaced them (those of Stable-Baselines3).
-RENAMED = {
-    "policy/clipped": CLIP_FRACTION,
-    "policy/kl": APPROX_KL,
-    "policy/entropy_weight": ENTROPY_COEFFICIENT,
-}
-
 
 def evaluation_prefix(policy: str) -> str:
     """``eval/greedy/`` of one of :data:`POLICIES`."""
@@ -149,14 +142,11 @@ def known_metric(name: str, available: Iterable[str]) -> str:
     """``name``, if it is one of the ``available`` metrics.
 
     Raises:
-        ValueError: otherwise; with the new name of a metric that was renamed, else with the nearest available one.
+        ValueError: otherwise, with the nearest available one.
     """
     names = list(available)
     if name in names:
         return name
-    metric = split_name(name).metric
-    if metric in RENAMED:
-        raise ValueError(f"metric {name!r} was renamed; write {name.removesuffix(metric) + RENAMED[metric]!r}")
     raise ValueError(f"metric {name!r} is not among those of the runs; {nearest(name, names)}")
 
 

@@ -27,7 +27,7 @@ def comparison(load_script: Callable[[str], ModuleType]) -> ModuleType:
 
 def test_the_configs_are_those_of_the_algorithm(comparison: ModuleType) -> None:
     for config in comparison.CONFIGS:
-        assert load_experiment(config).algorithm["name"] == "conditioned_mo_ppo"
+        assert load_experiment(config).algorithm.name == "conditioned_mo_ppo"
 
 
 def test_a_run_is_measured_against_the_best_known_front(comparison: ModuleType) -> None:

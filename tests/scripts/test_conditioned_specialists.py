@@ -43,7 +43,7 @@ def test_a_specialist_has_the_settings_of_the_network_and_the_utility_of_its_pre
     agent = build(network, num_envs=1)
     weights = np.arange(1.0, 9.0)[: len(agent.env.objectives)]
     specialist = script.specialist_experiment(network, weights)
-    assert specialist.algorithm["name"] == "mo_ppo"
+    assert specialist.algorithm.name == "mo_ppo"
     assert (specialist.environment, specialist.training) == (network.environment, network.training)
     learner = build(specialist, num_envs=1)
     for key in ("learning_rate", "gamma", "gae_lambda", "steps", "hidden", "cost_growth", "objective_scales"):

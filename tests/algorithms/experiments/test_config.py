@@ -337,7 +337,7 @@ def test_peers_are_known_by_name_but_cannot_be_built(write: Write, name: str) ->
     known = PEERS[name].known_utility
     overrides = [f"--algorithm.name={name}", *(["--utility.name=one_waypoint_linear"] if known else [])]
     experiment = load_experiment(write(FRONT), overrides)
-    assert experiment.algorithm["name"] == name
+    assert experiment.algorithm.name == name
     assert experiment.known_utility is known
     reference = mo_deepdrive.reference_point("one_waypoint").values
     if known:

@@ -42,7 +42,7 @@ def test_every_policy_of_the_zoo_is_exported_and_acts_as_it_does(
     assert "checked in 1,000 states: differs by at most " in capsys.readouterr().out
     about = session_of(tmp_path / "policy.onnx").get_modelmeta().custom_metadata_map
     experiment = Run.open(name).experiment
-    assert (about["environment"], about["algorithm"]) == (experiment.environment.id, experiment.algorithm["name"])
+    assert (about["environment"], about["algorithm"]) == (experiment.environment.id, experiment.algorithm.name)
     assert {"objectives", "version", "steps"} <= about.keys()
 
 

@@ -30,7 +30,7 @@ def test_every_yaml_file_of_the_repository_has_a_name(repository: Path) -> None:
 @pytest.mark.parametrize("name", ["one_waypoint/pcn", "one_waypoint/pcn.yaml", "configs/one_waypoint/pcn.yaml"])
 def test_a_shipped_file_is_found_by_its_name_or_its_path_in_a_checkout(name: str) -> None:
     assert find_config(name) == CONFIGS / "one_waypoint" / "pcn.yaml"
-    assert load_experiment(name).algorithm["name"] == "pcn"
+    assert load_experiment(name).algorithm.name == "pcn"
 
 
 def test_a_file_wins_over_a_shipped_one_but_a_folder_does_not(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def test_a_run_directory_takes_precedence_over_a_policy_of_the_same_name(
     shutil.copytree(trained("mo_ppo").path, tmp_path / "mine")
     monkeypatch.chdir(tmp_path)
     assert Run.open("mine").path == Path("mine")
-    assert Run.open("mine").experiment.algorithm["name"] == "mo_ppo"
+    assert Run.open("mine").experiment.algorithm.name == "mo_ppo"
     shutil.rmtree(tmp_path / "mine")
     (tmp_path / "mine").write_text("a file is not a run")
     assert Run.open("mine").path == home / "mine"
