@@ -18,6 +18,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from algorithms.experiments import config
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import Job
 from algorithms.sweeps import manifest
@@ -375,6 +376,13 @@ def test_a_cell_that_cannot_be_built_is_refused_by_name(
     said = refused_cells(tmp_path, grid=grid)
     assert cell in said
     assert message in said
+
+
+def test_a_logger_that_is_not_installed_is_refused_before_a_run_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config.importlib.util, "find_spec", lambda _: None)
+    assert "logging.wandb needs wandb: pip install" in refused_cells(tmp_path, grid={"logging.wandb.project": ["p"]})
 
 
 def test_a_key_below_a_plain_value_is_refused_with_its_cell(tmp_path: Path) -> None:
