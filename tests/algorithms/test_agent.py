@@ -446,7 +446,7 @@ def test_a_failed_save_keeps_the_previous_checkpoint(
     def fail(*_: Any, **__: Any) -> None:
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(os, "replace", fail)
+    monkeypatch.setattr(Path, "replace", fail)
     with pytest.raises(OSError, match="no space left"):
         make_agent(A2C).save(path)
     assert path.read_bytes() == checkpoint.read_bytes()
