@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import pickle
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,7 +37,6 @@ from tests.helpers.agents import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from algorithms.actor_critic import ActorCritic
 
