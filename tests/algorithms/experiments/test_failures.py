@@ -8,8 +8,8 @@ import pytest
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.failures import WorkerDied, record, verdict
-from algorithms.experiments.interrupts import DiskFull, Stopped
-from algorithms.experiments.jobs import Job, JobFailed
+from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped
+from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from tests.helpers.short_runs import VALUES
 
