@@ -349,7 +349,8 @@ class Agent(ABC):
             with self._located("before the first update"):
                 self.begin()
             self._log_evaluation(plan, log, log_front)
-        started, first = perf_counter(), self.step
+        begun = self.step
+        started, first = perf_counter(), begun
         while self.step < total_timesteps:
             before = self.step
             with self._located(f"in the update after step {before:,}"):
@@ -367,6 +368,8 @@ class Agent(ABC):
                 paused = perf_counter()
                 self._log_evaluation(plan, log, log_front)
                 started += perf_counter() - paused
+            if before == begun:  # code may have been compiled, which says nothing of the speed
+                started, first = perf_counter(), self.step
             if after_update is not None and after_update(self):
                 return
 

@@ -12,6 +12,7 @@ longer, which may be finished; it takes one whose learning rate and other settin
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.experiments.cli import (
@@ -55,6 +56,7 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
     """
     from algorithms.experiments.build import build
     from algorithms.experiments.training import reopen
+    from algorithms.sweeps.manifest import is_sweep
 
     if options.resume is None:
         if options.trust:
@@ -71,6 +73,11 @@ def open_run(options: Namespace, overrides: list[str]) -> tuple[Run, Any]:
         raise ValueError(
             "--resume continues the run with its own settings, apart from --training.total_timesteps; "
             f"it cannot take {' '.join(given)}"
+        )
+    if total_timesteps is not None and is_sweep(sweep := Path(options.resume).resolve().parent.parent):
+        raise ValueError(
+            f"training.total_timesteps = {total_timesteps}: the run cannot be trained longer, since it is one of the "
+            f"sweep {str(sweep)!r}; copy its directory to another place, and train that"
         )
     return reopen(options.resume, trust=options.trust, total_timesteps=total_timesteps)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from algorithms.common.yaml_io import read_mapping
-from algorithms.experiments.config import Experiment, make_experiment, override
+from algorithms.experiments.config import Experiment, check_loggers, make_experiment, override
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.registry import directory_name
 from algorithms.experiments.shipped import find_config
@@ -169,6 +169,7 @@ def _check_buildable(experiment: Experiment, where: str) -> None:
 
     settings = experiment.training.model_copy(update={"device": "cpu"})  # this machine may not have the run's device
     try:
+        check_loggers(experiment)
         build(experiment.model_copy(update={"training": settings}), num_envs=1)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import pickle
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,7 +36,6 @@ from tests.helpers.agents import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from algorithms.actor_critic import ActorCritic
 
@@ -419,7 +418,7 @@ def test_a_failed_save_keeps_the_previous_checkpoint(
     def fail(*_: Any, **__: Any) -> None:
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(os, "replace", fail)
+    monkeypatch.setattr(Path, "replace", fail)
     with pytest.raises(OSError, match="no space left"):
         make_agent(A2C).save(path)
     assert path.read_bytes() == checkpoint.read_bytes()

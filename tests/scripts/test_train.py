@@ -404,6 +404,13 @@ def test_what_makes_a_run_impossible_to_resume_is_one_line(
         refused(call("train", "--resume", run), "Permission denied: '.lock'")
 
 
+def test_a_run_of_a_sweep_is_not_trained_longer(finished: Path, tmp_path: Path, call: Call) -> None:
+    (tmp_path / "manifest.jsonl").touch()
+    (tmp_path / "runs").mkdir()
+    run = copied(finished, tmp_path / "runs", "finished")
+    refused(call("train", "--resume", run, "--training.total_timesteps=1_000_000"), "one of the sweep")
+
+
 def test_a_users_utility_needs_no_flag_in_a_config_and_trust_in_a_run(driving: Path, call: Call) -> None:
     folder = driving.parent
     (folder / "trusted_code.py").write_text("def utility(returns):\n    return returns[..., 0]\n")

@@ -269,7 +269,7 @@ def test_wandb_that_fails_during_training_is_disabled_with_one_message(
         logger.log(0, {"a": 1})
         logger.log(1, {"a": 1})
     (message,) = said
-    assert "Weights & Biases is disabled: ConnectionError: no server" in message
+    assert "Weights & Biases is disabled: no server" in message
 
 
 @pytest.mark.slow

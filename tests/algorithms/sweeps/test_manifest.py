@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 import yaml
 
+from algorithms.experiments import config
 from algorithms.experiments.config import make_experiment
 from algorithms.sweeps.manifest import (
     FILE,
@@ -305,6 +306,13 @@ def test_a_cell_that_cannot_be_built_is_refused_by_name(
     said = refused_cells(tmp_path, grid=grid)
     assert cell in said
     assert message in said
+
+
+def test_a_logger_that_is_not_installed_is_refused_before_a_run_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config.importlib.util, "find_spec", lambda _: None)
+    assert "logging.wandb needs wandb: pip install" in refused_cells(tmp_path, grid={"logging.wandb.project": ["p"]})
 
 
 def test_the_job_of_a_row_has_the_same_experiment_also_on_a_device_that_this_machine_does_not_have(

@@ -88,7 +88,7 @@ def test_saved_evaluations_are_compared_with_runs_of_the_same_task(
 ) -> None:
     for name in ("hold", "other"):
         for seed in range(3):
-            made(gamma=0.9).save(tmp_path / f"{name}-{seed}", name=name, seed=seed, steps=1000)
+            made(gamma=np.float64(0.9)).save(tmp_path / f"{name}-{seed}", name=name, seed=seed, steps=1000)
     assert table.main([str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "other - hold" in printed
