@@ -52,7 +52,7 @@ def chosen(keys: Keys, action_type: str, fields: dict[str, float]) -> str:
         (LEFT, {"speed": 8.0, "steer": 0.1}, "small steer left, maintain speed"),
         (RIGHT, {"speed": 8.0, "steer": -0.1}, "small steer right, maintain speed"),
         # Back to straight without left and right.
-        (UP, {"speed": 3.0, "steer": 0.1}, "micro steer right, increase speed"),
+        (UP, {"speed": 3.0, "steer": 0.1}, "micro steer left, increase speed"),
         (UP, {"speed": 3.0, "steer": 0.00174533}, "decay steer, increase speed"),
         # The car coasts without a key for the speed; opposite keys brake and steer straight.
         (LEFT, {"speed": 2.0, "throttle": 1.0}, "large steer left, decrease speed"),
