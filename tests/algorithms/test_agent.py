@@ -104,7 +104,7 @@ def test_training_runs_and_the_policy_gives_valid_actions(cls: type[ActorCritic]
 
 @pytest.mark.slow
 @CLASSES
-@EVERYWHERE
+@pytest.mark.parametrize("place", ["static_obstacle", "one_waypoint, continuous", "intersection", "minecart"])
 def test_a_seed_determines_every_weight_and_another_seed_gives_others(
     cls: type[ActorCritic], place: str, global_seeds: Callable[[int], None]
 ) -> None:

@@ -715,8 +715,7 @@ def test_a_front_has_no_more_policies_than_allowed_and_keeps_the_extremes(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("observed", ["discrete", "box"])
-@pytest.mark.parametrize("continuous", [False, True])
+@pytest.mark.parametrize(("observed", "continuous"), [("discrete", True), ("box", False)])
 def test_every_trade_off_of_a_toy_is_found(observed: str, continuous: bool) -> None:
     settings = {"observed": observed, "continuous": continuous}
     agent = PCN(
