@@ -314,7 +314,7 @@ def test_runs_whose_scores_or_metrics_have_changed_are_left_out(tmp_path: Path, 
     edited(folders[1] / "metrics.csv", "0.5", "0.7")
     cut = (folders[2] / "metrics.csv").read_bytes()
     (folders[2] / "metrics.csv").write_bytes(cut[:100])
-    (folders[3] / "checkpoint.safetensors").unlink()  # of which --verify tells
+    (folders[3] / "checkpoint.safetensors").unlink()
     for _ in range(2):  # also when nothing is read again
         collection = collect(tmp_path)
         advice = "runs differ from the record of their files, mo-deepdrive sweep --remake makes them again: "
@@ -323,6 +323,9 @@ def test_runs_whose_scores_or_metrics_have_changed_are_left_out(tmp_path: Path, 
             f"{rows[1].directory}: metrics.csv: changed since the run finished, "
             f"{rows[2].directory}: metrics.csv: 100 bytes, recorded {len(cut)}"
         ]
+        said: list[str] = []
+        collection.report_problems(said.append)
+        assert said[1:] == [f"1 {advice}{rows[3].directory}: checkpoint.safetensors: missing"]
         assert collection.scored == {row.id for row in rows[3:]}
         assert set(collection.scores.collect()["run"]) == collection.scored
     for folder in folders[3:]:
