@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 # The two algorithms that are compared, by the keys of their variants.
 BASELINE, MULTI_OBJECTIVE = "a2c", "mo_a2c"
+LABELS = {BASELINE: "A2C", MULTI_OBJECTIVE: "MO-A2C"}
 # The task with an unknown utility, and the variant that learns its front.
 FRONT_TASK, FRONT_VARIANT = "one_waypoint_front", "pcn"
 # Limits of the criteria.
@@ -143,11 +144,8 @@ class Claim:
         except KeyError:
             return None
         passed = [check.passed for check in checks]
-        conclusion: Conclusion = "reproduced"
-        if False in passed:
-            conclusion = "not reproduced"
-        elif None in passed:
-            conclusion = "inconclusive"
+        conclusion: Conclusion = "inconclusive" if None in passed else "reproduced"
+        conclusion = "not reproduced" if False in passed else conclusion
         return Verdict(self, protocol, conclusion, checks)
 
 
@@ -261,14 +259,10 @@ def percent(estimate: Estimate, other_width: float = 0.0) -> str:
     return f"{Estimate(100.0 * estimate.value, *bounds).text(100.0 * other_width)}%"
 
 
-def _label(variant: str) -> str:
-    return "A2C" if variant == BASELINE else "MO-A2C"
-
-
 def success_above(task: str, variant: str, limit: float, results: ReproductionResults, protocol: str) -> Check:
     """The share of episodes in which the vehicle, or all vehicles, arrive is above the limit."""
     rate, measured = _success_rate(task, variant, results, protocol)
-    name = f"{_label(variant)}: success rate above {limit:.0%}"
+    name = f"{LABELS[variant]}: success rate above {limit:.0%}"
     return _check(results, task, protocol, name, measured, is_above(rate, limit), lasting=True)
 
 
@@ -276,7 +270,7 @@ def success_below(task: str, variant: str, limit: float, results: ReproductionRe
     """The share of episodes in which the vehicle, or all vehicles, arrive is below the limit."""
     rate, measured = _success_rate(task, variant, results, protocol)
     utility = f" ({utility_kind(task)} utility)" if task.startswith("intersection") else ""
-    name = f"{_label(variant)}: success rate below {limit:.0%}{utility}"
+    name = f"{LABELS[variant]}: success rate below {limit:.0%}{utility}"
     return _check(results, task, protocol, name, measured, _is_below(rate, limit), lasting=False)
 
 
@@ -288,7 +282,7 @@ def _success_rate(task: str, variant: str, results: ReproductionResults, protoco
 def moves_away(task: str, variant: str, results: ReproductionResults, protocol: str) -> Check:
     """Episodes end farther from the destination than they start."""
     progress = iqm(results.values(task, protocol, variant, return_of("distance")))
-    name = f"{_label(variant)} moves away from the destination"
+    name = f"{LABELS[variant]} moves away from the destination"
     return _check(results, task, protocol, name, f"progress {progress.text()} m", _is_below(progress, 0.0))
 
 

@@ -12,7 +12,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from algorithms.reporting.learning_curves import curve
 from algorithms.reporting.style import ALGORITHM_COLOURS, figure_style, save_figure, surround, widened
-from algorithms.reproduction.claims import BASELINE, MULTI_OBJECTIVE, utility_kind
+from algorithms.reproduction.claims import LABELS, utility_kind
 from mo_deepdrive.evaluation.metrics import STEP, STOCHASTIC, TOTAL_UTILITY_ESR, UTILITY_ESR, title_of, vehicle_prefix
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES
 
@@ -26,10 +26,6 @@ if TYPE_CHECKING:
     from algorithms.reproduction.results import ReproductionResults
 
 MIN_WIDTH = 8.4  # inches, for the title and the note below it
-ALGORITHMS = {
-    BASELINE: ("A2C", ALGORITHM_COLOURS[BASELINE]),
-    MULTI_OBJECTIVE: ("MO-A2C", ALGORITHM_COLOURS[MULTI_OBJECTIVE]),
-}
 
 
 @dataclass(frozen=True)
@@ -103,14 +99,14 @@ def draw_curves(number: int, plan: Plan, results: ReproductionResults, path: Pat
 
 def _compares_algorithms(results: ReproductionResults, task: str, protocol: str) -> bool:
     """Whether a protocol compares exactly the two algorithms that the figures show."""
-    return set(results.variants(task, protocol)) == set(ALGORITHMS)
+    return set(results.variants(task, protocol)) == set(LABELS)
 
 
 def _draw_panel(axis: Axes, results: ReproductionResults, task: str, protocol: str, metric: str) -> None:
     """Draw the mean over seeds with its interval, and every seed as a thin line."""
     last = []
-    for variant, (_, colour) in ALGORITHMS.items():
-        runs = results.learning_curves(task, protocol, variant)
+    for variant in LABELS:
+        colour, runs = ALGORITHM_COLOURS[variant], results.learning_curves(task, protocol, variant)
         for run in runs:
             if metric in run:
                 axis.plot(run[STEP], run[metric], color=colour, linewidth=0.6, alpha=0.45, zorder=2)
@@ -141,7 +137,7 @@ def _limit_y_axis(axis: Axes, settled: np.ndarray) -> None:
 
 def _seed_counts(results: ReproductionResults, panels: Sequence[tuple[str, str]]) -> list[int]:
     """The numbers of seeds per curve: the least and, if it differs, the most."""
-    curves = [results.learning_curves(task, protocol, variant) for protocol, task in panels for variant in ALGORITHMS]
+    curves = [results.learning_curves(task, protocol, variant) for protocol, task in panels for variant in LABELS]
     counts = [len(runs) for runs in curves]
     return list(dict.fromkeys((min(counts), max(counts))))
 
@@ -150,5 +146,5 @@ def _add_title_and_legend(figure: Figure, title: str, seeds: Sequence[int]) -> N
     count = " to ".join(map(str, seeds))
     note = f"{STOCHASTIC} policy on unseen scenarios; thin: each of {count} seeds; thick: mean"
     note += " with 95% bootstrap interval" if seeds[-1] >= MIN_SAMPLES else f", too few for an interval (n = {count})"
-    handles = [Line2D([], [], color=colour, linewidth=2.4, label=label) for label, colour in ALGORITHMS.values()]
+    handles = [Line2D([], [], color=ALGORITHM_COLOURS[key], linewidth=2.4, label=name) for key, name in LABELS.items()]
     surround(figure, title, [note], handles)

@@ -82,7 +82,7 @@ class Collection:
         logs: of the runs with a metrics.csv, by id.
         scored: ids of the runs with scores.
         problems: why final evaluations cannot be read, by id.
-        altered: what differs from the record of a finished run's final evaluation and metrics, by id; left out.
+        altered: what differs from the record of a finished run's files, by id.
         folder: of the files.
         not_stored: why they are not in the sweep; None if they are.
         temporary: the folder that then has them, and is deleted with this object.
@@ -135,7 +135,8 @@ class Collection:
     def remarks(self) -> list[str]:
         """Messages about missing, unreadable and altered results, one line each."""
         found = []
-        told = {*self.scored, *self.altered, *self.problems}
+        left_out = {run: changes for run, changes in self.altered.items() if _unreliable(changes)}
+        told = {*self.scored, *left_out, *self.problems}
         without = [row for row in self.rows if row.id not in told]
         if without:
             counts = Counter(self.states[row.id] for row in without).most_common()
@@ -145,18 +146,21 @@ class Collection:
         broken = [*self.problems.values(), *(log.problem for log in self.logs.values() if log.problem)]
         if broken:
             found.append(f"{len(broken)} files cannot be read: {_shortened(broken)}")
-        altered = [f"{row.directory}: {'; '.join(self.altered[row.id])}" for row in self.rows if row.id in self.altered]
-        if altered:
-            count, advice = len(altered), "mo-deepdrive sweep --remake makes them again"
-            found.append(f"{count} runs differ from the record of their files, {advice}: {_shortened(altered)}")
-        return found
+        return [*found, *self._describe(left_out)]
 
     def report_problems(self, warn: Callable[[str], None]) -> None:
-        """Call ``warn`` with a line about everything that is left out or not stored."""
+        """Call ``warn`` with a line about everything that is left out, not stored, or altered beside the scores."""
         for remark in self.remarks:
             warn(f"left out: {remark}")
         if self.not_stored:
             warn(f"the collected results are not stored: {self.not_stored}")
+        for line in self._describe({run: each for run, each in self.altered.items() if not _unreliable(each)}):
+            warn(line)
+
+    def _describe(self, altered: Mapping[str, Sequence[str]]) -> list[str]:
+        named = [f"{row.directory}: {'; '.join(altered[row.id])}" for row in self.rows if row.id in altered]
+        advice = "mo-deepdrive sweep --remake makes them again"
+        return [f"{len(named)} runs differ from the record of their files, {advice}: {_shortened(named)}"] * bool(named)
 
     def curves(self, runs: Sequence[str], names: Sequence[str], points: int = MAX_POINTS) -> dict[str, Columns]:
         """Learning curves of some runs, averaged within equal intervals of environment steps.
@@ -273,7 +277,7 @@ def _collect(sweep: Path, rows: tuple[ManifestRow, ...], folder: Path) -> Collec
         runs = _runs_frame(rows, states, steps, logs)
         finished = [row for row in rows if states[row.id] == "finished"]
         changed = {row.id: _changed(sweep / row.directory, status[row.id], logs.get(row.id)) for row in finished}
-        scores, problems = _scores_frame([row for row in finished if not changed[row.id]], sweep)
+        scores, problems = _scores_frame([row for row in finished if not _unreliable(changed[row.id])], sweep)
         of_runs = runs.drop("directory", "step", "rows")
         write_parquet(folder / "runs.parquet", runs)
         write_parquet(folder / "scores.parquet", scores.join(of_runs, on="run", how="left"))
@@ -282,10 +286,24 @@ def _collect(sweep: Path, rows: tuple[ManifestRow, ...], folder: Path) -> Collec
 
 
 def _changed(run: Path, status: Mapping[str, Any], log: LogState | None) -> list[str]:
-    """What differs from a finished run's record; its metrics are hashed only once, when they are read."""
+    """What differs from a finished run's record: the final evaluation and the metrics by hash, the rest by size."""
     record = status.get("files")
-    same = isinstance(record, dict) and log and record.get(METRICS_FILE) == {"size": log.size, "sha256": log.sha256}
-    return changed_files(run, [EVALUATION_FILE] if same else [EVALUATION_FILE, METRICS_FILE])
+    if not isinstance(record, dict):
+        return []
+    suspects = [EVALUATION_FILE]
+    for name, entry in record.items():
+        if name == METRICS_FILE:
+            same = log is not None and {"size": log.size, "sha256": log.sha256} == entry
+        else:
+            path = run / name
+            same = path.is_file() and isinstance(entry, dict) and path.stat().st_size == entry.get("size")
+        suspects += [] if same else [name]
+    return changed_files(run, suspects)
+
+
+def _unreliable(changes: Sequence[str]) -> bool:
+    """Whether what differs is what tables and figures show."""
+    return any(change.partition(":")[0] in (EVALUATION_FILE, METRICS_FILE) for change in changes)
 
 
 @contextlib.contextmanager

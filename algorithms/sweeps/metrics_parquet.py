@@ -163,30 +163,20 @@ def _current_states(files: Mapping[str, Path]) -> dict[str, LogState]:
 def _assign_runs(
     folder: Path, parts: Mapping[Path, MetricsPart], logs: Mapping[str, LogState]
 ) -> dict[Path, list[str]]:
-    """Assign runs to parts: each stays in its part, and new ones go where there is room."""
-    plan: dict[Path, list[str]] = {}
-    placed: set[str] = set()
-    for path, part in parts.items():
-        plan[path] = [run for run in part.logs if run in logs and run not in placed]
-        placed.update(plan[path])
-    sizes = {path: sum(logs[run].size for run in runs) for path, runs in plan.items()}
+    """Assign runs to parts: each stays in its part, and new ones go to the first parts with room."""
+    plan = {path: [run for run in part.logs if run in logs] for path, part in parts.items()}
+    placed = {run for runs in plan.values() for run in runs}
 
-    def is_full(path: Path) -> bool:
-        return len(plan[path]) >= PART_RUNS or sizes[path] >= PART_BYTES
+    def is_full(runs: Sequence[str]) -> bool:
+        return len(runs) >= PART_RUNS or sum(logs[run].size for run in runs) >= PART_BYTES
 
-    numbered = (folder / f"part-{number:03d}.parquet" for number in count())
-    room = [path for path in plan if not is_full(path)]
+    paths = (folder / f"part-{number:03d}.parquet" for number in count())
+    path = next(paths)
     for run in logs:
-        if run in placed:
-            continue
-        if not room:
-            path = next(path for path in numbered if path not in plan)
-            room, plan[path], sizes[path] = [path], [], 0
-        path = room[0]
-        plan[path].append(run)
-        sizes[path] += logs[run].size
-        if is_full(path):
-            room.pop(0)
+        if run not in placed:
+            while is_full(plan.setdefault(path, [])):
+                path = next(paths)
+            plan[path].append(run)
     return plan
 
 

@@ -28,6 +28,7 @@ from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
 from mo_deepdrive.atomic_io import own_path
 from mo_deepdrive.evaluation.metrics import EVALUATION, STEP
+from mo_deepdrive.machine import GIB
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from algorithms.sweeps.sweep_settings import AshaSettings, SweepSettings
 
 TuneReport = dict[str, Any]
-GIB = 2**30
 CONNECT_TIMEOUT = 10.0  # s, to find out whether a cluster can be reached
 
 
@@ -235,7 +235,8 @@ def run_on_ray(
             exit code 1, if it notices the loss first.
         DiskFull: if there is no space left.
     """
-    asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, max(map(_steps, jobs)))
+    longest = max(job.experiment.training.total_timesteps for job in jobs)
+    asha = None if settings.ray.asha is None else _RecordingAsha(settings.ray.asha, longest)
     wanted = [job for job in jobs if asha is not None or not job.done]
     # Runs that have already started come first: early stopping compares the others with them.
     wanted.sort(key=lambda job: -read_status(job.path).get("step", 0))
@@ -282,10 +283,6 @@ def run_on_ray(
             run = job.open(device="cpu")  # this machine may not have the run's device
             run.set_status("pruned", run.status.get("step", 0))
     return {job: reason for job, reason in progress.failed.items() if not job.done}
-
-
-def _steps(job: Job) -> int:
-    return job.experiment.training.total_timesteps
 
 
 def _trial_name(trial: Any) -> str:

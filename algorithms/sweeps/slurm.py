@@ -88,7 +88,9 @@ class ArrayTask:
         if isinstance(outcome, BaseException):
             raise outcome
         if stop.is_set():
-            _requeue(submitit.JobEnvironment().job_id)
+            job_id = submitit.JobEnvironment().job_id
+            if _query_states([job_id]) == {job_id: "RUNNING"}:  # it has not been cancelled
+                subprocess.run(["scontrol", "requeue", job_id], check=True)
         return [f"{job.name}: {error}" for job, error in outcome.items()]
 
     def checkpoint(self) -> submitit.helpers.DelayedSubmission:
@@ -97,12 +99,6 @@ class ArrayTask:
             self._stop.set()
             self._ended.wait()
         return submitit.helpers.DelayedSubmission(ArrayTask(self.jobs, self.side_by_side, self.retries))
-
-
-def _requeue(job: str) -> None:
-    """Requeue a job, unless it has been cancelled."""
-    if _query_states([job]) == {job: "RUNNING"}:
-        subprocess.run(["scontrol", "requeue", job], check=True)
 
 
 def _query_states(jobs: Sequence[str]) -> dict[str, str] | None:

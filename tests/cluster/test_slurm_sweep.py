@@ -20,7 +20,6 @@ from tests.helpers.sweep_files import (
     broken_utility,
     eventually,
     interrupt,
-    long_runs,
     own_algorithm,
     run_sweep,
     runs,
@@ -160,26 +159,6 @@ def test_killed_jobs_are_submitted_again_and_cancelled_ones_are_not(
     eventually(lambda: not cluster.run("squeue", "--noheader"))
     assert "finished" in [status(run)["state"] for run in runs(sweep)]
     assert run_sweep(long.file, "--on", "slurm", "--output", sweep, environment=cluster.environment).returncode == 0
-    assert_same_sweep(sweep, long.directory)
-
-
-def test_a_task_that_is_cancelled_before_it_starts_is_not_submitted_again(
-    cluster: SlurmCluster, long: Reference, tmp_path: Path
-) -> None:
-    file = write_sweep(tmp_path, overrides=long_runs(tmp_path), seeds=1, slurm={"array_parallelism": 1})
-    sweep = tmp_path / "slurm"
-    with start_sweep(file, "--on", "slurm", "--output", sweep, environment=cluster.environment) as process:
-        eventually(lambda: runs_in_progress(sweep))
-        _, pending = submitted = jobs(sweep)
-        assert cluster.states(pending) == {pending: "PENDING"}
-        cluster.run("scancel", pending)
-        out, _ = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1, out + log(sweep)
-    assert jobs(sweep) == submitted
-    assert f"Slurm job {pending} ended (CANCELLED) before the run did\n" in out
-    assert [status(run).get("state") for run in runs(sweep)] == ["finished", None]
-    assert run_sweep(file, "--on", "slurm", "--output", sweep, environment=cluster.environment).returncode == 0
-    assert len(jobs(sweep)) == 3
     assert_same_sweep(sweep, long.directory)
 
 

@@ -148,7 +148,7 @@ def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Pat
         (["--remake", "--on", "manifest"], "--remake is for --on local and ray and slurm, not manifest"),
         (["--status"], "is not a sweep: it has no manifest.jsonl"),
         (["--verify"], "is not a sweep: it has no manifest.jsonl"),
-        (["--output", "base.yaml"], "--output base.yaml"),
+        (["--output", "base.yaml"], "--output 'base.yaml'"),
     ],
 )
 def test_an_option_that_does_not_fit_is_refused(call: Call, tmp_path: Path, options: list[str], message: str) -> None:

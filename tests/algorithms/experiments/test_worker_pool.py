@@ -14,17 +14,15 @@ import pytest
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.failures import DIED
-from algorithms.experiments.interrupts import DiskFull
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.worker_pool import perform_all
-from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, printed, quiet
+from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, quiet
 from tests.helpers.sweep_files import eventually
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-LONG = {"total_timesteps": 60_000, "num_envs": 32}  # some seconds
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
 
@@ -48,50 +46,6 @@ def test_jobs_in_parallel_give_the_same_runs_as_alone_and_are_not_repeated(tmp_p
     assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
 
 
-def test_a_job_that_fails_is_named_and_the_others_are_made(tmp_path: Path) -> None:
-    good, bad = job(tmp_path, 0), job(tmp_path, 1)
-    bad.path.mkdir()
-    (bad.path / "something").touch()
-    console = quiet()
-    failed = perform_all([bad, good], 1, Dashboard([bad, good], console), retries=2)
-    assert "is not empty" in failed.pop(bad)
-    assert not failed
-    assert printed(console).count("FAILED seed 1: ") == 1  # such an error is not retried
-    assert good.done
-
-
-def test_a_stop_saves_the_running_jobs_and_starts_no_others(tmp_path: Path) -> None:
-    wanted = job(tmp_path / "stopped", **LONG)
-    waiting = [job(tmp_path / "waiting", seed) for seed in (1, 2, 3)]
-    assert make([wanted, *waiting], stop=lambda: saved(wanted)) == {}
-    assert not multiprocessing.active_children()
-    assert not any(other.path.exists() for other in waiting)
-    assert read_status(wanted.path)["state"] == "interrupted"
-    assert make([wanted]) == {}
-    whole = job(tmp_path / "whole", **LONG)
-    perform(whole)
-    assert_same_run(wanted.path, whole.path)
-
-
-def test_a_killed_worker_does_not_affect_the_others_and_its_run_is_resumed(tmp_path: Path) -> None:
-    first, second = job(tmp_path, 0, **LONG), job(tmp_path, 1, **LONG)
-    killed: list[int] = []
-
-    def kill_one() -> bool:
-        if not killed and saved(first) and saved(second):
-            killed.append(multiprocessing.active_children()[0].pid or 0)
-            os.kill(killed[0], signal.SIGKILL)
-        return False
-
-    assert make([first, second], 2, retries=1, stop=kill_one) == {}
-    assert killed
-    for wanted in (first, second):
-        whole = job(tmp_path / "whole", wanted.experiment.training.seed, **LONG)
-        perform(whole)
-        assert_same_run(wanted.path, whole.path)
-        assert_whole(wanted.path)
-
-
 def test_a_run_whose_worker_always_dies_fails_with_a_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "deadly.py").write_text(
         "import multiprocessing, os, signal\n"
@@ -108,47 +62,6 @@ def test_a_run_whose_worker_always_dies_fails_with_a_reason(tmp_path: Path, monk
     assert good.done
     status = read_status(deadly.path)
     assert (status["state"], status["reason"]) == ("failed", failed[deadly])
-
-
-def test_a_full_disk_stops_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "filled.py").write_text(
-        "import errno, os\n"
-        "if os.environ.get('DISK') == 'full':\n"
-        "    whole = os.fsync\n"
-        "    def fsync(descriptor):\n"
-        "        if os.fstat(descriptor).st_size > 3000:\n"
-        "            raise OSError(errno.ENOSPC, 'No space left on device')\n"
-        "        whole(descriptor)\n"
-        "    os.fsync = fsync\n"
-        "def utility(returns):\n"
-        "    return returns[..., 0]\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv("DISK", "full")
-    experiment = make_experiment({**VALUES, "utility": {"name": "filled:utility"}})
-    jobs = [Job(f"run {n}", experiment, tmp_path / f"run{n}") for n in range(3)]
-    with pytest.raises(DiskFull, match="No space left on device"):
-        make(jobs, retries=3)
-    assert not jobs[1].path.exists()
-    monkeypatch.setenv("DISK", "empty")
-    assert make(jobs) == {}
-    assert all(wanted.done for wanted in jobs)
-
-
-def test_a_run_that_another_process_holds_is_waited_for(tmp_path: Path) -> None:
-    taken, free = job(tmp_path, 0), job(tmp_path, 1)
-    holder = Run.create(taken.experiment, taken.path)
-    seen: list[bool] = []
-
-    def let_go() -> bool:
-        if free.done and not seen:
-            seen.append(taken.done)
-            holder.unlock()
-        return False
-
-    assert make([taken, free], 1, stop=let_go) == {}
-    assert seen == [False]
-    assert taken.done
 
 
 def test_workers_save_and_end_when_their_parent_is_killed(tmp_path: Path) -> None:

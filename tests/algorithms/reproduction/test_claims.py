@@ -6,9 +6,16 @@ import re
 
 import pytest
 
-from algorithms.reproduction.claims import compare, is_settled
+from algorithms.reproduction.claims import Verdict, compare, is_settled
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import SOLVED, evenly_spread, get_claim, make_results
+
+
+def judge(number: int, results: ReproductionResults, protocol: str = "best") -> Verdict:
+    """The verdict of a claim."""
+    verdict = get_claim(number).judge(results, protocol)
+    assert verdict is not None
+    return verdict
 
 
 @pytest.mark.parametrize(
@@ -25,8 +32,7 @@ def test_claim_1_requires_that_both_solve_it_with_similar_utility(
     utility: list[float], arrivals: list[float], conclusion: str
 ) -> None:
     scores = {"a2c": SOLVED, "mo_a2c": {"utility_esr": utility, "success": arrivals}}
-    verdict = get_claim(1).judge(make_results("one_waypoint_linear", scores), "best")
-    assert verdict is not None
+    verdict = judge(1, make_results("one_waypoint_linear", scores))
     assert verdict.conclusion == conclusion
 
 
@@ -41,8 +47,7 @@ def test_claim_1_requires_that_both_solve_it_with_similar_utility(
 )
 def test_claim_2_requires_that_mo_a2c_is_higher_and_more_consistent(utility: list[float], conclusion: str) -> None:
     scores = {"a2c": {"utility_esr": evenly_spread(22.0, 0.1)}, "mo_a2c": {"utility_esr": utility}}
-    verdict = get_claim(2).judge(make_results("one_waypoint_nonlinear", scores), "best")
-    assert verdict is not None
+    verdict = judge(2, make_results("one_waypoint_nonlinear", scores))
     assert verdict.conclusion == conclusion
 
 
@@ -56,8 +61,7 @@ def test_claim_4_requires_that_a2c_does_not_learn_and_moves_away() -> None:
         (bad, bad, [False, True, True]),
         (standing_still, good, [True, True, False]),
     ):
-        verdict = get_claim(4).judge(make_results("static_obstacle_nonlinear", {"a2c": a2c, "mo_a2c": mo_a2c}), "best")
-        assert verdict is not None
+        verdict = judge(4, make_results("static_obstacle_nonlinear", {"a2c": a2c, "mo_a2c": mo_a2c}))
         assert [check.passed for check in verdict.checks] == passed
 
 
@@ -75,8 +79,7 @@ def test_claim_5_requires_that_both_fail_and_mo_a2c_less_badly(arrivals: float, 
     results = ReproductionResults(
         [row for part in parts for row in part.scores], [row for part in parts for row in part.curves]
     )
-    verdict = get_claim(5).judge(results, "printed")
-    assert verdict is not None
+    verdict = judge(5, results, "printed")
     assert verdict.conclusion == conclusion
     assert get_claim(5).judge(parts[0], "printed") is None  # the other task has no results
 
@@ -90,8 +93,7 @@ def test_claim_6_requires_many_policies_from_standing_still_to_arriving() -> Non
     }
     narrow = {**broad, "lowest_distance": evenly_spread(12.0)}
     for scores, conclusion in ((broad, "reproduced"), (narrow, "not reproduced")):
-        verdict = get_claim(6).judge(make_results("one_waypoint_front", {"pcn": scores}, policy="front"), "best")
-        assert verdict is not None
+        verdict = judge(6, make_results("one_waypoint_front", {"pcn": scores}, policy="front"))
         assert verdict.conclusion == conclusion
 
 
@@ -110,8 +112,7 @@ def test_a_run_that_was_still_improving_decides_nothing(
     other = {**SOLVED, "success": evenly_spread(arrivals, 0.001)}
     results = make_results("one_waypoint_linear", {"a2c": SOLVED, "mo_a2c": other}, risen=risen)
     assert is_settled(results, "one_waypoint_linear", "best") is (risen < 1.0)
-    verdict = get_claim(1).judge(results, "best")
-    assert verdict is not None
+    verdict = judge(1, results)
     assert (verdict.conclusion, verdict.text) == (conclusion, text)
 
 
@@ -119,13 +120,11 @@ def test_an_answer_that_longer_training_could_only_confirm_stands() -> None:
     arriving = {**SOLVED, "success": evenly_spread(0.9), "return/distance": evenly_spread(18.0)}
     failing = {**arriving, "success": evenly_spread(0.1)}
     scores = {"a2c": arriving, "mo_a2c": arriving}
-    verdict = get_claim(4).judge(make_results("static_obstacle_nonlinear", scores, risen=1.0), "best")
-    assert verdict is not None
+    verdict = judge(4, make_results("static_obstacle_nonlinear", scores, risen=1.0))
     assert [check.passed for check in verdict.checks] == [True, False, None]  # both learn: A2C will not unlearn it
     assert verdict.text == "not reproduced"
     scores = {"a2c": failing, "mo_a2c": failing}
-    verdict = get_claim(4).judge(make_results("static_obstacle_nonlinear", scores, risen=1.0), "best")
-    assert verdict is not None
+    verdict = judge(4, make_results("static_obstacle_nonlinear", scores, risen=1.0))
     assert [check.passed for check in verdict.checks] == [None, None, None]
 
 
@@ -140,8 +139,7 @@ def test_results_without_learning_curves_are_not_settled() -> None:
 
 def test_the_check_of_consistency_states_its_power() -> None:
     scores = {each: {"utility_esr": evenly_spread(22.0, 0.1)} for each in ("a2c", "mo_a2c")}
-    verdict = get_claim(2).judge(make_results("one_waypoint_nonlinear", scores), "best")
-    assert verdict is not None
+    verdict = judge(2, make_results("one_waypoint_nonlinear", scores))
     found = re.search(r"power of the test: (\d+)% for a true ratio of 0.5, (\d+)% for", verdict.checks[1].measured)
     assert found is not None
     half, quarter = map(int, found.groups())
@@ -150,8 +148,7 @@ def test_the_check_of_consistency_states_its_power() -> None:
 
 def test_one_seed_is_inconclusive() -> None:
     scores = {"a2c": {"utility_esr": [10.0], "success": [0.99]}, "mo_a2c": {"utility_esr": [10.0], "success": [0.99]}}
-    verdict = get_claim(1).judge(make_results("one_waypoint_linear", scores), "best")
-    assert verdict is not None
+    verdict = judge(1, make_results("one_waypoint_linear", scores))
     assert verdict.conclusion == "inconclusive"
 
 

@@ -214,20 +214,17 @@ def test_a_sweep_that_cannot_be_written_is_collected_elsewhere(
     assert not temporary.exists()
 
 
-@pytest.mark.parametrize("linked", ["collected", "collected/metrics", "collected/.lock"])
-def test_nothing_is_collected_through_a_link(tmp_path: Path, grid: list[ManifestRow], linked: str) -> None:
+def test_nothing_is_collected_through_a_link(tmp_path: Path, grid: list[ManifestRow]) -> None:
     make_sweep(tmp_path / "sweep", grid[:1])
     mine = tmp_path / "mine"
-    (mine / "metrics").mkdir(parents=True)
-    for name in ("part-000.parquet", "metrics/part-000.parquet", ".old.tmp"):
-        (mine / name).write_text("mine")
-    link = tmp_path / "sweep" / linked
-    link.parent.mkdir(exist_ok=True)
+    mine.mkdir()
+    (mine / "part-000.parquet").write_text("mine")
+    link = tmp_path / "sweep" / "collected" / "metrics"
+    link.parent.mkdir()
     link.symlink_to(mine)
     with pytest.raises(ValueError, match=rf"leads to '{mine}.*; nothing is written or deleted through a link inside a"):
         collect(tmp_path / "sweep")
-    assert {path.read_text() for path in mine.rglob("*") if path.is_file()} == {"mine"}
-    assert len(list(mine.rglob("*"))) == 4
+    assert [path.read_text() for path in mine.iterdir()] == ["mine"]
     link.unlink()
     (tmp_path / "link").symlink_to(tmp_path / "sweep")
     assert len(collect(tmp_path / "link").scored) == 1
@@ -245,7 +242,7 @@ def test_incomplete_lines_are_dropped_and_broken_files_are_named(tmp_path: Path,
     files[1].write_text("".join([*lines[:3], "25,1.0\n", *lines[3:]]))
     files[2].write_text("step,a,b\n")
     files[3].write_text("step,a")
-    files[4].write_text("")
+    files[4].unlink()
     files[5].write_text("a,step\n1,2\n")
     files[6].write_text("step,a\n0,nan\n1,word\n")
     files[8].write_bytes(b"step,a\n0,\xff\n")
@@ -267,10 +264,8 @@ def test_runs_without_rows_add_no_rows(tmp_path: Path, grid: list[ManifestRow]) 
     rows = make_sweep(tmp_path / "a [sweep] *", grid)
     for row in rows:
         (tmp_path / "a [sweep] *" / row.directory / "metrics.csv").write_text("broken\n")
-    collection = collect(tmp_path / "a [sweep] *")
     with pytest.raises(ValueError, match="has any metrics yet"):
-        collection.metrics.collect()
-    assert collection.runs.select(pl.col("rows").sum()).collect().item() == 0
+        collect(tmp_path / "a [sweep] *").metrics.collect()
     log(tmp_path / "a [sweep] *", rows[3], [(0, {"a": 1.0})])
     assert collect(tmp_path / "a [sweep] *").metrics.collect().rows() == [(rows[3].id, 0, 1.0)]
 
@@ -319,7 +314,7 @@ def test_runs_whose_scores_or_metrics_have_changed_are_left_out(tmp_path: Path, 
     edited(folders[1] / "metrics.csv", "0.5", "0.7")
     cut = (folders[2] / "metrics.csv").read_bytes()
     (folders[2] / "metrics.csv").write_bytes(cut[:100])
-    (folders[3] / "checkpoint.safetensors").unlink()  # of which --verify tells
+    (folders[3] / "checkpoint.safetensors").unlink()
     for _ in range(2):  # also when nothing is read again
         collection = collect(tmp_path)
         advice = "runs differ from the record of their files, mo-deepdrive sweep --remake makes them again: "
@@ -328,6 +323,9 @@ def test_runs_whose_scores_or_metrics_have_changed_are_left_out(tmp_path: Path, 
             f"{rows[1].directory}: metrics.csv: changed since the run finished, "
             f"{rows[2].directory}: metrics.csv: 100 bytes, recorded {len(cut)}"
         ]
+        said: list[str] = []
+        collection.report_problems(said.append)
+        assert said[1:] == [f"1 {advice}{rows[3].directory}: checkpoint.safetensors: missing"]
         assert collection.scored == {row.id for row in rows[3:]}
         assert set(collection.scores.collect()["run"]) == collection.scored
     for folder in folders[3:]:

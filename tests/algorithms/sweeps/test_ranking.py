@@ -140,11 +140,3 @@ def test_policy_and_vehicle_may_be_omitted(metric: str) -> None:
 def test_other_metrics_are_refused(metric: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         check_metric(metric, SCORES)
-
-
-def test_a_single_cell_has_a_ranking_of_its_own(tmp_path: Path, base: dict[str, Any]) -> None:
-    (row,) = make_sweep(tmp_path, [make_row(base, {}, 0)])
-    collection = collect(tmp_path)
-    (ranking,) = rank(collection.cells, collection.scores.collect())
-    assert ranking.scores == {row.id: pytest.approx(scores_of(row))}
-    assert len(ranking.ranked) == 1
