@@ -287,7 +287,7 @@ def _read_csv(text: str) -> list[ResultRow]:
     reader = csv.DictReader(io.StringIO(text))
     missing = {"task", "protocol", "variant", "seed"} - set(reader.fieldnames or ())
     if missing:
-        raise ValueError(f"column {min(missing)!r} is missing; versions before 0.2 had 'cell' and 'arm'")
+        raise ValueError(f"column {min(missing)!r} is missing")
     rows = []
     for line in reader:
         row: ResultRow = {}

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from algorithms import A2C, MAPPO, MOA2C, MOPPO, PPO
-from algorithms.experiments.config import load_experiment
 from tests.helpers.agents import INTERSECTION, MINECART, SEA, make_agent, same, state
 
 if TYPE_CHECKING:
@@ -99,8 +98,3 @@ def test_rewards_of_vehicles_that_do_not_learn_stay() -> None:
     shares = agent.reward_shares(0.25)
     np.testing.assert_array_equal(shares[0], np.where(COSTS, 0.5, 1.0).astype(np.float32))
     np.testing.assert_array_equal(shares[1], 1.0)
-
-
-def test_runs_of_earlier_versions_remain_the_same_experiments() -> None:
-    assert "cost_growth" not in load_experiment("one_waypoint/ppo_linear").model_dump()["algorithm"]
-    assert load_experiment("intersection/ppo_linear_tuned").model_dump()["algorithm"]["cost_growth"] == 0.25

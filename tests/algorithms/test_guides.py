@@ -113,8 +113,7 @@ def test_nothing_is_learnt_from_what_the_guide_does(kind: Any) -> None:
     assert not all(map(torch.equal, other, agent.learners[1].get_policy().values()))
 
 
-def test_a_config_without_guides_is_that_of_earlier_versions() -> None:
-    assert "guides" not in experiment_with({}).to_dict()["training"]
+def test_guides_are_in_the_config_with_their_defaults() -> None:
     values = experiment_with(GUIDED).to_dict()
     assert values["training"]["guides"] == {"vehicle_0": {**GUIDED["vehicle_0"], "share": 0.5, "until": 0.5}}
     assert make_experiment(values) == experiment_with(GUIDED)
@@ -122,7 +121,7 @@ def test_a_config_without_guides_is_that_of_earlier_versions() -> None:
 
 def test_an_agent_without_guides_is_what_it_was() -> None:
     agent = build(experiment_with({}))
-    assert "guides" not in agent.identity()
+    assert agent.identity()["guides"] == {}
     assert not any(name.startswith("guide") for name in agent.get_state())
 
 

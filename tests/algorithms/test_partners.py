@@ -155,8 +155,7 @@ def test_algorithms_that_learn_fronts_cannot_train_with_partners() -> None:
         build(make_experiment(values))
 
 
-def test_a_config_without_partners_is_that_of_earlier_versions() -> None:
-    assert "partners" not in experiment_with({}).to_dict()["training"]
+def test_partners_are_in_the_config() -> None:
     values = experiment_with(PARTNERS).to_dict()
     assert values["training"]["partners"] == PARTNERS
     assert make_experiment(values) == experiment_with(PARTNERS)
@@ -166,7 +165,7 @@ def test_agents_without_partners_are_what_they_were() -> None:
     for cls in (PPO, MOPPO):
         agent = build(experiment_with({}, cls.name))
         assert agent.gamma == agent.accrued_discount
-        assert "partners" not in agent.identity()
+        assert agent.identity()["partners"] == {}
 
 
 def test_the_threads_of_partners_are_not_those_of_the_run() -> None:

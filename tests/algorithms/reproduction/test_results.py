@@ -68,14 +68,6 @@ def test_the_published_scores_cover_the_whole_plan(tmp_path: Path) -> None:
         assert list(PUBLISHED.glob(f"figure_{figure:02}*.png"))
 
 
-def test_results_with_the_columns_of_earlier_versions_are_refused(tmp_path: Path) -> None:
-    make_results("one_waypoint_linear", {"a2c": SOLVED}).write(tmp_path)
-    scores = tmp_path / "reproduction_scores.csv"
-    scores.write_text(scores.read_text().replace("task,protocol", "cell,arm"))
-    with pytest.raises(ValueError, match=r"column 'protocol' is missing; versions before 0\.2 had 'cell' and 'arm'"):
-        ReproductionResults.read(tmp_path)
-
-
 def test_runs_that_cannot_be_read_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "plan.yaml").write_text(TINY)
     monkeypatch.chdir(REPOSITORY)

@@ -10,7 +10,6 @@ import pytest
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.metrics import (
     APPROX_KL,
-    RENAMED,
     end_rates,
     known_metric,
     label,
@@ -53,13 +52,6 @@ def test_names_are_split_into_policy_vehicle_and_metric(name: str, parts: tuple[
 
 def test_a_metric_is_known_if_it_is_available() -> None:
     assert known_metric("greedy/success", ["step", "greedy/success"]) == "greedy/success"
-
-
-@pytest.mark.parametrize("prefix", ["", "vehicle_1/"])
-@pytest.mark.parametrize("old", RENAMED)
-def test_an_old_name_is_refused_with_the_new_one(prefix: str, old: str) -> None:
-    with pytest.raises(ValueError, match=f"metric '{prefix}{old}' was renamed; write '{prefix}{RENAMED[old]}'"):
-        known_metric(prefix + old, [prefix + RENAMED[old]])
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:

@@ -80,11 +80,6 @@ def test_a_split_has_no_more_scenarios_than_it_has() -> None:
         make_experiment({**VALUES, "evaluation": {"episodes": 1_000_001}})
 
 
-def test_the_former_seed_of_evaluations_is_refused_with_the_new_setting() -> None:
-    with pytest.raises(ValueError, match=r"'evaluation\.seed' was renamed; write 'split'"):
-        make_experiment({**VALUES, "evaluation": {"seed": 1_000_000}})
-
-
 @pytest.mark.parametrize(
     ("episodes", "seed", "text"),
     [
