@@ -19,17 +19,14 @@ class REINFORCE(Agent):
     """One policy for all vehicles."""
 
     class Config(NetworkSettings):
-        """Hyperparameters.
-
-        Attributes:
-            learning_rate: Adam's step size.
-            gamma: the discount g.
-            steps: number of decisions in which every episode has ended.
-        """
+        """Hyperparameters."""
 
         learning_rate: LearningRate = 5e-3
+        """Adam's step size."""
         gamma: Fraction = 1.0
+        """The discount g."""
         steps: Count = 100
+        """Number of decisions in which every episode has ended."""
 
     def __init__(self, env, utility, **options):
         super().__init__(env, utility, **options)

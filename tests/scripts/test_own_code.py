@@ -272,7 +272,6 @@ def test_another_network_is_trained_saved_and_told_from_the_default(
     for name, tensor in agents[0].get_state().items():
         assert torch.equal(tensor, agents[1].get_state()[name]), name
     default = make_experiment({**values, "algorithm": settings})
-    assert not {"activation", "network"} & default.algorithm.keys()  # as in the runs of earlier versions
     ((key, value),) = setting.items()
     with pytest.raises(ValueError, match=f"has {key} = '{value}'; this agent has"):
         build(default).load(folder / "whole", policy_only=True)

@@ -37,8 +37,8 @@ def test_a_run_has_the_defaults_of_the_learner(comparison: ModuleType) -> None:
     ours, theirs = (
         comparison.make_run("fruit-tree-v0", name, 12, 500) for name in (comparison.OURS, comparison.THEIRS)
     )
-    assert PCNConfig(**ours.hyperparameters) == PCNConfig()
-    assert theirs.algorithm["nominal_scales"] is False
+    assert ours.algorithm.config == PCNConfig()
+    assert theirs.algorithm.config.nominal_scales is False
     for run in (ours, theirs):
         assert (run.training.seed, run.training.total_timesteps, run.evaluation.gamma) == (12, 500, 0.99)
 

@@ -46,7 +46,7 @@ def test_runs_have_the_same_time_and_differ_in_the_learning_rate_alone(script: M
 )
 def test_costs_grow_as_in_the_runs_of_the_file(script: ModuleType, task: str, growth: float) -> None:
     run = script.Run(task, "conditioned_mo_ppo", 1.0, 0, 10_000)
-    assert script.make_run_experiment(run).hyperparameters["cost_growth"] == growth
+    assert script.make_run_experiment(run).algorithm.config.cost_growth == growth
 
 
 def test_this_packages_learners_are_also_trained_for_the_others_steps(script: ModuleType) -> None:

@@ -266,21 +266,6 @@ def test_a_number_of_updates_that_is_none_is_refused(ppo: Path, tmp_path: Path, 
     assert refusal(odd) == f"has updates = {updates!r}; it must be an integer from 0 to {2**63 - 1}"
 
 
-def test_a_checkpoint_of_an_earlier_version_is_resumed(ppo: Path, tmp_path: Path) -> None:
-    tensors, identity = contents(ppo)
-    added = ("updates", "activation", "network", "state_dependent_std")
-    earlier = {key: value for key, value in identity.items() if key not in added}
-    assert len(earlier) == len(identity) - len(added)
-    agents = [KINDS["ppo"]() for _ in range(2)]
-    agents[0].load(ppo)
-    agents[1].load(write(tmp_path / "earlier", tensors, earlier))
-    assert agents[1].updates == agents[0].updates > 0
-    for agent in agents:
-        agent.train(agent.step + 100)
-    first, second = (agent.get_state() for agent in agents)
-    assert all(torch.equal(first[name], second[name]) for name in first)
-
-
 @pytest.mark.parametrize("value", [None, 4, "4", [[4]], {"0": 4}])
 def test_an_odd_entry_of_the_identity_is_refused(ppo: Path, tmp_path: Path, value: Any) -> None:
     tensors, identity = contents(ppo)

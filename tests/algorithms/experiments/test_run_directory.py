@@ -126,7 +126,9 @@ def test_two_processes_do_not_train_in_one_directory(tmp_path: Path, experiment:
 def test_the_default_directory_of_a_users_algorithm_is_named_after_its_class(
     tmp_path: Path, experiment: Experiment
 ) -> None:
-    own = experiment.model_copy(update={"algorithm": {"name": "package.module:Own"}})
+    own = experiment.model_copy(
+        update={"algorithm": experiment.algorithm.model_copy(update={"name": "package.module:Own"})}
+    )
     assert default_directory(tmp_path, "fast.yaml", own).name.startswith("Own-seed3-")
 
 

@@ -157,7 +157,7 @@ def test_a_crash_between_the_note_and_the_checkpoint_loses_nothing(
     assert "metrics_gap" not in read_status(wanted.path)
 
 
-def test_a_run_of_an_earlier_version_is_resumed_without_the_check(tmp_path: Path) -> None:
+def test_a_run_whose_note_of_rows_is_lost_is_resumed_without_the_check(tmp_path: Path) -> None:
     wanted = stopped_job(tmp_path)
     status = json.loads((wanted.path / "status.json").read_text())
     del status["logged"]

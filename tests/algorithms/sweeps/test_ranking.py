@@ -133,7 +133,6 @@ def test_policy_and_vehicle_may_be_omitted(metric: str) -> None:
     ("metric", "message"),
     [
         ("greedy/sucess", "did you mean 'greedy/success'"),
-        ("policy/kl", "metric 'policy/kl' was renamed; write 'policy/approx_kl'"),
         ("front/success", "is not among those of the runs"),
     ],
 )
