@@ -29,7 +29,9 @@ class Settings(BaseModel):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {}
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, ser_json_inf_nan="constants"
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod
