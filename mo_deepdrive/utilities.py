@@ -404,8 +404,7 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         zeros: ``numpy.zeros`` or ``torch.zeros``, which makes the returns.
 
     Raises:
-        ValueError: naming the utility and the shape, if the call fails or does not give one number per return.
-        NotFinite: for returns of 0, as at the first decision.
+        ValueError: naming the utility and the shape, if the call fails or does not give one finite number per return.
     """
     d = len(utility.objectives)
     for shape in ((d,), (2, d), (3, 2, d)):
@@ -414,8 +413,8 @@ def check_utility(utility: Utility, zeros: Callable[[tuple[int, ...]], Any]) -> 
         given = f"returns of shape {shape} as {library}"
         try:
             values = utility(returns)
-        except NotFinite:
-            raise
+        except NotFinite as error:
+            raise ValueError(str(error)) from None
         except Exception as error:
             message = " ".join(str(error).split())
             raise ValueError(f"utility {utility.name!r} fails on {given}: {type(error).__name__}: {message}") from error

@@ -329,12 +329,12 @@ def exit_on_error(*invalid_input: type[Exception], hint: str = "", program: str 
     """
     try:
         yield
-    except invalid_input as error:
-        warn(f"error: {error}", program)
-        raise SystemExit(INVALID_INPUT) from None
     except Fault as error:
         warn(f"error: {error}", program)
         raise SystemExit(FAILED) from None
+    except invalid_input as error:
+        warn(f"error: {error}", program)
+        raise SystemExit(INVALID_INPUT) from None
     except Stopped as error:
         shown = [hint] if hint and not isinstance(error, Moved) else []
         warn("\n".join([f"error: {error}", *shown]), program)

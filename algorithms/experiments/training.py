@@ -274,6 +274,7 @@ def finish(run: Run, agent: Any, console: Console) -> None:
 
     Raises:
         Stopped: if the numbers could not be written; the trained policy is saved.
+        Fault: if something is not finite, or an episode does not end.
     """
     settings, figures = run.experiment.evaluation, run.experiment.logging.save_figures
     video = run.path / VIDEO_FILE if figures else None
@@ -297,3 +298,10 @@ def finish(run: Run, agent: Any, console: Console) -> None:
         run.set_status("finished", agent.step)
     except OSError as error:
         raise stopped_by(error, f"the run is trained, but its results could not be written: {error}") from error
+    except Fault as error:
+        fault = type(error)(f"in the final evaluation: {error}")
+        _set_failed(run, agent.step, str(fault))
+        raise fault from None
+    except Exception as error:
+        _set_failed(run, agent.step, f"{type(error).__name__}: {error}")
+        raise

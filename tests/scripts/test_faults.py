@@ -50,20 +50,27 @@ def config(tmp_path: Path) -> Path:
             "--utility={name: tests.helpers.foul:late_root, arguments: {}}",
             "utility 'tests.helpers.foul:late_root' = nan",
         ),
+        (
+            "--environment.arguments={reward: .nan, after: 1000}",
+            "in the final evaluation: foul-v0, environment 0: reward",
+        ),
     ],
 )
 def test_a_run_that_went_wrong_fails_in_one_line_and_keeps_its_last_checkpoint(
     config: Path, tmp_path: Path, call: Call, option: str, message: str
 ) -> None:
-    code, _, error = call("train", "--config", config, "--output", "run", option)
+    code, _, error = call("train", "--config", config, "--output", "run", "--evaluation.final_episodes=1600", option)
     assert code == 1
     (line,) = error.splitlines()
-    assert re.match(r"error: in the (update after|evaluation at) step [\d,]+: ", line)
+    assert re.match(r"error: in the ((update after|evaluation at) step [\d,]+|final evaluation): ", line)
     assert message in line
     found = status(tmp_path / "run")
     assert (found["state"], found["reason"]) == ("failed", line.removeprefix("error: "))
     if found["step"]:
         read_checkpoint(tmp_path / "run" / "checkpoint.safetensors", {})
+    if "final" in message:
+        code, _, error = call("evaluate", "run", "--trust")
+        assert (code, message.removeprefix("in the final evaluation: ") in error) == (1, True), error
 
 
 def test_commands_refuse_a_checkpoint_that_has_diverged(finished: Path, tmp_path: Path, call: Call) -> None:
