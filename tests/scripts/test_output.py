@@ -108,13 +108,13 @@ def test_an_interrupt_while_packages_are_imported_ends_in_one_line(tmp_path: Pat
         "    raise ImportError('something is missing') from error\n"
     )
     path = os.pathsep.join([str(tmp_path), environment()["PYTHONPATH"]])
-    words = [sys.executable, "-m", "algorithms", "zoo"]
+    words = [sys.executable, "-m", "mo_deepdrive", "zoo"]
     assert run(words, os.open(os.devnull, os.O_WRONLY), tmp_path, PYTHONPATH=path) == (130, "interrupted\n")
 
 
 def test_a_message_is_neither_endless_nor_obeyed_by_the_terminal(tmp_path: Path) -> None:
     name = "evil\x1b[31m" + 100_000 * "x"
-    for words in (command("evaluate", name), [sys.executable, "-m", "algorithms", name]):
+    for words in (command("evaluate", name), [sys.executable, "-m", "mo_deepdrive", name]):
         code, error = run(words, os.open(os.devnull, os.O_WRONLY), tmp_path)
         assert code == 2
         assert "evil\\x1b[31mxxx" in error
