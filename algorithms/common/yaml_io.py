@@ -114,6 +114,8 @@ def _parse(text: str, loader: type[_Loader], problem: str) -> Any:
         raise ValueError(f"{problem}: it has {len(text):,} characters, more than {LONGEST:,}")
     try:
         return yaml.load(text, loader)
-    except (yaml.YAMLError, RecursionError, *_OF_TAGS) as error:
+    except RecursionError:
+        raise ValueError(f"{problem}: it is nested too deeply") from None
+    except (yaml.YAMLError, *_OF_TAGS) as error:
         kind = "" if isinstance(error, (yaml.YAMLError, ValueError)) else f"{type(error).__name__}: "
         raise ValueError(f"{problem}: {kind}{' '.join(str(error).split())}") from None
