@@ -113,8 +113,7 @@ class Server(ThreadingHTTPServer):
                 for each, args in VALUES.items()
             ]
         long = directory_of(self.folder, LONG)
-        metrics = None if long is None else long / "metrics.csv"
-        if LONG in running and metrics and metrics.exists() and len(read_metrics(metrics)["step"]):
+        if LONG in running and long is not None and last_step(long) > 0:
             return [{"type": "stop", "run_id": LONG}]
         return [] if running else [{"type": "exit"}]
 
@@ -207,6 +206,12 @@ def directory_of(folder: Path, run_id: str) -> Path | None:
     """The directory of the run with W&B's id ``run_id``; None before it exists."""
     files = folder.glob("runs/mo_a2c_linear/*/wandb_id")
     return next((file.parent for file in files if file.read_text().strip() == run_id), None)
+
+
+def last_step(run: Path) -> int:
+    """The last step that a run has logged; -1 before, and while a resumed run cuts its metrics back."""
+    steps = read_metrics(run / "metrics.csv")["step"] if (run / "metrics.csv").exists() else ()
+    return int(steps[-1]) if len(steps) else -1
 
 
 def environment(folder: Path, server: Server, **variables: str) -> dict[str, str]:
@@ -315,7 +320,7 @@ def interrupt_after(step: int, run: Path, sweep: Sweep) -> int:
     try:
         deadline = time.monotonic() + TIMEOUT
         while process.poll() is None and time.monotonic() < deadline:
-            if read_metrics(run / "metrics.csv")["step"][-1] > step:
+            if last_step(run) > step:
                 break
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
