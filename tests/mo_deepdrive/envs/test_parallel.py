@@ -322,6 +322,12 @@ def test_invalid_arguments_are_refused(arguments: dict[str, Any], message: str) 
             make(**arguments)
 
 
+def test_the_environments_can_be_made_by_the_name_of_their_version() -> None:
+    from mo_deepdrive import parallel_v0
+
+    assert parallel_v0.parallel_env(time_limit=3.0).config == mo_deepdrive.parallel_env(time_limit=3.0).config
+
+
 # ------------------------------------------------------------------------------------------- without MOMAland, and docs
 
 
