@@ -50,7 +50,10 @@ def config(tmp_path: Path) -> Path:
             "--utility={name: tests.helpers.foul:late_root, arguments: {}}",
             "utility 'tests.helpers.foul:late_root' = nan",
         ),
-        ("--environment.arguments={reward: .nan, after: 1000}", "in the final evaluation: foul-v0, environment 0: reward"),
+        (
+            "--environment.arguments={reward: .nan, after: 1000}",
+            "in the final evaluation: foul-v0, environment 0: reward",
+        ),
     ],
 )
 def test_a_run_that_went_wrong_fails_in_one_line_and_keeps_its_last_checkpoint(
