@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,6 +12,7 @@ from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, check_loggers, make_experiment
 from algorithms.experiments.interrupts import Moved, describe, stopped_by
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
+from algorithms.reporting.run_records import Recorded
 from algorithms.reporting.seed_groups import INCIDENTAL
 from mo_deepdrive.atomic_io import atomic_write
 
@@ -85,6 +86,12 @@ class Job:
     def packed(self) -> dict[str, Any]:
         """Plain values to send to another process, for :meth:`unpack`."""
         return {"name": self.name, "experiment": self.experiment.to_dict(), "path": str(self.path), "id": self.id}
+
+    def without_code(self) -> Job:
+        """The job for a process that only starts workers: without the Config, whose module imports torch."""
+        algorithm = self.experiment.algorithm
+        plain = algorithm.model_copy(update={"config": Recorded(**algorithm.config.model_dump(mode="json"))})
+        return replace(self, experiment=self.experiment.model_copy(update={"algorithm": plain}))
 
     @classmethod
     def unpack(cls, values: Mapping[str, Any]) -> Job:

@@ -130,7 +130,7 @@ def _ask_accounting(job: str) -> dict[str, str]:
 
 def array_tasks(jobs: Sequence[Job], settings: SweepSettings) -> list[ArrayTask]:
     """Divide the runs among tasks of a job array."""
-    jobs = [replace(job, path=job.path.resolve()) for job in jobs]
+    jobs = [replace(job.without_code(), path=job.path.resolve()) for job in jobs]
     size = settings.slurm.runs_per_job
     return [
         ArrayTask(tuple(jobs[first : first + size]), settings.slurm.side_by_side, settings.retries)
