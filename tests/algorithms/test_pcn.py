@@ -22,6 +22,7 @@ from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
+from mo_deepdrive.evaluation.front import indicators
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, recorded, same
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.common.episode_buffer import Episode
+    from mo_deepdrive.evaluation.front import Front
 
 SHORT = {"time_limit": 2, "fixed_destination": True}
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -605,6 +607,30 @@ def test_evaluations_do_not_disturb_training(place: str, tmp_path: Path) -> None
     assert len(evaluated) >= 5
     assert evaluated[-1] == lines[1][-1][0]
     assert [line for line in lines[1] if "train/length" in line[1]] == lines[0]
+
+
+def test_logged_fronts_have_the_logged_indicators() -> None:
+    agent, env = small_pcn("deep-sea-treasure"), make_env(SEA, 3)
+    known = np.array(env.envs[0].unwrapped.pareto_front(0.99))
+    fronts: list[tuple[int, Front]] = []
+    lines = recorded(
+        agent,
+        TOTAL,
+        eval_env=env,
+        eval_episodes=2,
+        eval_gamma=0.99,
+        eval_seed=7,
+        reference_point=[0.0, -25.0],
+        reference_front=known,
+        log_front=lambda step, front: fronts.append((step, front)),
+    )
+    evaluated = [(step, metrics) for step, metrics in lines if "eval/front/hypervolume" in metrics]
+    assert [step for step, _ in fronts] == [step for step, _ in evaluated]
+    for (_, metrics), (_, front) in zip(evaluated, fronts, strict=True):
+        assert (front.gamma, front.episodes, front.seed) == (0.99, 2, 7)
+        expected = indicators(front.discounted, reference_point=[0.0, -25.0], reference_front=known, scales=[1.0, 1.0])
+        expected |= {f"return/objective_{i}": front.returns[:, i].max() for i in range(2)}
+        assert metrics == {f"eval/front/{name}": pytest.approx(value) for name, value in expected.items()}
 
 
 # Checkpoints.
