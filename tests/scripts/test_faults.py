@@ -52,7 +52,7 @@ def config(tmp_path: Path) -> Path:
         ),
         (
             "--environment.arguments={reward: .nan, after: 1000}",
-            "in the final evaluation: foul-v0, environment 0: reward",
+            "in the final evaluation: foul-v0, environment 0:",
         ),
     ],
 )
