@@ -28,7 +28,7 @@ def load_algorithms() -> None:
     spec = importlib.machinery.PathFinder.find_spec("algorithms", [root])
     loaded = sys.modules.get("algorithms")
     if spec is None or spec.loader is None:
-        raise ImportError(f"{root!r} has no package algorithms: install mo-deepdrive again")
+        raise ImportError(f"{root!r} has no package algorithms: reinstall mo-deepdrive")
     if loaded is not None and loaded.__file__ == spec.origin:
         return
     for name in [name for name in sys.modules if name.partition(".")[0] == "algorithms"]:

@@ -82,9 +82,9 @@ def test_examples_are_as_short_as_the_documentation_says() -> None:
 def test_the_keys_of_an_own_algorithm_are_listed_with_their_descriptions(folder: Path, call: Call) -> None:
     code, out, _ = call("keys", "--algorithm", "reinforce:REINFORCE")
     assert code == 0
-    assert "\nalgorithm.gamma: float >= 0, <= 1, default 1.0\n    the discount g.\n" in out
+    assert "\nalgorithm.gamma: float >= 0, <= 1, default 1.0\n    The discount g.\n" in out
     text = (folder / "reinforce.py").read_text()
-    (folder / "reinforce.py").write_text(text.replace("            gamma: the discount g.\n", ""))
+    (folder / "reinforce.py").write_text(text.replace('        """The discount g."""\n', ""))
     del sys.modules["reinforce"]
     out = call("keys", "--algorithm", "reinforce:REINFORCE")[1]
     assert "\nalgorithm.gamma: float >= 0, <= 1, default 1.0\nalgorithm.steps: " in out

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import yaml
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
@@ -155,13 +156,7 @@ def test_broken_checkpoints_and_those_of_other_agents_are_refused(finished: Path
     checkpoint.write_bytes(whole)
     config.write_text(text.replace("hidden: [8]", "hidden: [9]"))
     refused(call("train", "--resume", run), "hidden = [8]", "[9]")
-    config.write_text(
-        "\n".join(
-            "  name: a2c" if line == "  name: mo_a2c" else line
-            for line in text.splitlines()
-            if not line.startswith(("  advantage", "  accrued_gamma", "  observe_accrued", "  observe_discount"))
-        )
-    )
+    config.write_text(yaml.safe_dump({**yaml.safe_load(text), "algorithm": {"name": "a2c", "hidden": [8]}}))
     refused(call("train", "--resume", run), "algorithm = 'mo_a2c'", "'a2c'")
 
 
