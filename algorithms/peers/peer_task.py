@@ -62,7 +62,8 @@ class PeerTask:
         utility: of unscaled returns; None if the peer learns a front.
         steps: environment steps to train for; peers that train in rounds may take a few more.
         num_envs: number of parallel environments, for peers that support several.
-        seed, device: of the run.
+        seed: of the run.
+        device: of its networks.
         reference_point: (d,) in unscaled discounted returns, for peers that maximise hypervolume; None if not set.
         recorder: counts steps and logs.
     """

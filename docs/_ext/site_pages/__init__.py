@@ -89,8 +89,10 @@ def _find_short_name(app: Any, env: Any, node: Any, content: Any) -> Any:
     domain = env.domains.python_domain
     target = node["reftarget"]
     package, _, last = target.rpartition(".")
-    found = [name for name in domain.objects if name.endswith(f".{target}")] or [
-        name for name in domain.objects if name.startswith(f"{package}.") and name.endswith(f".{last}")
+    kinds = domain.objtypes_for_role(node["reftype"]) or ()
+    names = [name for name, found_at in domain.objects.items() if not kinds or found_at.objtype in kinds]
+    found = [name for name in names if name.endswith(f".{target}")] or [
+        name for name in names if name.startswith(f"{package}.") and name.endswith(f".{last}")
     ]
     if len(found) != 1:
         return None
