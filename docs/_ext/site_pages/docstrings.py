@@ -11,7 +11,8 @@ _SECTION = re.compile(r"(Args|Attributes|Example|Examples|Note|Raises|Returns|Yi
 def prepare(app: Any, what: str, name: str, owner: Any, options: Any, lines: list[str]) -> None:
     """Leave the Markdown sections of environments to their pages, and keep the lines of equations as they are.
 
-    The lines of an attribute describe it and nothing else. A handler of ``autodoc-process-docstring``, before napoleon's.
+    The lines of an attribute describe it and nothing else. A handler of ``autodoc-process-docstring``, before
+    napoleon's.
     """
     del app, name, owner, options
     if what == "attribute":
