@@ -69,7 +69,7 @@ class MAPPOConfig(ActorCriticSettings):
     """Hyperparameters of MAPPO; those of actor and critic are described in ActorCriticSettings."""
 
     joint: JointUtility = "sum"
-    """J, the joint utility: "sum", "worst_off" or "gini"."""
+    """J, the joint utility, which is "sum", "worst_off" or "gini"."""
     learning_rate: LearningRate = 1e-3
     """Adam's step size at the start of training."""
     learning_rate_end: FinalLearningRate | None = None

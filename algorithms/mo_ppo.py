@@ -86,7 +86,7 @@ class MOPPOConfig(ActorCriticSettings):
     gae_lambda: Fraction = 0.95
     """lambda of eqs. 3 and 5; 0 gives one-step advantages, 1 uses the whole rollout."""
     advantage: AdvantageForm = "utility_difference"
-    """How A_t is calculated: eqs. 4 and 5, as printed in the paper, by the gradient of u, or by eqs. 8 and 9."""
+    """How A_t is calculated, by eqs. 4 and 5, as printed in the paper, by the gradient of u, or by eqs. 8 and 9."""
     accrued_gamma: PositiveFraction | None = None
     """g, discount of the accrued reward; None for gamma, as in the paper."""
     observe_accrued: bool = True

@@ -93,11 +93,11 @@ class MOCACConfig(ActorCriticSettings):
     gae_lambda: Fraction = 0.95
     """lambda of eq. 4; 0 gives one-step advantages, 1 uses the whole rollout."""
     critic: Literal["particles", "categorical"] = "particles"
-    """Critic: "particles" for any number of objectives, or "categorical" for few."""
+    """The critic, "particles" for any number of objectives, or "categorical" for few."""
     atoms: Count = 11
     """A, atoms per objective of a categorical critic; A^d is at most 4096."""
     v_min: list[float] | None = None
-    """Smallest rest of a return, per objective: the first atom of a grid, or the bound of the particles' targets; None
+    """Smallest rest of a return, per objective, the first atom of a grid or the bound of the particles' targets; None
     for minus the nominal scale on a grid, minus ten times the nominal scale with particles."""
     v_max: list[float] | None = None
     """Largest rest of a return, per objective; None for minus the default of v_min."""

@@ -17,6 +17,7 @@ os.environ["COLUMNS"] = "90"
 os.environ["TTY_COMPATIBLE"] = "0"  # no colours and progress bars of rich, which a kernel asks for
 os.environ["OMP_NUM_THREADS"] = "1"  # threads that wait for each other are slow where other programs run
 
+import algorithms.reporting.run_records  # noqa: E402, F401  (pydantic cannot make its models as autodoc imports modules)
 import mo_deepdrive  # noqa: E402
 
 project = "MO-DeepDrive"

@@ -128,11 +128,11 @@ class EnvConfig(Settings):
     scenario: str
     """Name of the scenario, a key of :data:`mo_deepdrive.scenarios.SCENARIOS`."""
     action_type: ActionType = "discrete"
-    """The kind of actions: "discrete" (the paper's 22 actions), "discrete-16" or "continuous"."""
+    """The kind of actions, "discrete" (the paper's 22 actions), "discrete-16" or "continuous"."""
     fixed_destination: bool = False
     """The same destination in every episode (OneWaypoint, StaticObstacle)."""
     fixed_obstacle: bool = False
-    """The same bicycles in every episode: place along the route, length and angle (StaticObstacle)."""
+    """The same bicycles in every episode, with the same place along the route, length and angle (StaticObstacle)."""
     time_limit: float = Field(default=60.0, gt=0.0, le=3600.0)
     """Seconds after which an episode is truncated."""
     objectives: tuple[str, ...] | None = None
@@ -161,7 +161,7 @@ class EnvConfig(Settings):
     end_together: bool = False
     """Both vehicles end when the first one ends, as in the published code (Intersection)."""
     traffic: Traffic = "default"
-    """Flow of the oncoming cars: "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or 2.5 s
+    """Flow of the oncoming cars, "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or 2.5 s
     (LeftTurn)."""
 
     @pydantic.field_validator("scenario")

@@ -33,7 +33,7 @@ class PreferenceSettings(Settings):
     """What preferences are drawn from."""
 
     families: dict[Family, Share] = {"linear": 1.0}
-    """Share of the episodes by family of utilities: "linear", "chebyshev", "comfort_budget"."""
+    """Share of the episodes by family of utilities ("linear", "chebyshev", "comfort_budget")."""
     concentration: Concentration = 0.5
     """Concentration of the Dirichlet distribution from which weights are drawn; below 1 favours few objectives."""
     emphasis: dict[str, Concentration] = {}

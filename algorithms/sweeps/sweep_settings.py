@@ -65,7 +65,7 @@ class HyperparameterSearchSettings(Settings):
     direction: Literal["maximize", "minimize"] = "maximize"
     """Whether to maximize or minimize it."""
     sampler: Literal["tpe", "random"] = "tpe"
-    """Sampler: "random" chooses all points in advance, "tpe" from the scores of earlier points."""
+    """The sampler; "random" chooses all points in advance, "tpe" from the scores of earlier points."""
     trials: Count
     """Number of points."""
     batch: Count = 8

@@ -11,12 +11,9 @@ _SECTION = re.compile(r"(Args|Attributes|Example|Examples|Note|Raises|Returns|Yi
 def prepare(app: Any, what: str, name: str, owner: Any, options: Any, lines: list[str]) -> None:
     """Leave the Markdown sections of environments to their pages, and keep the lines of equations as they are.
 
-    The lines of an attribute describe it and nothing else. A handler of ``autodoc-process-docstring``, before
-    napoleon's.
+    A handler of ``autodoc-process-docstring``, before napoleon's.
     """
-    del app, name, owner, options
-    if what == "attribute":
-        lines.insert(0, "")  # otherwise napoleon takes the words before a colon for a type
+    del app, what, name, owner, options
     markdown = next((i for i, line in enumerate(lines) if line.startswith("## ")), None)
     if markdown is not None:
         google = next((i for i, line in enumerate(lines) if i > markdown and _SECTION.fullmatch(line)), len(lines))
