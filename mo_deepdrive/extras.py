@@ -15,7 +15,6 @@ _TRAIN = (
     "polars",
     "rich",
     "safetensors",
-    "scipy",
     "tensorboard",
     "torch",
     "vl_convert",

@@ -14,6 +14,7 @@ from rich.console import Console
 from algorithms.experiments.agent_report import film
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
+from algorithms.reporting import videos
 from algorithms.reporting.videos import (
     HOLD,
     check_renderable,
@@ -208,7 +209,7 @@ def test_what_a_killed_process_leaves_of_a_video_is_found_when_its_run_is_starte
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Path] = []
-    monkeypatch.setattr("algorithms.reporting.videos._check_whole", lambda *_: seen.extend(leftovers(tmp_path)))
+    monkeypatch.setattr(videos, "_check_whole", lambda *_: seen.extend(leftovers(tmp_path)))
     write_noise(tmp_path / "video.mp4", 1)
     assert len(seen) == 1
     assert list(tmp_path.iterdir()) == [tmp_path / "video.mp4"]
