@@ -156,7 +156,7 @@ def surround(figure: Figure, heading: str, notes: Sequence[str] = (), handles: S
     from matplotlib.text import Annotation  # not at the top: tables need no matplotlib
 
     figure.set_layout_engine("constrained", h_pad=0.06, w_pad=0.06, hspace=0.04, wspace=0.02)
-    width = 0.98 * figure.bbox.width
+    width = 0.94 * figure.bbox.width  # text is wider in a saved file, whose resolution is another one
     title = figure.suptitle(heading, x=0.01, ha="left", fontsize=TITLE_SIZE, fontweight="bold")
     title.set_text(_wrapped(title, width))
     small: dict[str, Any] = {"fontsize": NOTE_SIZE, "color": DIM, "va": "bottom", "annotation_clip": False}
