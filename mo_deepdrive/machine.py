@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,6 +53,16 @@ def available_memory(root: Path = ROOT) -> float:
                 caches = sum(found.get(f"total_{name}", found.get(name, 0)) for name in CACHES)
                 free.append(int(most) - int(used) + caches + swap)
     return max(0, min(free)) if free else math.inf
+
+
+def peak_memory() -> int:
+    """The most bytes that this process has used so far; 0 where that is not known."""
+    if os.name != "posix":
+        return 0
+    import resource  # not on Windows
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else KIB * peak
 
 
 def check_memory(what: str, needed: float) -> None:

@@ -22,17 +22,19 @@ import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive.envs.vector import END_NAMES, DrivingVectorEnv
 from mo_deepdrive.faults import EndlessEpisode, check_vehicles
 from mo_deepdrive.limits import objective_bound
+from mo_deepdrive.machine import check_memory, peak_memory
 from mo_deepdrive.objectives import scales as objective_scales
 from mo_deepdrive.objectives import signs as objective_signs
 from mo_deepdrive.simulation.state import ARRIVED, RUNNING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from gymnasium.envs.registration import EnvSpec
     from numpy.typing import NDArray
 
 LONGEST_EPISODE = 10_000  # decisions of other libraries' environments whose id has no max_episode_steps
+COPIES_MEASURED = 1000  # after which the memory that the rest will take is estimated
 FORBIDDEN = set(" \t\n/:=")  # in names of objectives, which are parts of metrics' names and of command lines
 
 
@@ -51,12 +53,24 @@ def make_env(env_id: str, num_envs: int, arguments: dict[str, Any] | None = None
         env_id: a registered id, or ``module:id`` to import the module that registers it first.
         num_envs: N.
         arguments: keyword arguments of the environment.
+
+    Raises:
+        ValueError: if they cannot fit into memory.
     """
     spec = find_spec(env_id)
     arguments = arguments or {}
     if str(spec.vector_entry_point).startswith("mo_deepdrive."):
         return gymnasium.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
-    return MOSyncVectorEnv(lambda: mo_gymnasium.make(env_id, **arguments) for _ in range(num_envs))
+    return MOSyncVectorEnv(_constructors(env_id, num_envs, arguments))
+
+
+def _constructors(env_id: str, num_envs: int, arguments: dict[str, Any]) -> Iterator[Callable[[], Any]]:
+    """What makes the copies one by one; stops where the first ones show that the rest cannot fit into memory."""
+    before = peak_memory()
+    for made in range(num_envs):
+        if made and made % COPIES_MEASURED == 0:
+            check_memory(f"num_envs = {num_envs}", (peak_memory() - before) / made * (num_envs - made))
+        yield lambda: mo_gymnasium.make(env_id, **arguments)
 
 
 @dataclass
