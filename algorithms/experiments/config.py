@@ -139,7 +139,7 @@ class LoggingSettings(Settings):
 
 
 class AlgorithmSettings(Settings):
-    """An algorithm and its hyperparameters, which stand beside its name in YAML."""
+    """An algorithm and its hyperparameters; in YAML both are in one section."""
 
     name: str
     """Name of the algorithm; "package.module:Class" for your own."""

@@ -56,7 +56,7 @@ def experiment_keys(algorithm: str, env_id: str | None = None) -> list[Key]:
     hyperparameters = find_algorithm(algorithm).config_class
     keys: list[Key] = []
     for key in model_keys(Experiment):
-        if key.name == "algorithm.config":  # stands beside the name
+        if key.name == "algorithm.config":  # in the same section as the name
             keys += model_keys(hyperparameters, "algorithm.")
             continue
         keys.append(key)

@@ -60,10 +60,11 @@ def _pin_cars(pins: Any, options: Mapping[str, Any], config: EnvConfig) -> None:
     for name, (field, (low, high), unit) in DRIVERS.items():
         if name in options:
             value = options[name]
-            numbers = finite_numbers(value)
-            if numbers is None or numbers.ndim != 1 or not 1 <= len(numbers) <= cars:
+            shape = np.asarray(value, dtype=object).shape
+            if len(shape) != 1 or not 1 <= shape[0] <= cars:
                 raise ValueError(f"reset option {name!r} = {value!r} must have one number per car, at most {cars}")
-            if not ((numbers >= low) & (numbers <= high)).all():
+            numbers = finite_numbers(value)
+            if numbers is None or not ((numbers >= low) & (numbers <= high)).all():
                 raise ValueError(f"reset option {name!r} = {value!r} must have numbers in [{low:g}, {high:g}] {unit}")
             pins.drivers[field][: len(numbers)] = numbers
 

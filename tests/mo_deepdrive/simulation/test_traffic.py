@@ -440,7 +440,10 @@ BAD_OPTIONS: dict[str, tuple[dict[str, Any], str]] = {
         {"headways": (2.0, -1.0)},
         "reset option 'headways' = (2.0, -1.0) must have numbers in [0, 60] s",
     ),
-    "a headway that is not a number": ({"headways": (math.nan,)}, "reset option 'headways' = (nan,) must have"),
+    "a headway that is not a number": (
+        {"headways": (math.nan,)},
+        "reset option 'headways' = (nan,) must have numbers in [0, 60] s",
+    ),
     "one headway": ({"headways": 2.0}, "reset option 'headways' = 2.0 must have one number per car, at most 5"),
     "six headways": ({"headways": (2.0,) * 6}, "must have one number per car, at most 5"),
     "more headways than cars": ({"headways": (2.0,) * 3, "cars": 2}, "must have one number per car, at most 2"),
