@@ -195,9 +195,8 @@ def film_front(
         ValueError: if the environment cannot be rendered.
         OSError: if the file cannot be written.
     """
-    from algorithms.reporting.captions import cut_off
     from algorithms.reporting.video_grid import write_video_grid
-    from algorithms.reporting.videos import DEFAULT_FPS, episode_frames, make_render_env
+    from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env
 
     chosen = covering_policies(front, FILMED_POLICIES) if policies is None else np.asarray(policies)
     envs = [make_render_env(env_id, env_arguments) for _ in chosen]
