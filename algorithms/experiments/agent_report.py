@@ -5,6 +5,7 @@ What draws and films imports Matplotlib, and is imported when there is something
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,11 +109,8 @@ def report_front(
     """
     front = front.non_dominated()
     reference_point = experiment.evaluation.reference_point
-    env = make_environment(experiment.environment, 1)
-    try:
+    with closing(make_environment(experiment.environment, 1)) as env:
         reference_front, scales = best_known_front(env, front.gamma), EnvAdapter(env).joint_scales
-    finally:
-        env.close()
     measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
     whole = "--output DIR writes all" if directory is None else f"all are in {directory / FRONT_FILE}"
     if directory is not None:
@@ -228,11 +226,8 @@ def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path,
         if len(front.objectives) > 1:  # there are no figures of a single objective
             from algorithms.reporting.front_plots import draw_front
 
-            env = make_environment(experiment.environment, 1)
-            try:
+            with closing(make_environment(experiment.environment, 1)) as env:
                 best_known = best_known_front(env, front.gamma)
-            finally:
-                env.close()
             draw_front(front.non_dominated(), directory, reference_front=best_known, title=_title(experiment))
     return accessory.works
 

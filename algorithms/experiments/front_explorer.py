@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import moocore
@@ -93,12 +94,9 @@ def explorable(
     env_id, arguments = experiment.environment.id, experiment.environment.arguments
     gamma = experiment.evaluation.gamma
     discounted = np.stack([each.joint_discounted for each in evaluations])
-    env = make_env(env_id, 1, arguments)
-    try:
+    with closing(make_env(env_id, 1, arguments)) as env:
         cost_signs = _signs(env, front.objectives)
         best_known, best_discounted = best_known_front(env, 1.0), best_known_front(env, gamma)
-    finally:
-        env.close()
     name, budget = _budget(find_environment(env_id).kwargs.get("scenario"), front.objectives)
     arrived = np.array([each.joint_succeeded.mean() for each in evaluations])
     driven = returns.shape[1]
@@ -186,9 +184,8 @@ def explorable_best_known(name: str) -> ExplorableFront:
     driver = PlanDriver([plans[k] for k in kept], idle(action_type))
     (scene,) = record_scenes(driver, scenario.id, arguments, seeds=[0], drives=len(kept))
     budget_name, budget = _budget(scenario_name, objectives)
-    env = make_env(scenario.id, 1, arguments)
-    scales = EnvAdapter(env).objective_scales.astype(np.float64)
-    env.close()
+    with closing(make_env(scenario.id, 1, arguments)) as env:
+        scales = EnvAdapter(env).objective_scales.astype(np.float64)
     return ExplorableFront(
         title=f"best known: {scenario.title}, {action_type} actions",
         objectives=objectives,
