@@ -5,7 +5,7 @@ What draws and films imports Matplotlib, and is imported when there is something
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ from mo_deepdrive.evaluation.splits import describe_episodes
 from mo_deepdrive.evaluation.statistics import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from rich.console import Console
 
@@ -142,13 +142,11 @@ def film(
     """
     env = experiment.environment
     what = f"the {GREEDY if greedy else STOCHASTIC} policy from seed {seed} on"
-
-    def recording() -> None:
+    with _filming(path, what, console) as filming:
         from algorithms.reporting.videos import record
 
         record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy)
-
-    return _attempt_film(recording, path, what, console)
+    return filming.works
 
 
 def film_policies_of_front(
@@ -180,49 +178,40 @@ def film_policies_of_front(
     chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
 
-    def recording() -> None:
+    with _filming(path, what, console) as filming:
         from algorithms.reporting.video_grid import write_video_grid
         from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env
 
-        envs = [make_render_env(experiment.environment.id, experiment.environment.arguments) for _ in chosen]
-        fps = int(envs[0].unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
-        try:
+        settings = experiment.environment
+        with ExitStack() as stack:
             tracks = []
-            for k, env in zip(chosen, envs, strict=True):
+            for k in chosen:
+                env = stack.enter_context(closing(make_render_env(settings.id, settings.arguments)))
+                fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
                 frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
                 tracks.append((caption(front, k), cut_off(frames, MAX_FRAMES, fps)))
             write_video_grid(tracks, path, fps)
-        finally:
-            for env in envs:
-                env.close()
-
-    return _attempt_film(recording, path, what, console)
+    return filming.works
 
 
-def _attempt_film(recording: Callable[[], object], path: str | Path, what: str, console: Console) -> bool:
-    """Record a video and print the file, what it shows and its length, or why there is none.
-
-    Args:
-        recording: writes the file.
-        path: of the file.
-        what: it shows.
-        console: where to print.
-
-    Returns:
-        Whether there is a video.
-    """
-    with Accessory("no video", lambda text: print_line(console, text)) as accessory:
-        from algorithms.reporting.videos import video_seconds
-
-        recording()
+@contextmanager
+def _filming(path: str | Path, what: str, console: Console) -> Iterator[Accessory]:
+    """The context in which a video is written; then its length is printed, or why there is none."""
+    with _beside(console, "no video") as accessory:
+        yield accessory
         if Path(path).is_file():
+            from algorithms.reporting.videos import video_seconds
+
             print_line(console, f"video: {path}: {what}, {video_seconds(path):.1f} s")
-    return accessory.works
+
+
+def _beside(console: Console, failure: str) -> Accessory:
+    return Accessory(failure, lambda text: print_line(console, text))
 
 
 def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path, console: Console) -> bool:
     """Draw the figures of a front into a directory; whether they could be drawn, otherwise the reason is printed."""
-    with Accessory("the front could not be drawn", lambda text: print_line(console, text)) as accessory:
+    with _beside(console, "the front could not be drawn") as accessory:
         if len(front.objectives) > 1:  # there are no figures of a single objective
             from algorithms.reporting.front_plots import draw_front
 
@@ -240,15 +229,11 @@ def show_results(run: Run, step: int, console: Console) -> None:
         step: at which it ended.
         console: where to print.
     """
-
-    def say(text: str) -> None:
-        print_line(console, text)
-
-    with Accessory("the curves could not be drawn", say):
+    with _beside(console, "the curves could not be drawn"):
         # No rows are left if metrics.csv was deleted.
         if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:
             from algorithms.reporting.learning_curves import load_groups, plot
 
             plot(load_groups([run.path]), run.path / "curves.png")
-    with Accessory("TensorBoard has no results", say):
+    with _beside(console, "TensorBoard has no results"):
         log_results(run.path, step, run.experiment.to_dict(), final_metrics(run.path), run.path / VIDEO_FILE)
