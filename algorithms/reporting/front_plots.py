@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from algorithms.reporting.front_view import FrontView, number_formatter, place_labels, principal_components, separate
+from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
 from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure, surround
 from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of, without_vehicle
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
@@ -142,9 +142,11 @@ def _reduction(view: FrontView) -> Figure:
         (axis.set_xlim, axis.set_ylim)[k](low - pad, high + pad)
     _add_colour_bar(figure, view, axis)
     _loadings(compass, view, found.loadings)
-    figure.draw_without_rendering()  # fixes the layout
-    figure.set_layout_engine("none")
-    _draw_numbers(figure, axis, found.points, shown)
+    style: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "path_effects": [HALO], "zorder": 6}
+    for k in shown:  # away from the middle, where most other dots are
+        across, up = np.sign(found.points[k])
+        place = {"ha": "left" if across >= 0 else "right", "va": "bottom" if up >= 0 else "top"}
+        axis.annotate(str(k), found.points[k], (4 * across, 4 * up), textcoords="offset points", **place, **style)
     return figure
 
 
@@ -384,21 +386,3 @@ def _dot_legend(view: FrontView) -> list[Line2D]:
         for name, face, there in zip(_arrival_names(view), (INK, "white"), (True, False), strict=True)
         if there in view.arrived
     ]
-
-
-def _draw_numbers(figure: Figure, axis: Axes, points: NDArray[np.float64], shown: NDArray[np.intp]) -> None:
-    """Write the numbers of the policies ``shown`` next to their ``points`` (K, 2); call it when the layout is fixed."""
-    to_points = 72.0 / figure.dpi
-    places = axis.transData.transform(points) * to_points
-    texts = [str(policy) for policy in shown]
-    sizes = np.array([(5.6 * len(text) + 1.0, 9.0) for text in texts])
-    box = axis.get_window_extent()
-    area = (box.x0 * to_points, box.y0 * to_points, box.x1 * to_points, box.y1 * to_points)
-    centres = place_labels(places[shown], sizes, places, area)
-    to_data = axis.transData.inverted()
-    for policy, text, size, centre in zip(shown, texts, sizes, centres, strict=True):
-        x, y = to_data.transform(centre / to_points)
-        axis.text(x, y, text, ha="center", va="center", fontsize=8.5, fontweight="bold", zorder=6, path_effects=[HALO])
-        gaps = np.abs(centre - places[policy]) - size / 2
-        if gaps.max() > 10.0:  # too far away without a connecting line
-            axis.plot((points[policy, 0], x), (points[policy, 1], y), color=DIM, linewidth=0.7, zorder=2)
