@@ -202,6 +202,12 @@ def test_dominated_policies_are_hidden_until_they_are_asked_for(
         return len(page.all("#parallel .mark-line path")) - len(zoo_front.best_known) - 1  # the chosen one twice
 
     assert lines() == len(front)
+    chosen = page.chosen()
+    assert chosen not in front
+    assert re.search(r"Policy (\d+) is nowhere worse, and better in .*time\.", page.text("#why"))
+    page.set_range(4, 1, str(zoo_front.lengths[chosen]))  # in which it is, too
+    assert "outside" not in page.text("#kept")
+    page.set_range(4, 1, "")
     assert page.text("#dominated-label") == f"show dominated policies ({count - len(front)} of {count})"
     page.find("#dominated").click()
     assert lines() == count

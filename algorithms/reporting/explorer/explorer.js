@@ -45,15 +45,17 @@ class Explorer {
 
   /** Whether each policy is drawn and listed: all of them, or those that no other one dominates. */
   listed() {
-    return this.front.dominated.map((dominated) => this.state.dominated || !dominated);
+    return this.front.dominators.map((other) => this.state.dominated || other < 0);
+  }
+
+  inRanges(k) {
+    return Object.entries(this.state.ranges).every(([i, [low, high]]) =>
+      this.front.rows[k][i] >= low && this.front.rows[k][i] <= high);
   }
 
   /** Whether each policy is listed and in the ranges. */
   kept() {
-    const ranges = Object.entries(this.state.ranges);
-    const listed = this.listed();
-    return this.front.rows.map((row, k) =>
-      listed[k] && ranges.every(([i, [low, high]]) => row[i] >= low && row[i] <= high));
+    return this.listed().map((listed, k) => listed && this.inRanges(k));
   }
 
   command() {

@@ -74,7 +74,7 @@ class FrontModel {
       return { ...axis, low: low - margin, high: high + margin };
     });
     this.maximised = this.rows.map((row) => row.map((value, i) => this.axes[i].way * value));
-    this.dominated = dominated(this.maximised);
+    this.dominators = dominators(this.maximised);
   }
 
   extent(i) {

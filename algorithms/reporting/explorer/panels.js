@@ -110,8 +110,14 @@ class Panels {
         + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""),
       budget: state.mode === "budget" ? this.budgetRule() : "",
       picked: first === chosen || front.gamma < 1 ? "Chosen by hand; a slider chooses by preference again."
-        : `Chosen by hand. Policy ${front.numbers[first]} is at least as good in every objective, so the command chooses it.`,
+        : `Chosen by hand. The command chooses policy ${front.numbers[first]}, which is at least as good in every objective.`,
     }[state.mode];
+    const other = front.dominators[chosen];
+    if (other >= 0) {
+      const better = front.axes.filter((_, i) => front.maximised[other][i] > front.maximised[chosen][i]);
+      byId("why").textContent += ` Policy ${front.numbers[other]} is nowhere worse, and better in `
+        + `${better.map(({ name }) => name).join(", ")}.`;
+    }
     const success = front.success[chosen];
     byId("values").replaceChildren(
       ...front.axes.flatMap((axis, i) => [element("dt", {}, axis.name),
@@ -130,13 +136,13 @@ class Panels {
     if (front.bestKnown.length) entries.push(element("span", {}, element("span", { class: "swatch",
       style: "border-top: 2px dotted var(--front)" }), `best known (${front.bestKnown.length} policies)`));
     byId("parallel-legend").replaceChildren(...entries);
-    const hidden = front.dominated.filter(Boolean).length;
+    const hidden = front.dominators.filter((other) => other >= 0).length;
     byId("dominated-choice").hidden = hidden === 0;
     byId("dominated").checked = this.state.dominated;
     byId("dominated-label").textContent = `show dominated policies (${hidden} of ${front.size})`;
     const kept = this.explorer.kept();
     const [count, listed] = [kept, this.explorer.listed()].map((each) => each.filter(Boolean).length);
-    const outside = kept[this.explorer.chosen()] ? "" : "; the chosen policy is outside of the ranges";
+    const outside = this.explorer.inRanges(this.explorer.chosen()) ? "" : "; the chosen policy is outside of the ranges";
     byId("kept").textContent = count === listed ? "" : `${count} of ${listed} policies are in the ranges${outside}.`;
     for (const input of document.querySelectorAll("[data-range]")) {
       const [i, end] = input.dataset.range.split("/").map(Number);

@@ -56,10 +56,14 @@ function weightOf(importance, scale) {
   return Number((importance / 100 / scale).toPrecision(3));
 }
 
-/** Whether each of the rows (K, d), all maximised, is dominated: another one is nowhere worse, and better somewhere. */
-function dominated(rows) {
+/**
+ * For each of the rows (K, d), all maximised, one that dominates it, or -1: it is nowhere worse, better somewhere, and
+ * itself not dominated.
+ */
+function dominators(rows) {
   const dominates = (a, b) => a.every((value, i) => value >= b[i]) && a.some((value, i) => value > b[i]);
-  return rows.map((row) => rows.some((other) => dominates(other, row)));
+  const on = rows.map((row) => !rows.some((other) => dominates(other, row)));
+  return rows.map((row) => rows.findIndex((other, k) => on[k] && dominates(other, row)));
 }
 
 /**
