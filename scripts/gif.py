@@ -22,8 +22,8 @@ from algorithms.experiments.build import load_policy
 from algorithms.experiments.cli import add_trust_argument, check_file, make_parser
 from algorithms.experiments.config import find_environment
 from algorithms.experiments.run_directory import Run
-from algorithms.reporting.animated_gif import Frame, write_gif
-from algorithms.reporting.videos import episode_frames, make_render_env
+from algorithms.reporting.animated_gif import write_gif
+from algorithms.reporting.videos import Frame, episode_frames, make_render_env
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:

@@ -5,23 +5,30 @@ What draws and films imports Matplotlib, and is imported when there is something
 
 from __future__ import annotations
 
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms.common.metrics_file import rows_until
 from algorithms.experiments.accessories import Accessory
+from algorithms.experiments.build import make_environment
 from algorithms.experiments.console import print_line
 from algorithms.experiments.loggers import log_results
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.experiments.run_directory import METRICS_FILE
+from algorithms.reporting.front_report import FILMED_POLICIES, MAX_FRAMES, caption, covering_policies, front_table
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.tables import evaluation_table
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.evaluation_files import write_evaluation
-from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
+from mo_deepdrive.evaluation.front import FRONT_FILE, best_known_front, measure_front
+from mo_deepdrive.evaluation.metrics import FRONT, GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import describe_episodes
+from mo_deepdrive.evaluation.statistics import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from rich.console import Console
 
@@ -67,21 +74,10 @@ def report_agent(
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
     if not experiment.known_utility:
-        from algorithms.reporting.front_report import report_front
-
         front = evaluate_front(agent, experiment, episodes=episodes, seed=seed)
         if front.episodes < episodes:
             console.print(f"every episode is the same: {front.episodes} of {episodes:,} is driven", highlight=False)
-        report_front(
-            front,
-            console,
-            algorithm=experiment.algorithm.name,
-            env_id=experiment.environment.id,
-            env_arguments=experiment.environment.arguments,
-            reference_point=experiment.evaluation.reference_point,
-            directory=directory,
-            about={"step": agent.step},
-        )
+        report_front(front, experiment, console, directory, {"step": agent.step})
         drawn = directory is None or draw_figures_of_front(front, experiment, directory, console)
         filmed = video is None or film_policies_of_front(agent, front, experiment, video, console, seed=seed)
         return drawn and filmed
@@ -91,6 +87,41 @@ def report_agent(
         write_evaluation(directory, evaluations, about)
     console.print(evaluation_table(evaluations, title + describe_episodes(episodes, seed)))
     return video is None or film(agent, experiment, video, console, seed=seed, greedy=greedy)
+
+
+def report_front(
+    front: Front, experiment: Experiment, console: Console, directory: Path | None, about: Mapping[str, Any]
+) -> dict[str, float]:
+    """Write front.csv and evaluation.json of a front, and print a table.
+
+    Args:
+        front: evaluated policies; those that another one dominates are neither shown nor written.
+        experiment: in which it was learnt.
+        console: where to print.
+        directory: where to write; None to write nothing.
+        about: anything else for evaluation.json, such as the step.
+
+    Returns:
+        The indicators by metric.
+
+    Raises:
+        OSError: if a file cannot be written; each file is complete or unchanged.
+    """
+    front = front.non_dominated()
+    reference_point = experiment.evaluation.reference_point
+    with closing(make_environment(experiment.environment, 1)) as env:
+        reference_front, scales = best_known_front(env, front.gamma), EnvAdapter(env).joint_scales
+    measured = measure_front(front, reference_point=reference_point, reference_front=reference_front, scales=scales)
+    whole = "--output DIR writes all" if directory is None else f"all are in {directory / FRONT_FILE}"
+    if directory is not None:
+        policies = {FRONT: {name: asdict(Estimate(value)) for name, value in measured.items()}}
+        front.write(directory, {**about, "reference_point": reference_point, "policies": policies})
+    console.print(front_table(front, measured, _title(experiment), console.width, whole))
+    return measured
+
+
+def _title(experiment: Experiment) -> str:
+    return f"{experiment.algorithm.name} on {experiment.environment.id}"
 
 
 def film(
@@ -111,13 +142,11 @@ def film(
     """
     env = experiment.environment
     what = f"the {GREEDY if greedy else STOCHASTIC} policy from seed {seed} on"
-
-    def recording() -> None:
+    with _filming(path, what, console) as filming:
         from algorithms.reporting.videos import record
 
         record(policy, env.id, env.arguments, path, seed=seed, greedy=greedy)
-
-    return attempt_film(recording, path, what, console)
+    return filming.works
 
 
 def film_policies_of_front(
@@ -132,6 +161,8 @@ def film_policies_of_front(
 ) -> bool:
     """Record a video of policies of a front side by side and print what it shows, or why there is none.
 
+    All drive in the same scenario. An episode of more than MAX_FRAMES frames is cut off, which its last frame says.
+
     Args:
         agent: the agent that learnt the front.
         front: its policies.
@@ -144,45 +175,49 @@ def film_policies_of_front(
     Returns:
         Whether there is a video.
     """
-    from algorithms.reporting.front_report import FILMED_POLICIES, covering_policies, film_front
-
-    env = experiment.environment
     chosen = covering_policies(front, FILMED_POLICIES).tolist() if policies is None else list(policies)
     what = f"{'policy' if len(chosen) == 1 else 'policies'} {', '.join(map(str, chosen))} of the front, seed {seed}"
-    return attempt_film(
-        lambda: film_front(agent, front, env.id, env.arguments, path, seed=seed, policies=chosen), path, what, console
-    )
+
+    with _filming(path, what, console) as filming:
+        from algorithms.reporting.video_grid import write_video_grid
+        from algorithms.reporting.videos import DEFAULT_FPS, cut_off, episode_frames, make_render_env
+
+        settings = experiment.environment
+        with ExitStack() as stack:
+            tracks = []
+            for k in chosen:
+                env = stack.enter_context(closing(make_render_env(settings.id, settings.arguments)))
+                fps = int(env.unwrapped.metadata.get("render_fps") or DEFAULT_FPS)
+                frames = episode_frames(agent.policy(front.conditions[k]), env, seed, greedy=True)
+                tracks.append((caption(front, k), cut_off(frames, MAX_FRAMES, fps)))
+            write_video_grid(tracks, path, fps)
+    return filming.works
 
 
-def attempt_film(recording: Callable[[], object], path: str | Path, what: str, console: Console) -> bool:
-    """Record a video and print the file, what it shows and its length, or why there is none.
-
-    Args:
-        recording: writes the file.
-        path: of the file.
-        what: it shows.
-        console: where to print.
-
-    Returns:
-        Whether there is a video.
-    """
-    with Accessory("no video", lambda text: print_line(console, text)) as accessory:
-        from algorithms.reporting.videos import video_seconds
-
-        recording()
+@contextmanager
+def _filming(path: str | Path, what: str, console: Console) -> Iterator[Accessory]:
+    """The context in which a video is written; then its length is printed, or why there is none."""
+    with _beside(console, "no video") as accessory:
+        yield accessory
         if Path(path).is_file():
+            from algorithms.reporting.videos import video_seconds
+
             print_line(console, f"video: {path}: {what}, {video_seconds(path):.1f} s")
-    return accessory.works
+
+
+def _beside(console: Console, failure: str) -> Accessory:
+    return Accessory(failure, lambda text: print_line(console, text))
 
 
 def draw_figures_of_front(front: Front, experiment: Experiment, directory: Path, console: Console) -> bool:
     """Draw the figures of a front into a directory; whether they could be drawn, otherwise the reason is printed."""
-    with Accessory("the front could not be drawn", lambda text: print_line(console, text)) as accessory:
-        from algorithms.reporting.front_report import draw_report
+    with _beside(console, "the front could not be drawn") as accessory:
+        if len(front.objectives) > 1:  # there are no figures of a single objective
+            from algorithms.reporting.front_plots import draw_front
 
-        env = experiment.environment
-        name = experiment.algorithm.name
-        draw_report(front, directory, algorithm=name, env_id=env.id, env_arguments=env.arguments)
+            with closing(make_environment(experiment.environment, 1)) as env:
+                best_known = best_known_front(env, front.gamma)
+            draw_front(front.non_dominated(), directory, reference_front=best_known, title=_title(experiment))
     return accessory.works
 
 
@@ -194,15 +229,11 @@ def show_results(run: Run, step: int, console: Console) -> None:
         step: at which it ended.
         console: where to print.
     """
-
-    def say(text: str) -> None:
-        print_line(console, text)
-
-    with Accessory("the curves could not be drawn", say):
+    with _beside(console, "the curves could not be drawn"):
         # No rows are left if metrics.csv was deleted.
         if run.experiment.logging.save_figures and rows_until(run.path / METRICS_FILE, step)[1]:
             from algorithms.reporting.learning_curves import load_groups, plot
 
             plot(load_groups([run.path]), run.path / "curves.png")
-    with Accessory("TensorBoard has no results", say):
+    with _beside(console, "TensorBoard has no results"):
         log_results(run.path, step, run.experiment.to_dict(), final_metrics(run.path), run.path / VIDEO_FILE)

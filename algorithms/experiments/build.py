@@ -266,10 +266,7 @@ def _vehicles_named(names: Iterable[str], key: str, adapter: EnvAdapter) -> list
 
 def _make_utilities(settings: UtilitySettings, adapter: EnvAdapter) -> list[Utility]:
     """One utility per vehicle, each called as the algorithms will, so that it fails here and not after an hour."""
-    vehicles = [vehicle_name(v) for v in range(adapter.vehicles)]
-    for name in settings.vehicles:
-        if name not in vehicles:
-            raise ValueError(f"utility.vehicles has {name!r}; {nearest(name, vehicles)}")
+    _vehicles_named(settings.vehicles, "utility.vehicles", adapter)
     utilities = []
     for v in range(adapter.vehicles):
         choice = settings.of_vehicle(v)

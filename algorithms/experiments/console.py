@@ -5,54 +5,30 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from rich.console import Console, RenderHook
+from rich.console import Console
 from rich.live import Live
-from rich.segment import Segment
 
 from algorithms.experiments.accessories import Accessory
-from mo_deepdrive.names import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import IO
 
-    from rich.console import ConsoleOptions, ConsoleRenderable, RenderableType, RenderResult
+    from rich.console import RenderableType
 
 WIDTH = 120  # columns, of files and where there is no terminal
 LINE_INTERVAL = 15.0  # s between lines about the progress, where there is no terminal
 
 
-class _Printable:
-    """A renderable without control characters in its text, which may come from the files of strangers."""
-
-    def __init__(self, renderable: ConsoleRenderable):
-        self._renderable = renderable
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        for segment in console.render(self._renderable, options):
-            yield segment if segment.control else Segment(printable(segment.text), segment.style)
-
-
-class _PrintableHook(RenderHook):
-    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
-        return [_Printable(renderable) for renderable in renderables]
-
-
 def make_console(file: IO[str] | None = None) -> Console:
     """A console on standard output or a file; if that is not a terminal, it is wide enough for tables."""
     console = Console(file=file)
-    if file is not None or not console.is_terminal:
-        console = Console(file=file, width=WIDTH)
-    console.push_render_hook(_PrintableHook())
-    return console
+    return console if file is None and console.is_terminal else Console(file=file, width=WIDTH)
 
 
 def print_line(console: Console, text: str) -> None:
-    """Print a line as it is: neither interpreted as markup, nor coloured, nor wrapped; plainly if rich fails."""
-    try:
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
-    except Exception:
-        console.file.write(printable(text) + "\n")
+    """Print a line as it is: neither interpreted as markup, nor coloured, nor wrapped."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 class LiveDisplay:

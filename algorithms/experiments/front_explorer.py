@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import moocore
@@ -13,7 +14,7 @@ from algorithms.experiments.config import find_environment
 from algorithms.experiments.console import print_line
 from algorithms.experiments.policy_evaluation import evaluate_front_policies
 from algorithms.experiments.run_directory import imported_paths
-from algorithms.reporting.explorer.explorable_front import ExplorableFront
+from algorithms.reporting.explorer.explorable_front import DiscountedReturns, ExplorableFront
 from algorithms.reporting.explorer.page import EXPLORER_FILE, write_page
 from mo_deepdrive import reference_fronts
 from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
@@ -91,12 +92,11 @@ def explorable(
     evaluations = evaluate_front_policies(agent, front, experiment, episodes=episodes, seed=seed)
     returns = np.stack([each.joint_returns for each in evaluations])
     env_id, arguments = experiment.environment.id, experiment.environment.arguments
-    env = make_env(env_id, 1, arguments)
-    try:
+    gamma = experiment.evaluation.gamma
+    discounted = np.stack([each.joint_discounted for each in evaluations])
+    with closing(make_env(env_id, 1, arguments)) as env:
         cost_signs = _signs(env, front.objectives)
-        best_known = best_known_front(env, 1.0)
-    finally:
-        env.close()
+        best_known, best_discounted = best_known_front(env, 1.0), best_known_front(env, gamma)
     name, budget = _budget(find_environment(env_id).kwargs.get("scenario"), front.objectives)
     arrived = np.array([each.joint_succeeded.mean() for each in evaluations])
     driven = returns.shape[1]
@@ -110,8 +110,9 @@ def explorable(
         success=np.where(np.isfinite(front.success), arrived, np.nan),
         lengths=np.array([each.joint_lengths.mean() for each in evaluations]),
         command=command,
-        note=f"Undiscounted returns, {how}, from seed {seed} on.",
+        note=f"{how[0].upper()}{how[1:]}, from seed {seed} on.",
         best_known=best_known,
+        discounted=DiscountedReturns(gamma, discounted, best_discounted) if gamma < 1.0 else None,
         scenes=tuple(_scenes(agent, front, experiment, range(seed, seed + min(driven, SCENARIOS_SHOWN)))),
         budget_name=name,
         budget=budget,
@@ -156,7 +157,7 @@ def write_explorer(run: Run, agent: FrontAgent, console: Console) -> None:
 
 
 def explorable_best_known(name: str) -> ExplorableFront:
-    """A best-known front with the drives of its action sequences.
+    """A best-known front, undiscounted and with the time among its objectives, with the drives of its actions.
 
     Args:
         name: SCENARIO_ACTIONS, such as "one_waypoint_discrete".
@@ -167,34 +168,38 @@ def explorable_best_known(name: str) -> ExplorableFront:
     scenario_name, _, action_type = name.rpartition("_")
     policies = reference_fronts.shipped(scenario_name, action_type)
     config = reference_fronts.front_config(scenario_name, action_type)
+    scenario = SCENARIOS[scenario_name]
+    objectives = (*scenario.objectives, reference_fronts.TIME)
     plans = [decode(policy.actions, action_type) for policy in policies]
-    rewards = replay(config, plans)
+    rewards = replay(config.model_copy(update={"objectives": objectives}), plans)
     returns = discounted_sum(rewards, 1.0)
     kept = np.flatnonzero(moocore.is_nondominated(returns, maximise=True))
     kept = kept[np.argsort(returns[kept, 0], kind="stable")]
-    scenario = SCENARIOS[scenario_name]
     arguments = {
         "action_type": action_type,
         "fixed_destination": config.fixed_destination,
         "fixed_obstacle": config.fixed_obstacle,
+        "objectives": list(objectives),
     }
     driver = PlanDriver([plans[k] for k in kept], idle(action_type))
     (scene,) = record_scenes(driver, scenario.id, arguments, seeds=[0], drives=len(kept))
-    budget_name, budget = _budget(scenario_name, scenario.objectives)
-    env = make_env(scenario.id, 1, arguments)
-    scales = EnvAdapter(env).objective_scales.astype(np.float64)
-    env.close()
+    budget_name, budget = _budget(scenario_name, objectives)
+    with closing(make_env(scenario.id, 1, arguments)) as env:
+        scales = EnvAdapter(env).objective_scales.astype(np.float64)
     return ExplorableFront(
         title=f"best known: {scenario.title}, {action_type} actions",
-        objectives=scenario.objectives,
+        objectives=objectives,
         returns=returns[kept][:, None],
         scales=scales,
-        signs=signs(scenario.objectives),
+        signs=signs(objectives),
         success=np.array([float(drive.end == "arrived") for drive in scene.drives]),
         lengths=np.array([len(drive.readings) - 1.0 for drive in scene.drives]),
         command=f"mo_deepdrive.reference_fronts.shipped({scenario_name!r}, {action_type!r})[{{policy}}]",
         numbers=tuple(kept.tolist()),
-        note="Undiscounted returns of the stored action sequences; policies are not learnt, and nothing chooses them.",
+        note="Returns of the stored action sequences; policies are not learnt, and nothing chooses them.",
+        discounted=DiscountedReturns(
+            reference_fronts.GAMMA, discounted_sum(rewards, reference_fronts.GAMMA)[kept][:, None]
+        ),
         scenes=(scene,),
         budget_name=budget_name,
         budget=budget,
@@ -210,8 +215,8 @@ def _signs(env: Any, objectives: tuple[str, ...]) -> Any:
 
 
 def _budget(scenario: str | None, objectives: tuple[str, ...]) -> tuple[str, ComfortBudget | None]:
-    """The utility with a comfort budget of a scenario and its numbers, if it is for these objectives."""
+    """The utility with a comfort budget of a scenario and its numbers, if these objectives are enough for it."""
     name = f"{scenario}_comfort_budget"
-    if name not in COMFORT_BUDGETS or sorted(NONLINEAR[name][0]) != sorted(objectives):
+    if name not in COMFORT_BUDGETS or not {*NONLINEAR[name][0]} <= {*objectives}:
         return "", None
     return name, COMFORT_BUDGETS[name]

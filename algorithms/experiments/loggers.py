@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from algorithms.common.metrics_file import MetricsFile
 from algorithms.experiments.accessories import Accessory
+from algorithms.reporting.seed_groups import flatten
 from algorithms.reporting.seed_tables import TABLE_METRICS
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.metrics import split_name
@@ -286,7 +287,9 @@ def log_results(
         from torch.utils.tensorboard.summary import hparams
 
         events.add_scalars(step, scores)
-        for summary in hparams(_flattened({key: value for key, value in config.items() if key != "logging"}), scores):
+        flat = flatten({key: value for key, value in config.items() if key != "logging"})
+        plain = {key: value if isinstance(value, (bool, int, float)) else str(value) for key, value in flat.items()}
+        for summary in hparams({key: plain[key] for key in plain if flat[key] is not None}, scores):
             events.add(summary=summary)
         if video is not None and video.is_file():
             from algorithms.reporting.animated_gif import video_as_gif
@@ -296,14 +299,3 @@ def log_results(
             events.add(step=step, summary=Summary(value=[Summary.Value(tag="video", image=image)]))
     finally:
         events.close()
-
-
-def _flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested keys as dotted ones with the values that HParams takes; without those that are None."""
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        if isinstance(value, dict):
-            flat |= _flattened(value, f"{prefix}{key}.")
-        elif value is not None:
-            flat[prefix + key] = value if isinstance(value, (bool, int, float, str)) else str(value)
-    return flat

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,15 +44,13 @@ def distinct_episodes(settings: EnvironmentSettings, episodes: int) -> int:
     if episodes == 1 or not is_ours(find_environment(settings.id)):
         return episodes
     env: Any = make_environment(settings, 2)
-    try:
+    with closing(env):
         env.reset(seed=[0, 1])
         batch = env.unwrapped.batch
         # A scenario without an obstacle has the coordinates of one that nothing reads.
         names = [name for name in batch.state.dtype.names if name != "obstacle" or batch.params["has_obstacle"].any()]
         first, second = batch.state[names]
         return 1 if all(np.array_equal(first[name], second[name]) for name in names) else episodes
-    finally:
-        env.close()
 
 
 def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, seed: int) -> dict[str, Evaluation]:
@@ -66,21 +65,12 @@ def evaluate_policies(policy: Policy, experiment: Experiment, *, episodes: int, 
     Returns:
         The evaluations by the names in :data:`POLICIES`.
     """
-    env = evaluation_env(experiment, episodes)
-    try:
+    gamma = experiment.evaluation.gamma
+    with closing(evaluation_env(experiment, episodes)) as env:
         return {
-            name: evaluate(
-                policy,
-                env,
-                episodes=episodes,
-                seed=seed,
-                greedy=name == GREEDY,
-                gamma=experiment.evaluation.gamma,
-            )
+            name: evaluate(policy, env, episodes=episodes, seed=seed, greedy=name == GREEDY, gamma=gamma)
             for name in POLICIES
         }
-    finally:
-        env.close()
 
 
 def evaluate_front(agent: FrontAgent, experiment: Experiment, *, episodes: int, seed: int) -> Front:
@@ -93,11 +83,8 @@ def evaluate_front(agent: FrontAgent, experiment: Experiment, *, episodes: int, 
         seed: seed of the first episode.
     """
     episodes = distinct_episodes(experiment.environment, episodes)
-    env = evaluation_env(experiment, FRONT_EPISODES)
-    try:
+    with closing(evaluation_env(experiment, FRONT_EPISODES)) as env:
         return agent.front(env, episodes=episodes, seed=seed, gamma=experiment.evaluation.gamma)
-    finally:
-        env.close()
 
 
 def evaluate_front_policies(
@@ -125,9 +112,6 @@ def evaluate_front_policies(
         if found != own:
             raise ValueError(f"the front has the {what} {found}; those of the agent are {own}")
     episodes = distinct_episodes(experiment.environment, episodes)
-    env = evaluation_env(experiment, FRONT_EPISODES)
-    try:
+    with closing(evaluation_env(experiment, FRONT_EPISODES)) as env:
         gamma = experiment.evaluation.gamma
         return agent.evaluate_policies(front.conditions, env, episodes=episodes, seed=seed, gamma=gamma)
-    finally:
-        env.close()

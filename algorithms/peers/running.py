@@ -17,6 +17,7 @@ from algorithms.experiments.agent_report import (
     draw_figures_of_front,
     film,
     film_policies_of_front,
+    report_front,
     show_results,
 )
 from algorithms.experiments.build import make_environment
@@ -26,7 +27,6 @@ from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_po
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
-from algorithms.reporting.front_report import report_front
 from algorithms.reporting.tables import evaluation_table
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate_each
@@ -152,17 +152,9 @@ def _finish_front(
     """Evaluate all policies, write a report and a video of the non-dominated ones; returns the metrics by name."""
     front = evaluate_front(policies, run.experiment)
     FrontsFile(run.path / "fronts.csv").write(steps, front)
-    environment, settings = run.experiment.environment, run.experiment.evaluation
-    measured = report_front(
-        front,
-        console,
-        algorithm=run.experiment.algorithm.name,
-        env_id=environment.id,
-        env_arguments=environment.arguments,
-        reference_point=settings.reference_point,
-        directory=run.path,
-        about={"step": steps, **about, "evaluated_policies": len(policies)},
-    )
+    settings = run.experiment.evaluation
+    about = {"step": steps, **about, "evaluated_policies": len(policies)}
+    measured = report_front(front, run.experiment, console, run.path, about)
     draw_figures_of_front(front, run.experiment, run.path, console)
     if run.experiment.logging.save_figures:
         film_policies_of_front(

@@ -9,24 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import imageio
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
-from algorithms.reporting.captions import caption_strip
-from algorithms.reporting.video_grid import GAP, scaled
+from algorithms.reporting.video_grid import scaled, sheets
 from mo_deepdrive.atomic_io import atomic_write
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-Frame = NDArray[np.uint8]  # (height, width, 3), RGB
+    from algorithms.reporting.video_grid import Track
+    from algorithms.reporting.videos import Frame
+
 COLOURS = 255  # of the palette; one further index marks pixels that do not change
 
 
-def write_gif(
-    clips: Sequence[tuple[str, Iterable[Frame]]], path: str | Path, *, fps: int = 10, side: int = 320
-) -> tuple[int, int]:
+def write_gif(clips: Sequence[Track], path: str | Path, *, fps: int = 10, side: int = 320) -> tuple[int, int]:
     """Write a looping GIF that shows ``clips`` side by side, each below its caption.
 
     A clip that is shorter than the longest one keeps showing its last frame.
@@ -44,26 +42,16 @@ def write_gif(
         ValueError: if there is no clip, one has no frames, or ``fps`` does not divide 100.
         OSError: if the file cannot be written.
     """
-    if not clips:
-        raise ValueError("clips is empty; a GIF needs at least one")
     if fps < 1 or 100 % fps:
         raise ValueError(f"fps = {fps} must divide 100, because a GIF counts hundredths of a second")
-    columns = []
-    for caption, frames in clips:
-        strip = caption_strip(caption, side)
-        tiles = [np.vstack([strip, scaled(frame[:, : len(frame)], side, side)]) for frame in frames]
-        if not tiles:
-            raise ValueError(f"clip {caption!r} has no frames")
-        columns.append(tiles)
-    count = max(map(len, columns))
-    gap = np.full((len(columns[0][0]), GAP, 3), 255, dtype=np.uint8)
-    sheets = []
-    for t in range(count):
-        row = [tiles[min(t, len(tiles) - 1)] for tiles in columns]
-        sheets.append(np.hstack([part for tile in row for part in (tile, gap)][:-1]))
-    content = _encode(sheets, 1000 // fps)
+
+    def tile(frame: Frame) -> Frame:
+        return scaled(frame[:, : len(frame)], side, side)
+
+    shown = [sheet.copy() for sheet in sheets(clips, tile, len(clips), (255, 255, 255))]
+    content = _encode(shown, 1000 // fps)
     atomic_write(path, content)
-    return count, len(content)
+    return len(shown), len(content)
 
 
 def _encode(frames: Sequence[Frame], milliseconds: float) -> bytes:

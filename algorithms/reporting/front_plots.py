@@ -6,31 +6,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from algorithms.reporting.front_layout import (
-    add_colour_bar,
-    arrival_names,
-    colour_note,
-    dot_legend,
-    draw_dots,
-    draw_numbers,
-    make_figure,
-    policies_note,
-    returns_note,
-)
 from algorithms.reporting.front_view import FrontView, number_formatter, principal_components, separate
-from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure
-from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of
+from algorithms.reporting.style import COLOURS, DIM, FAINT, GRID, INK, figure_style, save_figure, surround
+from mo_deepdrive.evaluation.metrics import SUCCESS, label, name_and_unit, title_of, without_vehicle
+from mo_deepdrive.objectives import INDEX, OBJECTIVES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from mo_deepdrive.evaluation.front import Front
 
+HALO = withStroke(linewidth=2.0, foreground="white")
 BARS = 8  # policies in bars.png
 MOST_PAIRED = 8  # objectives of which scatter.png shows all pairs
 # The paper's names for low values of these costs (its figure 7).
@@ -87,14 +82,14 @@ def _importance(view: FrontView) -> Figure:
     """A row of bars per objective: where each policy is between the front's worst and its best."""
     front, shown = view.front, view.representatives()
     notes = (
-        returns_note(view, discounted=True),
-        policies_note(view, shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
+        _returns_note(view, discounted=True),
+        _policies_note(view, shown) + (f", by {view.leading_name}" if len(front) > 1 else ""),
         f"0 and 1: the worst and the best of the {len(front)}" if len(front) > 1 else "",
-        colour_note(view),
+        _colour_note(view),
     )
     d, n = len(front.objectives), len(shown)
     width = max(8.0, 1.4 + 0.56 * n)
-    figure = make_figure(view, width, 1.02 * d + 0.5, "importance of the objectives", notes)
+    figure = _make_figure(view, width, 1.02 * d + 0.5, "importance of the objectives", notes)
     axes = figure.subplots(d, 1, squeeze=False, sharex=True)[:, 0]
     for i, (axis, name) in enumerate(zip(axes, front.objectives, strict=True)):
         values = front.discounted[:, i]
@@ -131,11 +126,11 @@ def _reduction(view: FrontView) -> Figure:
     notes = (
         f"principal components of the returns discounted with gamma {front.gamma:g}, "
         "each objective from 0, the front's worst, to 1, its best",
-        policies_note(view, shown),
+        _policies_note(view, shown),
     )
-    figure = make_figure(view, 10.4, 5.2, "the front in two dimensions", notes, dot_legend(view))
+    figure = _make_figure(view, 10.4, 5.2, "the front in two dimensions", notes, _dot_legend(view))
     axis, compass = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
-    draw_dots(axis, view, found.points, 44)
+    _draw_dots(axis, view, found.points, 44)
     if len(shown) < len(front):
         x, y = found.points[shown].T
         axis.scatter(x, y, s=80, facecolors="none", edgecolors=INK, linewidths=1.0, zorder=4)
@@ -145,11 +140,13 @@ def _reduction(view: FrontView) -> Figure:
         low, high = found.points[:, k].min(), found.points[:, k].max()
         pad = 0.1 * (high - low) if high - low > 1e-9 else 0.5
         (axis.set_xlim, axis.set_ylim)[k](low - pad, high + pad)
-    add_colour_bar(figure, view, axis)
+    _add_colour_bar(figure, view, axis)
     _loadings(compass, view, found.loadings)
-    figure.draw_without_rendering()  # fixes the layout
-    figure.set_layout_engine("none")
-    draw_numbers(figure, axis, found.points, shown)
+    style: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "path_effects": [HALO], "zorder": 6}
+    for k in shown:  # away from the middle, where most other dots are
+        across, up = np.sign(found.points[k])
+        place = {"ha": "left" if across >= 0 else "right", "va": "bottom" if up >= 0 else "top"}
+        axis.annotate(str(k), found.points[k], (4 * across, 4 * up), textcoords="offset points", **place, **style)
     return figure
 
 
@@ -180,15 +177,15 @@ def _parallel(view: FrontView) -> Figure:
     d = len(front.objectives)
     handles = [
         Line2D([], [], color=INK, linewidth=1.8, linestyle="-" if there else "--", label=name)
-        for name, there in zip(arrival_names(view), (True, False), strict=True)
+        for name, there in zip(_arrival_names(view), (True, False), strict=True)
         if view.arrived is not None and there in view.arrived
     ]
     notes = (
-        returns_note(view, discounted=True),
+        _returns_note(view, discounted=True),
         "better is up",
-        policies_note(view, shown) + (", strong" if len(shown) < len(front) else ""),
+        _policies_note(view, shown) + (", strong" if len(shown) < len(front) else ""),
     )
-    figure = make_figure(view, max(8.0, 2.3 * d + 1.5), 4.6, "policies across objectives", notes, handles)
+    figure = _make_figure(view, max(8.0, 2.3 * d + 1.5), 4.6, "policies across objectives", notes, handles)
     axis = figure.subplots()
     heights = np.where(np.isnan(view.importance), 0.5, view.importance)
     for policy in [*np.setdiff1d(np.arange(len(front)), shown), *shown]:
@@ -222,7 +219,7 @@ def _parallel(view: FrontView) -> Figure:
         axis.text(side + 0.09 * out, place, str(policy), **style)
     axis.set(xlim=(-0.4, d - 0.6), ylim=(-0.12, 1.2))
     axis.set_axis_off()
-    add_colour_bar(figure, view, axis)
+    _add_colour_bar(figure, view, axis)
     return figure
 
 
@@ -231,17 +228,17 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
     front = view.front
     d = len(front.objectives)
     panel = {2: 5.2, 3: 3.4, 4: 2.7}.get(d, 2.3)  # inches
-    handles = dot_legend(view)
+    handles = _dot_legend(view)
     if reference_front is not None:
         name = f"best-known front ({len(reference_front)} point{'' if len(reference_front) == 1 else 's'})"
         handles.append(Line2D([], [], color=FAINT, marker="D", linestyle="", markersize=5, label=name))
     notes = (
         f"returns discounted with gamma {front.gamma:g}, by which dominance is judged",
         f"{len(front)} polic{'y' if len(front) == 1 else 'ies'}",
-        colour_note(view),
+        _colour_note(view),
     )
     width, height = max(panel * (d - 1) + 1.9, 6.6), 0.86 * panel * (d - 1) + 0.4
-    figure = make_figure(view, width, height, "pairs of objectives", notes, handles)
+    figure = _make_figure(view, width, height, "pairs of objectives", notes, handles)
     axes: Any = figure.subplots(d - 1, d - 1, squeeze=False, sharex="col", sharey="row")
     for row, column in np.ndindex(d - 1, d - 1):
         axis, pair = axes[row, column], [column, row + 1]
@@ -251,7 +248,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
         if reference_front is not None:
             x, y = reference_front[:, pair].T
             axis.scatter(x, y, s=20, marker="D", c=FAINT, linewidths=0, zorder=2)
-        draw_dots(axis, view, front.discounted[:, pair], 34 if d < 4 else 22)
+        _draw_dots(axis, view, front.discounted[:, pair], 34 if d < 4 else 22)
         axis.xaxis.set_major_locator(MaxNLocator(4))
         axis.yaxis.set_major_locator(MaxNLocator(4))
         axis.margins(0.08)
@@ -259,7 +256,7 @@ def _scatter(view: FrontView, reference_front: NDArray[np.float64] | None) -> Fi
             axis.set_xlabel(label(front.objectives[pair[0]], "discounted"))
         if column == 0:
             axis.set_ylabel(label(front.objectives[pair[1]], "discounted"))
-    add_colour_bar(figure, view, list(axes.flat))
+    _add_colour_bar(figure, view, list(axes.flat))
     return figure
 
 
@@ -269,10 +266,10 @@ def _bars(view: FrontView) -> Figure:
     n = len(shown)
     certain = bool((front.low[shown] == front.high[shown]).all())
     notes = (
-        returns_note(view),
+        _returns_note(view),
         "" if certain else "lines: 95% bootstrap intervals",
-        policies_note(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
-        colour_note(view),
+        _policies_note(view, shown) + (f", by {view.leading_name}" if n > 1 else ""),
+        _colour_note(view),
     )
     drawn = [i for i in range(len(front.objectives)) if not front.is_arrival_rate(i)]
     d = len(drawn)
@@ -280,7 +277,7 @@ def _bars(view: FrontView) -> Figure:
     columns = min(count, 3 if count in (3, 5, 6, 9) else 4)
     rows = -(-count // columns)
     height = rows * (0.27 * max(n, 2) + 0.75)
-    figure = make_figure(view, max(3.2 * columns, 7.0), height, "policies in numbers", notes)
+    figure = _make_figure(view, max(3.2 * columns, 7.0), height, "policies in numbers", notes)
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for i, axis in enumerate(axes.flat):
         if i >= count:
@@ -311,3 +308,81 @@ def _bars(view: FrontView) -> Figure:
         axis.set_yticks(range(n), [f"policy {policy}" for policy in shown], color=INK)
         axis.set_ylim(n - 0.4, -0.6)
     return figure
+
+
+def _make_figure(
+    view: FrontView, width: float, height: float, heading: str, notes: Sequence[str], handles: Sequence[Line2D] = ()
+) -> Figure:
+    """A figure with title, notes and legend around an empty space for panels.
+
+    Args:
+        view: its title comes before ``heading``.
+        width: of the figure (in).
+        height: of the space for panels (in).
+        heading: what the figure shows.
+        notes: sentences below the title; empty ones are left out.
+        handles: of the legend.
+    """
+    figure = Figure(figsize=(width, height))  # without pyplot, which may need a display
+    FigureCanvasAgg(figure)
+    title = f"{view.title}: {heading}" if view.title else heading.capitalize()
+    surround(figure, title, ["; ".join(filter(None, notes))], handles)
+    return figure
+
+
+def _returns_note(view: FrontView, *, discounted: bool = False) -> str:
+    """A note that says what the numbers are."""
+    known = [OBJECTIVES[INDEX[name]].sign for name in map(without_vehicle, view.front.objectives) if name in INDEX]
+    episodes = view.front.episodes
+    kind = f"discounted (gamma {view.front.gamma:g})" if discounted else "undiscounted"
+    mean = f"mean {kind} returns of {episodes} episode{'' if episodes == 1 else 's'} per policy"
+    return mean + (", sums over decisions" if known else "") + (", costs negative" if -1 in known else "")
+
+
+def _policies_note(view: FrontView, shown: NDArray[np.intp]) -> str:
+    """A note that says which policies are numbered, and what the numbers are."""
+    k = len(view.front)
+    if k == 1:
+        return "the only policy of the front"
+    chosen = f"all {k} policies" if len(shown) == k else f"{len(shown)} of {k} policies, spread over the front,"
+    return f"{chosen} with their numbers in front.csv"
+
+
+def _add_colour_bar(figure: Figure, view: FrontView, axes: Axes | Sequence[Axes]) -> None:
+    """Add a colour bar where colours have a meaning."""
+    if np.isfinite(view.importance[:, view.leading]).all():
+        bar = figure.colorbar(view.mappable, ax=axes, aspect=32, pad=0.02, fraction=0.05)
+        bar.set_label(label(view.front.objectives[view.leading], "discounted"))
+        bar.outline.set_visible(False)
+
+
+def _colour_note(view: FrontView) -> str:
+    """A note that says what colours mean; empty where they mean nothing."""
+    return f"colour: discounted {view.leading_name}" if np.isfinite(view.importance[:, view.leading]).all() else ""
+
+
+def _arrival_names(view: FrontView) -> tuple[str, str]:
+    """Names of the policies that count as arriving, and of the others."""
+    whole = bool(np.isin(view.front.success, (0.0, 1.0)).all())
+    return ("arrives", "does not arrive") if whole else ("arrives in half of the episodes or more", "in fewer")
+
+
+def _draw_dots(axis: Axes, view: FrontView, points: NDArray[np.float64], size: float) -> None:
+    """Draw a dot per policy at ``points`` (K, 2), filled unless the policy fails to arrive."""
+    faces = view.colours.copy()
+    if view.arrived is not None:
+        faces[~view.arrived] = 1.0
+    axis.scatter(
+        points[:, 0], points[:, 1], s=size, c=faces, edgecolors=view.colours.tolist(), linewidths=1.2, zorder=3
+    )
+
+
+def _dot_legend(view: FrontView) -> list[Line2D]:
+    """The legend of :func:`_draw_dots`."""
+    if view.arrived is None:
+        return []
+    return [
+        Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, markerfacecolor=face, label=name)
+        for name, face, there in zip(_arrival_names(view), (INK, "white"), (True, False), strict=True)
+        if there in view.arrived
+    ]

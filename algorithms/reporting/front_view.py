@@ -160,38 +160,3 @@ def separate(positions: ArrayLike, gap: float, ends: tuple[float, float]) -> NDA
     # The least-squares solution within bounds is the one without bounds, clipped.
     moved[order] = np.clip(isotonic_regression(wanted[order] - steps).x, low, high - steps[-1]) + steps
     return moved
-
-
-def place_labels(
-    points: NDArray[np.float64],
-    sizes: NDArray[np.float64],
-    others: NDArray[np.float64],
-    area: tuple[float, float, float, float],
-    clearance: float = 5.0,
-) -> NDArray[np.float64]:
-    """Centres (n, 2) for labels: close to ``points`` and, where possible, not over ``others`` or each other.
-
-    Args:
-        points: (n, 2) what is labelled.
-        sizes: (n, 2) widths and heights of the labels.
-        others: (k, 2) everything that labels should not cover.
-        area: left, bottom, right and top limit of the labels.
-        clearance: distance from ``others`` that labels should keep.
-    """
-    left, bottom, right, top = area
-    angles = np.linspace(0.25, 2.25, 16, endpoint=False) * math.pi
-    compass = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    placed: list[NDArray[np.float64]] = []
-    for i, (point, size) in enumerate(zip(points, sizes, strict=True)):
-        candidates = np.concatenate([point + compass * (size / 2 + r) for r in (6.0, 11.0, 18.0, 27.0, 38.0)])
-        cost = 0.06 * np.linalg.norm(candidates - point, axis=1)
-        half = size / 2
-        gaps = np.linalg.norm(np.maximum(np.abs(candidates[:, None] - others) - half, 0.0), axis=2)
-        cost += (gaps < clearance).sum(axis=1)
-        if placed:
-            close = (sizes[:i] + size) / 2 + 1.0
-            cost += 20.0 * (np.abs(candidates[:, None] - np.array(placed)) < close).all(axis=2).sum(axis=1)
-        x, y = candidates.T
-        cost += 50.0 * ((x - half[0] < left) | (x + half[0] > right) | (y - half[1] < bottom) | (y + half[1] > top))
-        placed.append(candidates[int(cost.argmin())])
-    return np.array(placed).reshape(-1, 2)

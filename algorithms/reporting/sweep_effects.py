@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
+from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator
+from scipy.stats import gmean
 
 from algorithms.reporting.style import DIM, INK, algorithm_colours, figure_style, save_figure, surround, widened
 from mo_deepdrive.evaluation.statistics import MIN_SAMPLES, Estimate, mean, of_three
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
 PANEL = (3.3, 3.2)  # in, width and height with its labels
-PANEL_LETTERS = 46  # that fit side by side below a panel, and lines of them, if they are slanted
-PANEL_LINES = 16
+PANEL_LETTERS = 46  # that fit side by side below a panel; labels with more are slanted
+PANEL_LINES = 16  # slanted labels that fit
 MAX_COLUMNS = 4
 MAX_VALUES = 12  # of a numeric key that get a mean each; with more, neighbours share one
 BINS = 8  # means of a numeric key with more values
@@ -116,21 +117,23 @@ class KeyEffect:
         positions: (runs,) of the runs on the axis.
         parts: the indices of the runs that share each mean.
         means: of the parts.
-        ends: limits of the axis.
-        ticks: positions on the axis and their labels.
-        slanted: whether the labels are too long to be horizontal.
-        jitter: largest random shift of a run from its position, so that runs do not hide each other.
+        ticks: positions on the axis and their labels; None where Matplotlib chooses round numbers.
         line: line style between the means.
+        logarithmic: whether the axis is.
     """
 
     positions: NDArray[np.float64]
     parts: list[NDArray[np.intp]]
     means: list[Estimate]
-    ends: tuple[float, float]
-    ticks: dict[float, str]
-    slanted: bool
-    jitter: float
+    ticks: dict[float, str] | None
     line: Literal["-", ""]
+    logarithmic: bool = False
+
+    @property
+    def slanted(self) -> bool:
+        """Whether the labels are too long to be horizontal."""
+        texts = list((self.ticks or {}).values())
+        return bool(texts) and len(texts) * max(len(text) + 1 for text in texts) > PANEL_LETTERS
 
 
 def effect_of_words(words: Sequence[str], scores: NDArray[np.float64]) -> KeyEffect:
@@ -139,47 +142,41 @@ def effect_of_words(words: Sequence[str], scores: NDArray[np.float64]) -> KeyEff
     positions = np.array([known.index(word) for word in words], dtype=np.float64)
     parts = [np.flatnonzero(positions == i) for i in range(len(known))]
     labels = [word if len(word) <= MAX_LETTERS else f"{word[: MAX_LETTERS - 1]}…" for word in known]
-    ticks = {float(i): text for i, text in enumerate(labels)}
-    slanted = len(_thinned(ticks, len(known))) < len(known)
-    if slanted:
-        every = math.ceil(len(known) / PANEL_LINES)
-        ticks = {position: text for position, text in ticks.items() if position % every == 0}
-    means = [mean(scores[part]) for part in parts]
-    return KeyEffect(positions, parts, means, (-0.5, len(known) - 0.5), ticks, slanted, 0.12, "")
+    every = math.ceil(len(known) / PANEL_LINES)
+    ticks = {float(i): labels[i] for i in range(0, len(known), every)}
+    return KeyEffect(positions, parts, [mean(scores[part]) for part in parts], ticks, "")
 
 
 def effect_of_numbers(numbers: NDArray[np.float64], scores: NDArray[np.float64]) -> KeyEffect:
     """The effect of a key with ``numbers`` (runs,) on ``scores`` (runs,): a mean per number or per bin of them."""
-    logarithmic = is_logarithmic(np.unique(numbers))
-    positions = np.log10(numbers) if logarithmic else numbers
-    distinct = np.unique(positions)
-    many = len(distinct) > MAX_VALUES
-    parts = (
-        np.array_split(np.argsort(positions, kind="stable"), BINS)
-        if many
-        else [np.flatnonzero(positions == each) for each in distinct]
-    )
-    extent = np.ptp(distinct)
-    return KeyEffect(
-        positions,
-        parts,
-        [mean(scores[part]) for part in parts],
-        (distinct[0] - 0.06 * extent, distinct[-1] + 0.06 * extent),
-        _thinned(_number_ticks(distinct, logarithmic), extent),
-        False,
-        0.0 if many else 0.015 * extent,
-        "-",
-    )
+    distinct = np.unique(numbers)
+    parts, ticks = np.array_split(np.argsort(numbers, kind="stable"), BINS), None
+    if len(distinct) <= MAX_VALUES:
+        parts = [np.flatnonzero(numbers == each) for each in distinct]
+        ticks = {float(each): _text_of(each) for each in distinct}
+    means = [mean(scores[part]) for part in parts]
+    return KeyEffect(numbers, parts, means, ticks, "-", is_logarithmic(distinct))
+
+
+def _text_of(number: float, _position: int = 0) -> str:
+    return EngFormatter(sep="")(number) if abs(number) >= 10_000 else f"{number:.4g}"
 
 
 def _draw_effect(
     axis: Axes, effect: KeyEffect, scores: NDArray[np.float64], colours: Sequence[str], limits: tuple[float, float]
 ) -> None:
-    shifts = np.random.default_rng(0).uniform(-effect.jitter, effect.jitter, len(scores))
+    middle, positions = (gmean if effect.logarithmic else np.mean), effect.positions
+    if effect.ticks is not None:  # shifted a little, or runs would hide each other
+        shifts = np.random.default_rng(0).uniform(-0.02, 0.02, len(scores))
+        low, high = positions.min(), positions.max()
+        positions = positions * (high / low) ** shifts if effect.logarithmic else positions + (high - low) * shifts
     values = np.array([each.value for each in effect.means])
-    axis.scatter(effect.positions + shifts, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
+    if effect.logarithmic:
+        axis.set_xscale("log")
+        axis.xaxis.set_major_formatter(FuncFormatter(_text_of))
+    axis.scatter(positions, scores, s=12, c=list(colours), alpha=0.4, linewidths=0, zorder=2)
     axis.errorbar(
-        [effect.positions[part].mean() for part in effect.parts],
+        [middle(effect.positions[part]) for part in effect.parts],
         values,
         np.transpose([_errors(each) for each in effect.means]),
         fmt=f"o{effect.line}",
@@ -190,8 +187,12 @@ def _draw_effect(
         zorder=3,
     )
     turned: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if effect.slanted else {}
-    axis.set_xticks(list(effect.ticks), list(effect.ticks.values()), **turned)
-    axis.set_xlim(*effect.ends)
+    if effect.ticks is not None:
+        axis.set_xticks(list(effect.ticks), list(effect.ticks.values()), **turned)
+        axis.minorticks_off()
+    elif not effect.logarithmic:
+        axis.xaxis.set_major_locator(MaxNLocator(5))
+    axis.margins(x=0.06 if effect.line else 0.2)
     axis.set_ylim(*limits)
     axis.yaxis.set_major_locator(MaxNLocator(5))
     below, above = (scores < limits[0], values < limits[0]), (scores > limits[1], values > limits[1])
@@ -233,34 +234,3 @@ def is_logarithmic(values: NDArray[np.float64]) -> bool:
     few = 3 <= len(values) <= MAX_VALUES
     grows = few and np.std(factors) / np.mean(factors) < np.std(steps) / np.mean(steps)
     return bool(values[-1] / values[0] >= LOGARITHMIC_RATIO or grows)
-
-
-def _number_ticks(positions: NDArray[np.float64], logarithmic: bool) -> dict[float, str]:
-    """Ticks at the positions if they are few, else at round numbers."""
-    if len(positions) > MAX_VALUES:
-        low, high = positions[0], positions[-1]
-        if logarithmic:
-            wide = high - low > 2.0
-            found = LogLocator(subs=(1.0,) if wide else (1.0, 3.0)).tick_values(10.0**low, 10.0**high)
-            positions = np.log10(found)
-        else:
-            positions = np.asarray(MaxNLocator(5).tick_values(low, high))
-        positions = positions[(positions >= low) & (positions <= high)]
-    engineering = EngFormatter(sep="")
-
-    def text(number: float) -> str:
-        return engineering(number) if abs(number) >= 10_000 else f"{number:.4g}"
-
-    return {float(each): text(10.0**each if logarithmic else each) for each in positions}
-
-
-def _thinned(ticks: Mapping[float, str], extent: float) -> dict[float, str]:
-    """The ticks without those whose labels would touch the one before."""
-    kept: dict[float, str] = {}
-    end = -np.inf
-    for position, text in ticks.items():
-        middle, half = position / extent * PANEL_LETTERS, len(text) / 2
-        if middle - half > end:
-            kept[position] = text
-            end = middle + half + 1
-    return kept

@@ -1,4 +1,4 @@
-"""Videos of a policy."""
+"""Videos of a policy, and the text in videos: captions, and the note on the last frame of one that is cut off."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import imageio_ffmpeg
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
 
-from algorithms.reporting.captions import cut_off
+from algorithms.reporting.style import VIDEO_BACKGROUND, VIDEO_DPI, VIDEO_INK, figure_style
 from mo_deepdrive.envs.vector import DrivingVectorEnv
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, find_spec, make_env
@@ -24,13 +25,15 @@ from mo_deepdrive.evaluation.splits import SPLITS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from numpy.typing import NDArray
-
     from mo_deepdrive.evaluation.policy import Policy
+
+Frame = NDArray[np.uint8]  # (height, width, 3), RGB
 
 MAX_FRAMES = 2000  # of a video, three of our longest episodes; the rest is cut off
 HOLD = 0.5  # s for which the last frame of an episode is shown
 DEFAULT_FPS = 10  # where the environment does not say
+CAPTION_PIXELS = 36  # height of a caption
+FONT_SIZES = np.arange(13.0, 6.5, -0.5)  # of captions; the first one that fits
 
 
 def record(
@@ -75,7 +78,7 @@ def record(
 
 
 @contextmanager
-def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[Frame], None]]:
     """A function that appends a frame with even sides to an MP4; the file appears when it is complete, unless empty.
 
     A process that is killed leaves a file that is named as the temporary ones of :mod:`mo_deepdrive.atomic_io`.
@@ -91,7 +94,7 @@ def video_writer(path: str | Path, fps: int) -> Iterator[Callable[[NDArray[np.ui
     part = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     count, encoder = 0, None
 
-    def write(frame: NDArray[np.uint8]) -> None:
+    def write(frame: Frame) -> None:
         nonlocal count, encoder
         if encoder is None:
             encoder = imageio_ffmpeg.write_frames(
@@ -181,18 +184,16 @@ def _is_ours(env_id: str) -> bool:
     return str(find_spec(env_id).vector_entry_point).startswith("mo_deepdrive.")
 
 
-def _episodes(
-    policy: Policy, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int
-) -> Iterator[NDArray[np.uint8]]:
+def _episodes(policy: Policy, env: VectorEnv, seeds: Iterable[int], greedy: bool, fps: int) -> Iterator[Frame]:
     """The frames of one episode per seed; the last frame of each is repeated for a moment."""
     for seed in seeds:
-        frame: NDArray[np.uint8]
+        frame: Frame
         for frame in episode_frames(policy, env, seed, greedy=greedy):
             yield frame
         yield from [frame] * round(HOLD * fps)
 
 
-def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[NDArray[np.uint8]]:
+def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -> Iterator[Frame]:
     """The frames (height, width, 3) of one episode, with even sides.
 
     Args:
@@ -226,10 +227,59 @@ def episode_frames(policy: Policy, env: VectorEnv, seed: int, *, greedy: bool) -
             break
 
 
-def _frame(env: VectorEnv) -> NDArray[np.uint8]:
+def _frame(env: VectorEnv) -> Frame:
     """The frame that the environment renders, padded to even sides, which video encoders need."""
     frames = env.render()
     if not frames or not isinstance(frames[0], np.ndarray):
         raise ValueError("the environment rendered no frame")
     height, width = frames[0].shape[:2]
     return np.pad(frames[0], ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+def cut_off(frames: Iterable[Frame], count: int, fps: int) -> Iterator[Frame]:
+    """The first ``count`` of ``frames``; if there are more, the last one says at its lower end that it is cut off.
+
+    Args:
+        frames: (height, width, 3) of uint8.
+        count: of frames at most.
+        fps: frames per second.
+    """
+    last = None
+    for i, frame in enumerate(frames):
+        if i == count and last is not None:
+            height = min(CAPTION_PIXELS, len(last))
+            last = last.copy()
+            last[-height:] = caption_strip(f"cut off after {count / fps:.4g} s", last.shape[1])[:height]
+            break
+        if last is not None:
+            yield last
+        last = frame
+    if last is not None:
+        yield last
+
+
+def caption_strip(text: str, width: int) -> Frame:
+    """``text`` in one line on a strip (CAPTION_PIXELS, ``width``, 3), shortened if it is too long."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # not earlier: most videos go without Matplotlib
+    from matplotlib.figure import Figure
+
+    line = " ".join(text.split())
+    with figure_style():
+        figure = Figure(
+            figsize=(width / VIDEO_DPI, CAPTION_PIXELS / VIDEO_DPI), dpi=VIDEO_DPI, facecolor=VIDEO_BACKGROUND
+        )
+        canvas: Any = FigureCanvasAgg(figure)
+        words = figure.text(10 / width, 0.5, line, color=VIDEO_INK, va="center_baseline", parse_math=False)
+
+        def fits() -> bool:
+            return words.get_window_extent(canvas.get_renderer()).width <= width - 20
+
+        for size in FONT_SIZES:
+            words.set_fontsize(size)
+            if fits():
+                break
+        while line and not fits():
+            line = line[:-1].rstrip()
+            words.set_text(f"{line}…")
+        canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -8,6 +8,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+import moocore
 import numpy as np
 import pytest
 import yaml
@@ -35,6 +36,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.browser]
 def first_by(values: np.ndarray, front: ExplorableFront) -> int:
     """The policy that the rule of the command choose puts first."""
     return int(rank_policies(values, front.returns.mean(axis=1), front.scales)[0])
+
+
+def undominated(front: ExplorableFront) -> list[int]:
+    """The policies that no other one dominates in the returns and the time."""
+    frequency = front.scenes[0].decision_frequency
+    values = np.column_stack([front.returns.mean(axis=1), -front.lengths / frequency])
+    return np.flatnonzero(moocore.is_nondominated(values, maximise=True, keep_weakly=True)).tolist()
 
 
 def chosen_by_the_command(page: Page, capsys: pytest.CaptureFixture[str]) -> int:
@@ -148,6 +156,7 @@ def test_a_link_keeps_the_choice(page: Page, drawn_page: Path) -> None:
         "#mode=budget&budget=a,b",
         "#range=9,1,2",
         "#compare=a,-1,1e9&scenario=7",
+        "#returns=2&dominated=7",
         "#%",
     ],
 )
@@ -166,28 +175,76 @@ def test_what_is_not_valid_in_a_link_is_left_at_its_default(page: Page, zoo_page
 def test_brushing_keeps_the_policies_in_the_range(page: Page, zoo_page: Path, zoo_front: ExplorableFront) -> None:
     page.open(zoo_page)
     means = zoo_front.returns.mean(axis=1)
-    assert sorted(page.listed()) == list(range(len(means)))
+    front = undominated(zoo_front)
+    assert sorted(page.listed()) == sorted({*front, page.chosen()})
     page.brush(3, 0.4, 0.7)
     jerk = np.concatenate([means[:, 3], zoo_front.best_known[:, 3]])
     low, high = (float(page.find(f"[data-range='3/{end}']").get_property("value")) for end in (0, 1))
     # Pixels are whole: of an axis of 324, two may be missing at each end.
     assert (low - jerk.min()) / np.ptp(jerk) == pytest.approx(0.4, abs=0.02)
     assert (high - jerk.min()) / np.ptp(jerk) == pytest.approx(0.7, abs=0.02)
-    inside = np.flatnonzero((means[:, 3] >= low) & (means[:, 3] <= high))
-    assert 0 < len(inside) < len(means)
-    assert sorted(page.listed()) == sorted({*inside.tolist(), page.chosen()})
-    assert page.text("#kept").startswith(f"{len(inside)} of {len(means)} policies are in the ranges")
+    inside = [k for k in front if low <= means[k, 3] <= high]
+    assert 0 < len(inside) < len(front)
+    assert sorted(page.listed()) == sorted({*inside, page.chosen()})
+    assert page.text("#kept").startswith(f"{len(inside)} of {len(front)} policies are in the ranges")
     page.brush(3, 0.5, 0.5)  # a click drops the range
-    assert sorted(page.listed()) == list(range(len(means)))
+    assert sorted(page.listed()) == sorted({*front, page.chosen()})
 
 
-def test_the_front_is_drawn_with_the_best_known_one_behind_it(
+def test_dominated_policies_are_hidden_until_they_are_asked_for(
     page: Page, zoo_page: Path, zoo_front: ExplorableFront
 ) -> None:
     page.open(zoo_page)
-    lines = page.all("#parallel .mark-line path")
-    assert len(lines) == len(zoo_front.best_known) + len(zoo_front.returns) + 1  # and the chosen one again
+    count, front = len(zoo_front.returns), undominated(zoo_front)
+    assert 0 < len(front) < count
+
+    def lines() -> int:
+        return len(page.all("#parallel .mark-line path")) - len(zoo_front.best_known) - 1  # the chosen one twice
+
+    assert lines() == len(front)
+    chosen = page.chosen()
+    assert chosen not in front
+    assert re.search(r"Policy (\d+) is nowhere worse, and better in .*time\.", page.text("#why"))
+    page.set_range(4, 1, str(zoo_front.lengths[chosen]))  # in which it is, too
+    assert "outside" not in page.text("#kept")
+    page.set_range(4, 1, "")
+    assert page.text("#dominated-label") == f"show dominated policies ({count - len(front)} of {count})"
+    page.find("#dominated").click()
+    assert lines() == count
+    assert sorted(page.listed()) == list(range(count))
+    link = page.link()
+    page.open(zoo_page, link)
+    assert lines() == count
     assert f"best known ({len(zoo_front.best_known)} policies)" in page.text("#parallel-legend")
+
+
+def test_the_time_is_the_last_axis_and_less_of_it_is_better(
+    page: Page, zoo_page: Path, zoo_front: ExplorableFront
+) -> None:
+    page.open(zoo_page)
+    seconds = zoo_front.lengths / zoo_front.scenes[0].decision_frequency
+    assert page.text("#values").replace("\n", " ").endswith(f"time {seconds[page.chosen()]:.1f} s arrivals 100%")
+    page.brush(4, 0.9, 1.0)
+    low, high = (float(page.find(f"[data-range='4/{end}']").get_property("value")) for end in (0, 1))
+    assert (low, high) == pytest.approx((seconds.min(), seconds.min() + 0.1 * np.ptp(seconds)), abs=0.5)
+    known = page.run("return [...document.querySelectorAll('#front-select option')].length")
+    page.open(zoo_page, f"#front={known - 1}")  # the best-known front, whose last objective is the time
+    assert page.text("#weights").count("time") == page.text("#policies thead").count("time") == 1
+
+
+def test_returns_are_undiscounted_unless_discounted_ones_are_asked_for(
+    page: Page, zoo_page: Path, zoo_front: ExplorableFront, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page.open(zoo_page)
+    assert page.text("#sums") == "undiscounted sums over a drive"
+    undiscounted = page.chosen()
+    page.find("#returns option[value='1']").click()
+    assert re.fullmatch(r"sums over a drive, discounted by . = 0\.99 per decision", page.text("#sums"))
+    weights = weighted_sum(page.preference("--weights"), zoo_front.objectives)
+    assert zoo_front.discounted is not None
+    assert page.chosen() == first_by(weights.values(zoo_front.discounted.returns), zoo_front) != undiscounted
+    assert f"best known ({len(zoo_front.discounted.best_known)} policies)" in page.text("#parallel-legend")
+    assert chosen_by_the_command(page, capsys) == page.chosen()
 
 
 def test_alternatives_are_differences_from_the_chosen_policy(
@@ -318,17 +375,17 @@ def few(front: ExplorableFront, count: int) -> ExplorableFront:
     """The first policies of a front."""
     scenes = tuple(dataclasses.replace(scene, drives=scene.drives[:count]) for scene in front.scenes)
     arrays = {name: getattr(front, name)[:count] for name in ("returns", "success", "lengths")}
-    return dataclasses.replace(front, scenes=scenes, **arrays)
+    return dataclasses.replace(front, scenes=scenes, discounted=None, **arrays)
 
 
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ('{"format":2,"fronts":[]}', "The data of this page have format 2; its code reads format 1."),
+        ('{"format":1,"fronts":[]}', "The data of this page have format 1; its code reads format 2."),
         ("[]", "The data of this page have format undefined"),
         ("null", "The data of this page have format undefined"),
-        ('{"format":1,"fronts":[]}', "This page has no front."),
-        ('{"format":1,"fronts":[', "The data of this page are broken."),
+        ('{"format":2,"fronts":[]}', "This page has no front."),
+        ('{"format":2,"fronts":[', "The data of this page are broken."),
     ],
 )
 def test_data_that_cannot_be_read_are_a_message(

@@ -41,7 +41,7 @@ def test_a_training_ends_with_the_page_of_its_front(finished_front: Path) -> Non
     (front,) = data_of(finished_front / "explore.html")
     assert front["title"] == str(finished_front)
     assert front["command"] == f"mo-deepdrive choose {finished_front} {{preference}}"
-    assert np.array_equal(front["returns"], returns_of(finished_front, 1, 2_000_000))
+    assert np.array_equal(front["returns"][0]["episodes"], returns_of(finished_front, 1, 2_000_000))
     assert len(front["scenes"]) == 1
     assert len(front["scenes"][0]["drives"]) == len(Front.read(finished_front))
 
@@ -55,9 +55,10 @@ def test_the_page_has_the_episodes_of_the_command_that_it_names(
     first, second = data_of(tmp_path / "page.html")
     words = f"mo-deepdrive choose {finished_front} {{preference}} --episodes 3 --seed 17"
     assert first["command"] == words
-    assert np.array_equal(first["returns"], returns_of(finished_front, 3, 17))
+    assert np.array_equal(first["returns"][0]["episodes"], returns_of(finished_front, 3, 17))
     assert second["title"] == "one_waypoint_front-pcn-printed"
-    assert len(second["bestKnown"]) == len(reference_front("one_waypoint", gamma=1.0))
+    known = [(each["gamma"], len(each["bestKnown"])) for each in second["returns"]]
+    assert known == [(gamma, len(reference_front("one_waypoint", gamma=gamma))) for gamma in (1.0, 0.99)]
     assert call("explore", finished_front, "--split", "test", "--output", "page.html")[0] == 0
     assert data_of(tmp_path / "page.html")[0]["command"].endswith("{preference} --split test")
 
@@ -67,13 +68,16 @@ def test_a_best_known_front_is_shown_with_the_drives_of_its_actions(call: Call, 
     assert code == 0, error
     (front,) = data_of(tmp_path / "page.html")
     policies = shipped("static_obstacle", "discrete")
-    returns = np.array(front["returns"])[:, 0]
-    np.testing.assert_allclose(returns, [policies[k].undiscounted for k in front["numbers"]], rtol=1e-4, atol=1e-4)
+    undiscounted, discounted = (np.array(each["episodes"])[:, 0] for each in front["returns"])
+    assert [objective["key"] for objective in front["objectives"]][-1] == "time"
+    for returns, kind in ((undiscounted, "undiscounted"), (discounted, "discounted")):
+        stored = [getattr(policies[k], kind) for k in front["numbers"]]
+        np.testing.assert_allclose(returns[:, :-1], stored, rtol=1e-4, atol=1e-4)
     assert front["command"] == "mo_deepdrive.reference_fronts.shipped('static_obstacle', 'discrete')[{policy}]"
     assert front["budget"]["prices"] == {"collision": 10.0}
     (scene,) = front["scenes"]
     ends = np.array([drive["end"] == "arrived" for drive in scene["drives"]])
-    assert np.array_equal(ends, returns[:, 1] == 1.0)
+    assert np.array_equal(ends, undiscounted[:, 1] == 1.0)
     assert len(scene["obstacles"]) == 1
 
 
@@ -84,7 +88,7 @@ def test_a_front_of_another_librarys_environment_has_no_drives(call: Call, tmp_p
     assert "explorer: run/explore.html: open it in a browser" in out
     (front,) = data_of(tmp_path / "run" / "explore.html")
     assert front["scenes"] == []
-    assert front["bestKnown"] != []
+    assert front["returns"][0]["bestKnown"] != []
 
 
 @pytest.mark.parametrize(

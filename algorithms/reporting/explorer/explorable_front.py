@@ -27,6 +27,21 @@ MARGIN = 5.0  # m that the map shows around the drives
 
 
 @dataclass(frozen=True)
+class DiscountedReturns:
+    """Returns of a front's episodes that the explorer shows instead of the undiscounted ones.
+
+    Attributes:
+        gamma: the discount factor, below 1.
+        returns: (K, E, d) discounted returns of the episodes.
+        best_known: (k, d) best-known returns with the same discount; None where there are none.
+    """
+
+    gamma: float
+    returns: NDArray[np.float64]
+    best_known: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
 class ExplorableFront:
     """A front of K policies with d objectives, all maximised, as the explorer shows it.
 
@@ -43,6 +58,7 @@ class ExplorableFront:
         numbers: (K,) numbers of the policies; from 0 on if empty.
         note: how the numbers were measured, one sentence.
         best_known: (k, d) best-known undiscounted returns; None where there are none.
+        discounted: the returns of the same episodes with a discount factor; None where they are not known.
         scenes: scenarios, each with K drives; none for an environment whose drives cannot be recorded. Those that do
             not fit into MAX_DRIVES are not stored.
         budget_name: of the utility with a comfort budget for these objectives; "" for none.
@@ -60,6 +76,7 @@ class ExplorableFront:
     numbers: tuple[int, ...] = ()
     note: str = ""
     best_known: NDArray[np.float64] | None = None
+    discounted: DiscountedReturns | None = None
     scenes: tuple[Scene, ...] = ()
     budget_name: str = ""
     budget: ComfortBudget | None = None
@@ -68,11 +85,19 @@ class ExplorableFront:
         k, d = len(self.success), len(self.objectives)
         if self.returns.ndim != 3 or self.returns.shape[::2] != (k, d) or len(self.lengths) != k:
             raise ValueError(f"returns have shape {self.returns.shape}; expected ({k}, episodes, {d})")
-        if not np.isfinite(self.returns).all():
-            raise ValueError("returns must be finite")
+        if self.discounted is not None and self.discounted.returns.shape != self.returns.shape:
+            raise ValueError(f"discounted returns have shape {self.discounted.returns.shape}, not {self.returns.shape}")
+        for each in self._every_returns():
+            if not np.isfinite(each.returns).all():
+                raise ValueError("returns must be finite")
         for scene in self.scenes:
             if len(scene.drives) != k:
                 raise ValueError(f"scenario {scene.seed} has {len(scene.drives)} drives for {k} policies")
+
+    def _every_returns(self) -> list[DiscountedReturns]:
+        """The undiscounted returns, and after them the discounted ones where they are known."""
+        undiscounted = DiscountedReturns(1.0, self.returns, self.best_known)
+        return [undiscounted] if self.discounted is None else [undiscounted, self.discounted]
 
     def to_json(self) -> dict[str, Any]:
         """The front as plain lists and numbers; returns and scales are exact, drives rounded to RESOLUTION."""
@@ -86,14 +111,20 @@ class ExplorableFront:
                     self.objectives, named, self.scales.tolist(), self.signs.tolist(), strict=True
                 )
             ],
-            "returns": self.returns.tolist(),
+            "returns": [
+                {
+                    "gamma": each.gamma,
+                    "episodes": each.returns.tolist(),
+                    "bestKnown": [] if each.best_known is None else rounded(each.best_known),
+                }
+                for each in self._every_returns()
+            ],
             "success": [None if np.isnan(share) else share for share in self.success.tolist()],
             "successRange": [self._success_range(share) for share in self.success.tolist()],
             "lengths": self.lengths.tolist(),
             "command": self.command,
             "numbers": list(self.numbers or range(len(self.success))),
             "note": self.note,
-            "bestKnown": [] if self.best_known is None else rounded(self.best_known),
             "budget": None
             if budget is None
             else {

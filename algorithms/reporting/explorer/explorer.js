@@ -43,9 +43,19 @@ class Explorer {
     return [chosen, ...this.state.compared.filter((k) => k !== chosen)].slice(0, 1 + MOST_COMPARED);
   }
 
+  /** Whether each policy is drawn and listed: all of them, or those that no other one dominates. */
+  listed() {
+    return this.front.dominators.map((other) => this.state.dominated || other < 0);
+  }
+
+  inRanges(k) {
+    return Object.entries(this.state.ranges).every(([i, [low, high]]) =>
+      this.front.rows[k][i] >= low && this.front.rows[k][i] <= high);
+  }
+
+  /** Whether each policy is listed and in the ranges. */
   kept() {
-    const ranges = Object.entries(this.state.ranges);
-    return this.front.means.map((row) => ranges.every(([i, [low, high]]) => row[i] >= low && row[i] <= high));
+    return this.listed().map((listed, k) => listed && this.inRanges(k));
   }
 
   command() {
@@ -60,7 +70,9 @@ class Explorer {
     } else if (state.mode === "budget") {
       const { g_force: g, jerk } = state.budget;
       preference = `--utility ${front.budget.name} --arguments '{g_force: ${g}, jerk: ${jerk}}'`;
-    } else preference = `--target ${named(front.means[state.picked].map((value, i) => [keys[i], value]))}`;
+    } else preference = `--target ${named(front.undiscounted[state.picked].map((value, i) => [keys[i], value]))}`;
+    // The command chooses by undiscounted returns, so it is told the policy where others are shown.
+    if (front.gamma < 1) preference += ` --policy ${front.numbers[this.chosen()]}`;
     return front.command.replace("{preference}", () => preference).replace("{policy}", front.numbers[this.chosen()]);
   }
 
@@ -74,6 +86,12 @@ class Explorer {
       this.read(`#front=${event.target.value}`);
       this.showFront();
     });
+    change("returns", "change", (event) => {
+      this.state.returns = Number(event.target.value);
+      this.state.ranges = {};
+      this.showFront();
+    });
+    change("dominated", "change", (event) => this.update({ dominated: event.target.checked }));
     change("theme", "change", (event) => setTheme(event.target.value));
     for (const input of document.querySelectorAll("input[name=mode]")) {
       input.addEventListener("change", () => this.update({ mode: input.value }));
@@ -120,7 +138,8 @@ class Explorer {
 
   /** Show another front, or the state of a link. */
   showFront() {
-    const { front } = this;
+    const { front, state } = this;
+    front.take(state.returns);
     this.stop();
     byId("front-select").value = this.index;
     byId("title").textContent = front.title;
@@ -130,6 +149,12 @@ class Explorer {
       : front.size === 1 ? "This front has one policy: there is nothing to choose between." : "");
     if (front.size === 0) return;
     byId("note").textContent = front.note;
+    byId("returns-choice").hidden = front.measured.length < 2;
+    byId("returns").replaceChildren(...front.measured.map(({ gamma }, i) =>
+      element("option", { value: i }, gamma === 1 ? "undiscounted" : `discounted, γ = ${gamma}`)));
+    byId("returns").value = state.returns;
+    byId("sums").textContent = front.gamma === 1 ? "undiscounted sums over a drive"
+      : `sums over a drive, discounted by γ = ${front.gamma} per decision`;
     byId("no-drive").hidden = front.scenes.length > 0;
     byId("drives").hidden = front.scenes.length === 0;
     byId("budget-mode").hidden = !front.budget;
@@ -157,21 +182,20 @@ class Explorer {
   drawParallel() {
     const { front } = this;
     this.parallel?.finalize();
-    const axes = front.objectives.map((objective, i) => ({
-      axis: i, title: titled(objective), worst: front.text(front.domains[i][0], i), best: front.text(front.domains[i][1], i) }));
-    const rows = (means) => means.flatMap((row, policy) => row.map((value, axis) => ({
+    const axes = front.axes.map((axis, i) => ({ axis: i, title: titled(axis),
+      worst: front.text(front.valueAt(0, i), i), best: front.text(front.valueAt(1, i), i) }));
+    const points = (rows) => rows.flatMap((row, policy) => row.map((value, axis) => ({
       policy, axis, value: front.scaled(value, axis) })));
     byId("parallel").dataset.upright = isUpright(axes, this.width);
     const view = makeView(parallelSpec(axes, this.width), byId("parallel"),
       `Parallel coordinates of ${front.size} policies; the table of all policies has their numbers`);
-    view.data("axes", axes).data("bestKnown", rows(front.bestKnown)).data("learnt", rows(front.means));
+    view.data("axes", axes).data("bestKnown", points(front.bestKnown)).data("learnt", points(front.rows));
     const listen = (signal, action) =>
       view.addSignalListener(signal, (_, value) => view.runAfter(() => action(value)));
     listen("picked", ({ policy }) => this.update({ mode: "picked", picked: policy }));
     listen("brushing", ({ axis, from, to }) => {
-      const [low, high] = front.domains[axis];
-      const limit = (share) => Number((low + share * (high - low)).toPrecision(5));
-      this.setRange(axis, Math.abs(from - to) < 0.01 ? null : [limit(Math.min(from, to)), limit(Math.max(from, to))]);
+      const ends = [from, to].map((share) => Number(front.valueAt(share, axis).toPrecision(5)));
+      this.setRange(axis, Math.abs(from - to) < 0.01 ? null : [Math.min(...ends), Math.max(...ends)]);
     });
     this.parallel = view;
     this.showParallel();
@@ -181,7 +205,8 @@ class Explorer {
     const share = (value, axis) => Math.min(Math.max(this.front.scaled(value, axis), 0), 1);
     const brushes = Object.entries(this.state.ranges).map(([axis, [low, high]]) => ({
       axis: Number(axis), low: share(low, axis), high: share(high, axis) }));
-    this.parallel.data("brushes", brushes).signal("chosen", this.shownPolicies()).signal("kept", this.kept()).run();
+    this.parallel.data("brushes", brushes).signal("chosen", this.shownPolicies()).signal("listed", this.listed())
+      .signal("kept", this.kept()).run();
   }
 
   refresh() {
@@ -190,8 +215,8 @@ class Explorer {
     this.writing = setTimeout(() => history.replaceState(null, "", this.hash), 200);
     this.panels.showChoice();
     // A slider changes the choice now and then only, and drawing takes a while.
-    const { compared, ranges, scenario } = this.state;
-    const drawn = JSON.stringify([this.chosen(), compared, ranges, scenario]);
+    const { compared, ranges, scenario, dominated } = this.state;
+    const drawn = JSON.stringify([this.chosen(), compared, ranges, scenario, dominated]);
     if (drawn === this.drawn) return;
     this.drawn = drawn;
     this.panels.show();

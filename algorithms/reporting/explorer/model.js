@@ -43,25 +43,54 @@ const titled = (objective) => (objective.unit ? `${objective.name} (${objective.
 
 /** One front with what follows from its data. */
 class FrontModel {
-  constructor(stored) {
+  constructor({ returns, ...stored }) {
     Object.assign(this, stored);
-    this.size = stored.returns.length;
-    this.means = stored.returns.map(meanReturns);
+    this.measured = returns;
+    this.size = stored.success.length;
     this.scales = stored.objectives.map((objective) => objective.scale);
-    this.domains = this.objectives.map((_, i) => {
-      const column = [...this.means, ...this.bestKnown].map((row) => row[i]);
-      const [low, high] = [Math.min(...column), Math.max(...column)];
-      return high > low ? [low, high] : [low - 0.5 * (Math.abs(low) || 1), low + 0.5 * (Math.abs(low) || 1)];
-    });
+    this.undiscounted = returns[0].episodes.map(meanReturns);
+    // Of fronts without the time among their objectives: how long the drives are.
+    const timed = stored.objectives.some(({ key }) => key === "time");
+    this.seconds = timed || !stored.scenes.length ? null
+      : stored.lengths.map((decisions) => decisions / stored.scenes[0].frequency);
     this.decoded = new Map();
+    this.take(0);
+  }
+
+  /**
+   * Take the returns of number `which` of those that were measured: undiscounted, or with a discount factor.
+   *
+   * The policies have a row of values each, one per axis: the objectives and, if it is not among them, the time.
+   */
+  take(which) {
+    const { gamma, episodes, bestKnown } = this.measured[which];
+    Object.assign(this, { gamma, returns: episodes, bestKnown, means: episodes.map(meanReturns) });
+    this.rows = this.means.map((row, k) => (this.seconds ? [...row, this.seconds[k]] : row));
+    const named = [...this.objectives.map(({ name, unit }) => ({ name, unit, way: 1 })), { name: "time", unit: "s", way: -1 }];
+    this.axes = named.slice(0, this.rows[0]?.length).map((axis, i) => {
+      const column = [...this.rows, ...bestKnown].map((row) => row[i]).filter((value) => value !== undefined);
+      const [low, high] = [Math.min(...column), Math.max(...column)];
+      const margin = high > low ? 0 : 0.5 * (Math.abs(low) || 1);
+      return { ...axis, low: low - margin, high: high + margin };
+    });
+    this.maximised = this.rows.map((row) => row.map((value, i) => this.axes[i].way * value));
+    this.dominators = dominators(this.maximised);
   }
 
   extent(i) {
-    return this.domains[i][1] - this.domains[i][0];
+    return this.axes[i].high - this.axes[i].low;
   }
 
+  /** Where a value is along an axis, from 0 for the worst to 1 for the best. */
   scaled(value, i) {
-    return (value - this.domains[i][0]) / this.extent(i);
+    const { way, low, high } = this.axes[i];
+    return (way > 0 ? value - low : high - value) / (high - low);
+  }
+
+  /** The value at the share of an axis. */
+  valueAt(share, i) {
+    const { way, low, high } = this.axes[i];
+    return way > 0 ? low + share * (high - low) : high - share * (high - low);
   }
 
   text(value, i, signed = false) {
@@ -86,6 +115,8 @@ class FrontModel {
       compared: [],
       scenario: 0,
       ranges: {},
+      returns: 0,
+      dominated: false,
     };
   }
 }
@@ -113,10 +144,12 @@ function stateOfLink(hash, fronts) {
   if (modes.includes(values.get("mode"))) state.mode = values.get("mode");
   const compared = numbers("compare").filter((k) => Number.isInteger(k) && k >= 0 && k < front.size);
   state.compared = [...new Set(compared)].slice(0, MOST_COMPARED);
+  if (below("returns", front.measured.length)) state.returns = Number(values.get("returns"));
+  state.dominated = values.has("dominated");
   if (below("scenario", front.scenes.length)) state.scenario = Number(values.get("scenario"));
   for (const text of values.getAll("range")) {
     const [i, low, high] = text.split(",").map(Number);
-    if (front.objectives[i] && low <= high) state.ranges[i] = [low, high];
+    if (front.axes[i] && low <= high) state.ranges[i] = [low, high];
   }
   return { index, state };
 }
@@ -127,6 +160,8 @@ function linkOfState(index, state) {
   if (state.budget) values.set("budget", `${state.budget.g_force},${state.budget.jerk}`);
   if (state.mode === "picked") values.set("policy", state.picked);
   if (state.compared.length) values.set("compare", state.compared.join(","));
+  if (state.returns) values.set("returns", state.returns);
+  if (state.dominated) values.set("dominated", "");
   if (state.scenario) values.set("scenario", state.scenario);
   for (const [i, [low, high]] of Object.entries(state.ranges)) values.append("range", `${i},${low},${high}`);
   return `#${values.toString().replaceAll("%2C", ",")}`;

@@ -73,15 +73,15 @@ class Panels {
 
   makeRanges() {
     const { front } = this;
-    byId("ranges").replaceChildren(...front.objectives.map((objective, i) => {
+    byId("ranges").replaceChildren(...front.axes.map((axis, i) => {
       const limit = (end, name) => element("input", { type: "number", step: "any", "data-range": `${i}/${end}`,
-        "aria-label": `${name} ${titled(objective)}`, onchange: (event) => {
+        "aria-label": `${name} ${titled(axis)}`, onchange: (event) => {
           const range = [...(this.state.ranges[i] ?? [-Infinity, Infinity])];
           range[end] = event.target.value === "" ? [-Infinity, Infinity][end] : Number(event.target.value);
           this.explorer.setRange(i, range);
         } });
-      return element("div", { class: "range", role: "group", "aria-label": titled(objective) },
-        element("span", {}, titled(objective)), limit(0, "least"), "to", limit(1, "most"));
+      return element("div", { class: "range", role: "group", "aria-label": titled(axis) },
+        element("span", {}, titled(axis)), limit(0, "least"), "to", limit(1, "most"));
     }));
   }
 
@@ -106,15 +106,22 @@ class Panels {
     byId("chosen").dataset.policy = chosen;
     const first = this.explorer.order()[0];
     byId("why").textContent = {
-      weights: "It has the greatest weighted sum of mean returns. A weight counts per unit of the return.",
+      weights: "It has the greatest weighted sum of mean returns. A weight counts per unit of the return."
+        + (front.gamma < 1 ? " The command scores it by undiscounted returns." : ""),
       budget: state.mode === "budget" ? this.budgetRule() : "",
-      picked: first === chosen ? "Chosen by hand; a slider chooses by preference again."
-        : `Chosen by hand. Policy ${front.numbers[first]} is at least as good in every objective, so the command chooses it.`,
+      picked: first === chosen || front.gamma < 1 ? "Chosen by hand; a slider chooses by preference again."
+        : `Chosen by hand. The command chooses policy ${front.numbers[first]}, which is at least as good in every objective.`,
     }[state.mode];
+    const other = front.dominators[chosen];
+    if (other >= 0) {
+      const better = front.axes.filter((_, i) => front.maximised[other][i] > front.maximised[chosen][i]);
+      byId("why").textContent += ` Policy ${front.numbers[other]} is nowhere worse, and better in `
+        + `${better.map(({ name }) => name).join(", ")}.`;
+    }
     const success = front.success[chosen];
     byId("values").replaceChildren(
-      ...front.objectives.flatMap((objective, i) => [element("dt", {}, objective.name),
-        element("dd", {}, withUnit(front.text(front.means[chosen][i], i), objective.unit))]),
+      ...front.axes.flatMap((axis, i) => [element("dt", {}, axis.name),
+        element("dd", {}, withUnit(front.text(front.rows[chosen][i], i), axis.unit))]),
       ...(success === null ? [] : [element("dt", {}, "arrivals"),
         element("dd", {}, `${percent(success)}${between(front.successRange[chosen])}`)]));
     byId("command").value = this.explorer.command();
@@ -127,12 +134,16 @@ class Panels {
     const entries = this.explorer.shownPolicies().map((k, place) =>
       element("span", {}, swatch(place), `policy ${front.numbers[k]}${place ? "" : " (chosen)"}`));
     if (front.bestKnown.length) entries.push(element("span", {}, element("span", { class: "swatch",
-      style: "border-color: var(--faint); border-top-width: 2px" }), `best known (${front.bestKnown.length} policies)`));
+      style: "border-top: 2px dotted var(--front)" }), `best known (${front.bestKnown.length} policies)`));
     byId("parallel-legend").replaceChildren(...entries);
+    const hidden = front.dominators.filter((other) => other >= 0).length;
+    byId("dominated-choice").hidden = hidden === 0;
+    byId("dominated").checked = this.state.dominated;
+    byId("dominated-label").textContent = `show dominated policies (${hidden} of ${front.size})`;
     const kept = this.explorer.kept();
-    const count = kept.filter(Boolean).length;
-    const outside = kept[this.explorer.chosen()] ? "" : "; the chosen policy is outside of the ranges";
-    byId("kept").textContent = count === front.size ? "" : `${count} of ${front.size} policies are in the ranges${outside}.`;
+    const [count, listed] = [kept, this.explorer.listed()].map((each) => each.filter(Boolean).length);
+    const outside = this.explorer.inRanges(this.explorer.chosen()) ? "" : "; the chosen policy is outside of the ranges";
+    byId("kept").textContent = count === listed ? "" : `${count} of ${listed} policies are in the ranges${outside}.`;
     for (const input of document.querySelectorAll("[data-range]")) {
       const [i, end] = input.dataset.range.split("/").map(Number);
       const value = this.state.ranges[i]?.[end];
@@ -166,23 +177,23 @@ class Panels {
   showTrades() {
     const { front } = this;
     const chosen = this.explorer.chosen();
-    const found = alternatives(front.means, chosen);
+    const found = alternatives(front.maximised, chosen, this.explorer.listed());
     byId("trades").closest("section").hidden = front.size < 2;
     const difference = (k, i) => {
-      const step = front.means[k][i] - front.means[chosen][i];
+      const step = front.rows[k][i] - front.rows[chosen][i];
       const text = front.text(step, i, true);
       if (Number(text.replace("−", "-")) === 0) return element("td", {}, "0");
-      const better = step > 0;
+      const better = step * front.axes[i].way > 0;
       return element("td", { class: better ? "better" : "worse" }, `${better ? "▲" : "▼"} ${text}`);
     };
     byId("trades").replaceChildren(
-      element("thead", {}, element("tr", {}, ...["For", "Policy", ...front.objectives.map(titled), "", "Compare"].map(
+      element("thead", {}, element("tr", {}, ...["For", "Policy", ...front.axes.map(titled), "", "Compare"].map(
         (text) => element("th", { scope: "col" }, text)))),
       element("tbody", {}, ...found.map(({ k, better }) => element("tr", {},
-        element("th", { scope: "row" }, better.length ? `better ${better.map((i) => front.objectives[i].name).join(", ")}`
+        element("th", { scope: "row" }, better.length ? `better ${better.map((i) => front.axes[i].name).join(", ")}`
           : "a small change"),
         element("td", {}, String(front.numbers[k])),
-        ...front.objectives.map((_, i) => difference(k, i)),
+        ...front.axes.map((_, i) => difference(k, i)),
         element("td", {}, this.pickButton(k)), element("td", {}, this.compareBox(k))))));
   }
 
@@ -193,8 +204,8 @@ class Panels {
     const arrivals = front.success.every((share) => share !== null);
     const columns = [
       { name: "Policy", of: (k) => front.numbers[k], text: (k) => String(front.numbers[k]) },
-      ...front.objectives.map((objective, i) => ({
-        name: titled(objective), of: (k) => front.means[k][i], text: (k) => front.text(front.means[k][i], i) })),
+      ...front.axes.map((axis, i) => ({
+        name: titled(axis), of: (k) => front.rows[k][i], text: (k) => front.text(front.rows[k][i], i) })),
       ...(arrivals ? [{ name: "arrivals", of: (k) => front.success[k], text: (k) => percent(front.success[k]) }] : []),
       { name: "decisions", of: (k) => front.lengths[k], text: (k) => front.lengths[k].toFixed(0) },
     ];

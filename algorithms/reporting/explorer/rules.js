@@ -57,20 +57,32 @@ function weightOf(importance, scale) {
 }
 
 /**
- * What the policies next to `chosen` offer, as policies `k` with the objectives for which they are listed: for each objective the nearest policy that is better in it by at least a
- * twentieth of the front's extent, and the nearest ones overall that differ by more than a hundredth. Distances are in
- * extents of the front.
+ * For each of the rows (K, d), all maximised, one that dominates it, or -1: it is nowhere worse, better somewhere, and
+ * itself not dominated.
  */
-function alternatives(means, chosen, nearest = 3) {
-  const d = means[chosen].length;
-  const extents = means[chosen].map((_, i) => {
-    const column = means.map((row) => row[i]);
+function dominators(rows) {
+  const dominates = (a, b) => a.every((value, i) => value >= b[i]) && a.some((value, i) => value > b[i]);
+  const on = rows.map((row) => !rows.some((other) => dominates(other, row)));
+  return rows.map((row) => rows.findIndex((other, k) => on[k] && dominates(other, row)));
+}
+
+/**
+ * What the policies next to `chosen` offer, of those `among` (booleans) the rows (K, d), which are all maximised.
+ *
+ * They are policies `k` with the columns for which they are listed: for each column the nearest policy that is better
+ * in it by at least a twentieth of the front's extent, and the nearest ones overall that differ by more than a
+ * hundredth. Distances are in extents of the front.
+ */
+function alternatives(rows, chosen, among, nearest = 3) {
+  const d = rows[chosen].length;
+  const extents = rows[chosen].map((_, i) => {
+    const column = rows.map((row) => row[i]);
     return Math.max(...column) - Math.min(...column);
   });
-  const scaled = (k) => means[k].map((value, i) => (extents[i] > 0 ? (value - means[chosen][i]) / extents[i] : 0));
-  const others = means
+  const scaled = (k) => rows[k].map((value, i) => (extents[i] > 0 ? (value - rows[chosen][i]) / extents[i] : 0));
+  const others = rows
     .map((_, k) => k)
-    .filter((k) => k !== chosen)
+    .filter((k) => k !== chosen && among[k])
     .map((k) => ({ k, step: scaled(k) }))
     .map((each) => ({ ...each, distance: Math.hypot(...each.step) }))
     .sort((a, b) => a.distance - b.distance || a.k - b.k);

@@ -16,7 +16,8 @@ const isUpright = (axes, width) => width >= 96 * axes.length;
 
 /**
  * Parallel coordinates of returns that are scaled to [0, 1]. Axes are upright if there is room, else on top of each
- * other. Signals: `chosen` (indices, the chosen policy first), `kept` (booleans), `brushing` (axis, from, to), `picked`.
+ * other. Signals: `chosen` (indices, the chosen policy first), `listed` and `kept` (booleans), `brushing` (axis, from,
+ * to), `picked`.
  */
 function parallelSpec(axes, width) {
   const upright = isUpright(axes, width);
@@ -60,6 +61,7 @@ function parallelSpec(axes, width) {
     padding,
     signals: [
       { name: "chosen", value: [] },
+      { name: "listed", value: [] },
       { name: "kept", value: [] },
       { name: "hovered", value: null, on: [
         { events: "@learntLine:pointerover", update: "datum.policy" },
@@ -73,6 +75,7 @@ function parallelSpec(axes, width) {
     ],
     data: [
       { name: "axes" }, { name: "bestKnown" }, { name: "learnt" }, { name: "brushes" },
+      { name: "visible", source: "learnt", transform: [{ type: "filter", expr: "listed[datum.policy]" }] },
       { name: "shown", source: "learnt", transform: [{ type: "filter", expr: `${role} >= 0` }] },
     ],
     scales: [
@@ -80,17 +83,18 @@ function parallelSpec(axes, width) {
       { name: "value", range: upright ? "height" : "width", domain: [0, 1], zero: false },
     ],
     marks: [
-      lines("bestKnown", { stroke: { value: "var(--faint)" }, strokeOpacity: { value: 0.3 }, strokeWidth: { value: 1 } }),
+      lines("bestKnown", { stroke: { value: "var(--front)" }, strokeOpacity: { value: 0.5 }, strokeWidth: { value: 1 },
+        strokeDash: { value: [1, 3] } }),
       { type: "rule", from: { data: "axes" }, aria: false, interactive: false, encode: { update: {
         ...spot(at(), { value: 0 }), [`${along}2`]: { signal: upright ? "height" : "width" },
         stroke: { value: "var(--dim)" } } } },
-      lines("learnt", {
-        stroke: { value: series(0) },
-        strokeOpacity: { signal: "datum.policy === hovered ? 1 : kept[datum.policy] ? 0.42 : 0.05" },
+      lines("visible", {
+        stroke: { value: "var(--front)" },
+        strokeOpacity: { signal: "datum.policy === hovered ? 1 : kept[datum.policy] ? 0.6 : 0.1" },
         strokeWidth: { signal: "datum.policy === hovered ? 3 : 1.3" }, cursor: { value: "pointer" } }, "learntLine"),
       { type: "rect", name: "brush", from: { data: "brushes" }, aria: false, interactive: false, encode: { update: {
         ...spot(at(-8), value("low")), [`${across}2`]: at(8), [`${along}2`]: value("high"),
-        fill: { value: "var(--accent)" }, fillOpacity: { value: 0.3 }, stroke: { value: "var(--accent)" } } } },
+        fill: { value: "var(--ink)" }, fillOpacity: { value: 0.2 }, stroke: { value: "var(--ink)" } } } },
       lines("shown", {
         stroke: { signal: `'var(--series-' + max(${role}, 0) + ')'` }, strokeWidth: { value: 3.5 },
         strokeDash: { signal: `${JSON.stringify(DASHES)}[max(${role}, 0)]` } }, "shownLine"),

@@ -17,7 +17,6 @@ from algorithms.experiments.training import resume, train_and_finish
 from tests.helpers.short_runs import VALUES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 FRONT: dict[str, Any] = {
@@ -84,7 +83,7 @@ def test_a_run_is_finished_whatever_fails_beside_it(
 def test_a_front_is_finished_without_anything_that_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
-    for name in ("captions", "front_plots", "learning_curves", "video_grid", "videos"):
+    for name in ("front_plots", "learning_curves", "video_grid", "videos"):
         monkeypatch.delitem(sys.modules, f"algorithms.reporting.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "vl_convert", None)
@@ -118,18 +117,3 @@ def test_a_display_that_fails_gives_the_terminal_back(monkeypatch: pytest.Monkey
     assert text.count("the progress is not shown") == 1
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l"), "the cursor is visible again"
     assert "the end" in text
-
-
-@pytest.mark.parametrize("show", [print_line, lambda console, text: console.print(text, markup=False)])
-def test_names_cannot_control_the_terminal(show: Callable[[Any, str], None]) -> None:
-    console = make_console(io.StringIO())
-    show(console, "evil\x1b]0;title\x07 \u202ename\tof\nlines")
-    assert console.file.getvalue().startswith("evil\\x1b]0;title")  # type: ignore[attr-defined]
-    assert not set("\x1b\x07\u202e") & set(console.file.getvalue())  # type: ignore[attr-defined]
-
-
-def test_rich_that_fails_is_replaced_by_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    console = make_console(io.StringIO())
-    monkeypatch.setattr("rich.console.Console.print", broken)
-    print_line(console, "a \x1b message")
-    assert console.file.getvalue() == "a \\x1b message\n"  # type: ignore[attr-defined]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from algorithms.reporting.animated_gif import GAP, Frame, write_gif
-from algorithms.reporting.video_grid import CAPTION_PIXELS
+from algorithms.reporting.animated_gif import write_gif
+from algorithms.reporting.video_grid import GAP
+from algorithms.reporting.videos import CAPTION_PIXELS, Frame
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,8 +62,8 @@ def test_a_gif_loops(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("clips", "fps", "message"),
     [
-        ([], 10, "clips is empty"),
-        ([("Red", [])], 10, "clip 'Red' has no frames"),
+        ([], 10, "there is no track"),
+        ([("Red", [])], 10, "track 'Red' has no frames"),
         ([("Red", frames(RED, 2))], 30, "fps = 30 must divide 100"),
         ([("Red", frames(RED, 2))], 0, "fps = 0 must divide 100"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from algorithms.reporting import front_report, videos
-from algorithms.reporting.captions import CAPTION_PIXELS, Frame, caption_strip, cut_off
+from algorithms.reporting.videos import CAPTION_PIXELS, Frame, caption_strip, cut_off
 
 
 def frames(count: int) -> list[Frame]:

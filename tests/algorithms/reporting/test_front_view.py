@@ -11,7 +11,6 @@ from algorithms.reporting.front_view import (
     FrontView,
     importance,
     number_formatter,
-    place_labels,
     principal_components,
     separate,
 )
@@ -115,17 +114,3 @@ def test_positions_are_separated_by_the_smallest_moves() -> None:
     np.testing.assert_allclose(separate([1.0, 0.9, 1.0], 0.2, (0.0, 1.0)), [0.8, 0.6, 1.0])
     np.testing.assert_allclose(separate(np.zeros(11), 0.2, (0.0, 1.0)), np.linspace(0.0, 1.0, 11))
     np.testing.assert_allclose(separate([0.3], 0.2, (0.0, 1.0)), [0.3])
-
-
-def test_labels_avoid_points_each_other_and_the_edge() -> None:
-    rng = np.random.default_rng(5)
-    points = rng.random((60, 2)) * (400, 250)
-    size = np.tile((14.0, 9.0), (10, 1))
-    centres = place_labels(points[:10], size, points, (0.0, 0.0, 400.0, 250.0))
-    for i, centre in enumerate(centres):
-        assert np.linalg.norm(centre - points[i]) < 60.0
-        assert (centre >= (7.0, 4.5)).all()
-        assert (centre <= (393.0, 245.5)).all()
-        assert not (np.abs(points - centre) < (7.0, 4.5)).all(axis=1).any()
-        for other in centres[:i]:
-            assert (np.abs(centre - other) >= (14.0, 9.0)).any()

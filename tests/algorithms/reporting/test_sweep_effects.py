@@ -45,8 +45,9 @@ def test_every_value_has_a_mean_and_many_values_are_binned() -> None:
     scores = np.arange(60.0)
     few = effect_of_numbers(np.repeat([8.0, 16.0, 32.0], 20), scores)
     assert [each.value for each in few.means] == [9.5, 29.5, 49.5]
-    assert list(few.ticks.values()) == ["8", "16", "32"]
+    assert [*few.ticks.values()] == ["8", "16", "32"]
     many = effect_of_numbers(np.linspace(0.9, 1.0, 60), scores)
+    assert many.ticks is None
     assert [len(part) for part in many.parts] == [8, 8, 8, 8, 7, 7, 7, 7]
     words = effect_of_words(["b", "a", "b"] * 20, scores)
     assert list(words.ticks.values()) == ["b", "a"]

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from algorithms.reporting.explorer.explorable_front import RESOLUTION, ExplorableFront, drive_to_json, rounded
+from algorithms.reporting.explorer.explorable_front import (
+    RESOLUTION,
+    DiscountedReturns,
+    ExplorableFront,
+    drive_to_json,
+    rounded,
+)
 from algorithms.reporting.explorer.page import as_json
 from mo_deepdrive.evaluation.drives import READINGS, Drive, Scene
 from mo_deepdrive.utilities import COMFORT_BUDGETS
@@ -60,7 +66,11 @@ def test_arrivals_have_wilsons_interval(episodes: int, share: float, expected: l
 def test_returns_and_scales_are_exact() -> None:
     front = made_up_front(5, 3, episodes=4)
     stored = front.to_json()
-    assert np.array_equal(stored["returns"], front.returns)
+    assert [each["gamma"] for each in stored["returns"]] == [1.0]
+    assert np.array_equal(stored["returns"][0]["episodes"], front.returns)
+    both = dataclasses.replace(front, discounted=DiscountedReturns(0.9, 0.5 * front.returns)).to_json()["returns"]
+    assert np.array_equal(both[1].pop("episodes"), 0.5 * front.returns)
+    assert both[1] == {"gamma": 0.9, "bestKnown": []}
     assert [each["scale"] for each in stored["objectives"]] == front.scales.tolist()
     assert [(each["key"], each["unit"], each["sign"]) for each in stored["objectives"]] == [
         ("distance", "m", 1.0),
@@ -118,7 +128,12 @@ def test_what_is_not_known_is_left_out() -> None:
     bare = dataclasses.replace(
         front, success=np.full(2, np.nan), best_known=None, scenes=(), budget=None, numbers=(40, 7)
     ).to_json()
-    assert (bare["success"], bare["bestKnown"], bare["scenes"], bare["budget"]) == ([None, None], [], [], None)
+    assert (bare["success"], bare["returns"][0]["bestKnown"], bare["scenes"], bare["budget"]) == (
+        [None, None],
+        [],
+        [],
+        None,
+    )
     assert bare["numbers"] == [40, 7]
     assert front.to_json()["numbers"] == [0, 1]
 
@@ -127,6 +142,8 @@ def test_what_does_not_fit_is_refused() -> None:
     front = made_up_front(3, 4)
     with pytest.raises(ValueError, match=r"returns have shape \(2, 1, 4\); expected \(3, episodes, 4\)"):
         dataclasses.replace(front, returns=front.returns[:2])
+    with pytest.raises(ValueError, match=r"discounted returns have shape \(1, 1, 4\), not \(3, 1, 4\)"):
+        dataclasses.replace(front, discounted=DiscountedReturns(0.9, front.returns[:1]))
     with pytest.raises(ValueError, match="returns must be finite"):
         dataclasses.replace(front, returns=front.returns * np.nan)
     scene = dataclasses.replace(front.scenes[0], drives=front.scenes[0].drives[:1])
