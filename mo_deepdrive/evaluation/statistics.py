@@ -114,6 +114,18 @@ def estimate(samples: NDArray[Any], statistic: Callable[..., Any]) -> Estimate:
     return Estimate(value) if np.isnan(low) else Estimate(value, float(low), float(high))
 
 
+def resample(samples: NDArray[Any], statistic: Callable[[NDArray[Any]], float]) -> Estimate:
+    """A statistic of the rows of ``samples`` (n, ...), which need not be a mean, with its bootstrap interval."""
+    value, n = statistic(samples), len(samples)
+    if n < MIN_SAMPLES:
+        return Estimate(value)
+    draws = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
+    values = [statistic(samples[rows]) for rows in draws]
+    tail = (1.0 - LEVEL) / 2.0
+    low, high = np.quantile(values, [tail, 1.0 - tail])
+    return Estimate(value, float(low), float(high))
+
+
 def rate(events: NDArray[np.bool_]) -> Estimate:
     """The share of True in ``events`` (n,) with Wilson's interval."""
     happened, n = int(np.sum(events)), len(events)
