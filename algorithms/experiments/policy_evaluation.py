@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.experiments.build import make_environment
-from algorithms.experiments.config import EnvironmentSettings, Experiment, find_environment, is_ours
+from algorithms.experiments.config import Experiment, find_environment, is_ours
+from mo_deepdrive.config import EnvironmentSettings
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 
