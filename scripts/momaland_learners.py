@@ -22,8 +22,8 @@ import torch
 from rich.console import Console
 
 import mo_deepdrive
-from algorithms.commands.peers import seed_everything
 from algorithms.experiments.cli import check_file, make_parser
+from algorithms.peers.running import seed_everything
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.metrics import vehicle_name

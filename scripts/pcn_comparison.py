@@ -24,14 +24,13 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from algorithms.commands.peers import seed_everything
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
-from algorithms.peers.running import prepare
+from algorithms.peers.running import prepare, seed_everything
 from mo_deepdrive.evaluation.pareto import hypervolume
 from mo_deepdrive.evaluation.statistics import mean
 

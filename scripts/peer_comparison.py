@@ -25,14 +25,13 @@ from rich.console import Console
 from rich.table import Table
 from tuned_comparison import TUNING_SEED, Result, Run
 
-from algorithms.commands.peers import seed_everything
 from algorithms.experiments.build import build
 from algorithms.experiments.cli import exit_on_error, make_parser
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front as evaluate_peer_front
-from algorithms.peers.running import prepare
+from algorithms.peers.running import prepare, seed_everything
 from mo_deepdrive.evaluation.front import indicators
 from mo_deepdrive.evaluation.metrics import EXPECTED_UTILITY, HYPERVOLUME, STOCHASTIC, SUCCESS, UTILITY_ESR
 from mo_deepdrive.evaluation.splits import SPLITS

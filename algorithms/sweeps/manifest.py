@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Experiment, check_loggers, make_experiment, override
 from algorithms.experiments.jobs import Job
-from algorithms.experiments.registry import directory_name
+from algorithms.experiments.registry import directory_name, find_algorithm, peer_running
 from algorithms.experiments.shipped import find_config
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
@@ -181,7 +181,11 @@ def _check_buildable(experiment: Experiment, where: str) -> None:
     settings = experiment.training.model_copy(update={"device": "cpu"})  # this machine may not have the run's device
     try:
         check_loggers(experiment)
-        build(experiment.model_copy(update={"training": settings}), num_envs=1)
+        here = experiment.model_copy(update={"training": settings})
+        if find_algorithm(experiment.algorithm.name).is_peer:
+            peer_running().prepare(here, lambda _step, _metrics: None)
+        else:
+            build(here, num_envs=1)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
