@@ -372,7 +372,8 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
     Args:
         name: one of UTILITIES, or the path ``package.module:function`` of a function that maps returns (..., d), with
             the signs of the environment's rewards, to (...).
-        objectives: names of the components of the environment's reward, in order.
+        objectives: names of the components of the environment's reward, in order. Those that a named utility is not
+            defined for weigh nothing.
         cost_sign: the environment's setting: "maximise" or "paper".
         **arguments: arguments of the utility, for example ``weights``; of a comfort budget ``g_force`` and ``jerk``.
 
@@ -403,19 +404,22 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
     if arguments and budget is None:
         raise ValueError(f"utility {name!r} takes no arguments; got {sorted(arguments)}")
     needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
-    if sorted(needed) != sorted(objectives):
-        raise ValueError(f"utility {name!r} is defined for {needed}; the environment has {objectives}")
-    signs = [1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[objective]].sign) for objective in objectives]
+    if absent := [objective for objective in needed if objective not in objectives]:
+        raise ValueError(f"utility {name!r} needs {', '.join(absent)}; the environment has {objectives}")
+    signs = {each: 1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[each]].sign) for each in needed}
     if name in LINEAR:
-        weights = [LINEAR[name][objective] * sign for objective, sign in zip(objectives, signs, strict=True)]
+        weights = [LINEAR[name][each] * signs[each] if each in signs else 0.0 for each in objectives]
         return Utility(name, objectives, partial(_weighted_sum, weights), weights)
     formula = NONLINEAR[name][1] if budget is None else budget.utility
-    return Utility(name, objectives, partial(_of_magnitudes, formula, dict(zip(objectives, signs, strict=True))))
+    columns = {each: (objectives.index(each), sign) for each, sign in signs.items()}
+    return Utility(name, objectives, partial(_of_magnitudes, formula, columns))
 
 
-def _of_magnitudes(formula: Callable[[dict[str, Any]], Any], signs: dict[str, float], returns: Any) -> Any:
+def _of_magnitudes(
+    formula: Callable[[dict[str, Any]], Any], columns: dict[str, tuple[int, float]], returns: Any
+) -> Any:
     # Of a single return, too, the magnitudes are arrays: NumPy's powers of scalars have other last bits.
-    magnitudes = {objective: returns[..., i, None] * sign for i, (objective, sign) in enumerate(signs.items())}
+    magnitudes = {objective: returns[..., i, None] * sign for objective, (i, sign) in columns.items()}
     return formula(magnitudes)[..., 0][()]
 
 

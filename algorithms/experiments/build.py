@@ -17,7 +17,6 @@ from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.experiments.config import Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
-from mo_deepdrive.config import EnvironmentSettings
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
 from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import Agent
+    from mo_deepdrive.config import EnvironmentSettings
     from mo_deepdrive.evaluation.policy import Policy
 
 
