@@ -162,7 +162,7 @@ def read_results(path: Path) -> list[Result]:
 
 
 def tuning_rows(runs: Sequence[ArmRuns], directory: Path) -> list[list[Any]]:
-    """A row per run of the tuning: its settings and state, the mean score of these settings, whether they were chosen."""
+    """A row per run of the tuning: its settings and state, the mean score of these, and whether they were chosen."""
     rows: list[list[Any]] = [
         ["task", "learner", "trial", "settings", "seed", "state", "metric", "mean_score", "chosen"]
     ]
