@@ -53,6 +53,7 @@ BACKENDS_OF_OPTIONS = {
 def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "sweep")
+    parser.add_argument("--config", metavar="FILE", help="YAML file of the sweep, or the name of a shipped one")
     add_run_arguments(parser, "sweep")
     options = parser.parse_args(arguments)
     if options.config is None and not ((options.status or options.verify) and options.output):
@@ -67,24 +68,6 @@ def add_run_arguments(parser: ArgumentParser, what: str) -> _MutuallyExclusiveGr
         parser: which they are added to.
         what: is trained.
     """
-    parser.add_argument("--config", metavar="FILE", help=f"YAML file of the {what}, or the name of a shipped one")
-    add_backend_arguments(parser, what)
-    instead = parser.add_mutually_exclusive_group()
-    instead.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
-    instead.add_argument("--status", action="store_true", help=f"show the progress of the {what} and exit")
-    instead.add_argument(
-        "--verify",
-        action="store_true",
-        help="compare the files of finished runs with their recorded hashes, name what is broken and exit",
-    )
-    instead.add_argument(
-        "--remake", action="store_true", help="also make finished runs again whose files are broken, in their place"
-    )
-    return instead
-
-
-def add_backend_arguments(parser: ArgumentParser, what: str) -> None:
-    """The options that say where runs are trained and written; arguments as of :func:`add_run_arguments`."""
     parser.add_argument("--on", choices=BACKENDS, default="local", help="where to train the runs (default: local)")
     folder = {"sweep": "sweeps", "study": "studies"}[what]
     parser.add_argument(
@@ -97,6 +80,18 @@ def add_backend_arguments(parser: ArgumentParser, what: str) -> None:
         "--address", metavar="A", help="address of a running Ray cluster, or auto (default: start Ray here)"
     )
     parser.add_argument("--no-wait", action="store_true", help="Slurm: submit the jobs and exit")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
+    instead.add_argument("--status", action="store_true", help=f"show the progress of the {what} and exit")
+    instead.add_argument(
+        "--verify",
+        action="store_true",
+        help="compare the files of finished runs with their recorded hashes, name what is broken and exit",
+    )
+    instead.add_argument(
+        "--remake", action="store_true", help="also make finished runs again whose files are broken, in their place"
+    )
+    return instead
 
 
 def check_options(options: Namespace) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from algorithms.studies.settings import Learner, Study, StudyTask
     from algorithms.sweeps.hyperparameter_search import Scores
@@ -86,13 +85,17 @@ class StudyPlan:
     Args:
         study: its settings.
 
+    Attributes:
+        arms: learners on tasks.
+        idle: what has no effect, one line each: a learner that fits no task, help that no learner has a setting for.
+
     Raises:
         ValueError: naming the arm and what is invalid.
     """
 
     def __init__(self, study: Study):
         self.study = study
-        self.arms = _arms(study)
+        self.arms, self.idle = _arms(study)
         self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
 
     def runs(self, scores: Scores) -> list[ArmRuns]:
@@ -134,12 +137,13 @@ class StudyPlan:
             point = {} if index is None else arm.points[index]
             cell = {TASK: arm.task, LEARNER: arm.learner, **point}
             split = "test" if trial is None else "validation"
-            cleared = {name: None for name, value in point.items() if isinstance(value, Mapping)}
-            values = overridden(overridden(arm.values, cleared, cell), {**point, "evaluation.split": split}, cell)
+            values = overridden(arm.values, {**point, "evaluation.split": split}, cell)
             seeds = arm.seeds
             if trial is not None:
                 assert self.study.tuning is not None
                 seeds = tuple(self.study.tuning.seeds)
+                if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
+                    values["training"]["total_timesteps"] = max(1, round(self.study.tuning.share * steps))
             self._rows[key] = tuple(cell_rows(cell, values, seeds, trial))
         return self._rows[key]
 
@@ -150,11 +154,11 @@ def _mean(scores: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if len(known) == len(scores) else None
 
 
-def _arms(study: Study) -> tuple[Arm, ...]:
-    """The arms of a study.
+def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
+    """The arms of a study, and what has no effect.
 
     Raises:
-        ValueError: for an unknown task of the suite, a learner that has no arm, or help that no learner has.
+        ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
     """
     arms = []
     unused = {*study.help, *(key for task in study.tasks.values() for key in task.help)}
@@ -186,12 +190,11 @@ def _arms(study: Study) -> tuple[Arm, ...]:
                     tuple(task.seeds or study.seeds),
                 )
             )
-    idle = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
-    if idle:
-        raise ValueError(f"learner {min(idle)!r} fits none of the tasks {', '.join(study.tasks)}")
-    if unused:
-        raise ValueError(f"help: no learner has the setting {min(unused)!r}")
-    return tuple(arms)
+    if not arms:
+        raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
+    learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
+    idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
+    return tuple(arms), idle + [f"help: no learner has the setting {key!r}" for key in sorted(unused)]
 
 
 def _base(learner: Learner, where: str) -> dict[str, Any]:

@@ -12,8 +12,10 @@ from algorithms.experiments.config import Count, UtilitySettings
 from algorithms.experiments.shipped import find_config
 from algorithms.sweeps.sweep_settings import BackendSettings, Seeds
 from mo_deepdrive.config import EnvironmentSettings, Settings, parse
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 MAX_TUNING_RUNS = 12  # of an arm
@@ -37,8 +39,7 @@ class Learner(Settings):
     overrides: dict[str, Any] = {}
     """Values of experiment keys."""
     tuning: Values | None = None
-    """Values of experiment keys that are tried, instead of those of the study; every combination is tried. A mapping,
-    such as a utility, replaces what was there."""
+    """Values of experiment keys that are tried, instead of those of the study; every combination is tried."""
 
     def with_changes(self, other: Learner) -> Learner:
         """The learner with what ``other`` sets: its overrides are added, anything else is replaced."""
@@ -53,6 +54,8 @@ class Tuning(Settings):
     """Values of experiment keys that are tried, for learners that name none; every combination is tried."""
     seeds: Seeds = [100]
     """Seeds of each combination, none of which may be a seed that counts; a number is short for that many from 0 on."""
+    share: float = Field(default=1.0, gt=0.0, le=1.0)
+    """Share of a run's environment steps that a run of the tuning takes."""
 
 
 class StudyTask(Settings):
@@ -78,8 +81,7 @@ class StudyTask(Settings):
     overrides: dict[str, Any] = {}
     """Values of experiment keys, the same for all runs of the task."""
     learners: dict[str, Learner] = {}
-    """The learners of this task by name, with what differs from the study's learner of that name; all learners of the
-    study if there are none."""
+    """Further learners of this task by name, and what differs here from the study's learner of that name."""
 
 
 class Study(BackendSettings):
@@ -115,7 +117,7 @@ class Study(BackendSettings):
         own = self.tasks[task].learners
         return {
             name: self.learners.get(name, Learner()).with_changes(own.get(name, Learner()))
-            for name in own or self.learners
+            for name in {**self.learners, **own}
         }
 
     def points(self, learner: Learner) -> list[dict[str, Any]]:
@@ -126,6 +128,31 @@ class Study(BackendSettings):
         return (
             [dict(zip(values, combination, strict=True)) for combination in product(*values.values())] if values else []
         )
+
+
+def select(study: Study, tasks: Sequence[str] | None, learners: Sequence[str] | None) -> Study:
+    """The part of a study with some tasks and learners; None for all.
+
+    Raises:
+        ValueError: for unknown ones, with the nearest names.
+    """
+    known = {key for task in study.tasks for key in study.learners_of(task)}
+    for option, names, choices in (("--tasks", tasks, set(study.tasks)), ("--learners", learners, known)):
+        for name in names or ():
+            if name not in choices:
+                raise ValueError(f"{option} {name}: unknown; {nearest(name, choices)}")
+
+    def kept(given: dict[str, Learner]) -> dict[str, Learner]:
+        return {key: each for key, each in given.items() if learners is None or key in learners}
+
+    chosen = {
+        name: task.model_copy(update={"learners": kept(task.learners)})
+        for name, task in study.tasks.items()
+        if (tasks is None or name in tasks) and kept(study.learners_of(name))
+    }
+    if not chosen:
+        raise ValueError(f"none of the tasks has a learner of --learners {' '.join(learners or ())}")
+    return study.model_copy(update={"tasks": chosen, "learners": kept(study.learners)})
 
 
 def load_study(path: str | Path) -> Study:

@@ -48,7 +48,9 @@ class Scores:
     @property
     def text(self) -> str:
         """The interquartile mean with its interval, and what is missing."""
-        notes = [f"{number} {what}" for number, what in ((self.failed, FAILED), (self.unfinished, "unfinished")) if number]
+        notes = [
+            f"{number} {what}" for number, what in ((self.failed, FAILED), (self.unfinished, "unfinished")) if number
+        ]
         value = iqm(self.values).text() if len(self.values) else ""
         return f"{value} ({', '.join(notes)})" if notes else value
 
@@ -90,7 +92,9 @@ class Scoreboard:
         if not mine:
             return None
         policy = policy or self.tasks[task].policy
-        values = [each.value for each in mine if (each.policy, each.column) == (policy, SCORE) and each.value is not None]
+        values = [
+            each.value for each in mine if (each.policy, each.column) == (policy, SCORE) and each.value is not None
+        ]
         states = {each.seed: each.state for each in mine}
         failed = sum(state == FAILED for state in states.values())
         normalised = np.asarray(self.tasks[task].normalised(np.array(values, dtype=np.float64)))
@@ -111,7 +115,9 @@ class Scoreboard:
             found = [self.scores(name, learner, policy) for learner in self.learners]
             bounds = [f"{task.floor.value:.4g}", f"{task.ceiling.value:.4g} ({task.ceiling.kind})"]
             texts = ["" if each is None else each.text for each in found]
-            best = _clearly_best({key: each for key, each in zip(self.learners, found, strict=True) if each is not None})
+            best = _clearly_best(
+                {key: each for key, each in zip(self.learners, found, strict=True) if each is not None}
+            )
             rows.append([name, task.track if task.counted else "not counted", *bounds, policy, *texts, best])
         return rows
 
@@ -127,7 +133,7 @@ class Scoreboard:
         """
         if against is not None and against not in self.learners:
             raise ValueError(f"--against {against}: there are no results of it; {nearest(against, self.learners)}")
-        tables = []
+        tables: list[tuple[str, Rows]] = []
         for track in dict.fromkeys(task.track for task in self.tasks.values()):
             by_learner = self.of_track(track)
             if not by_learner:
@@ -173,13 +179,19 @@ class Scoreboard:
 
         from algorithms.reporting.style import algorithm_colours, figure_style, save_figure
 
-        tracks = {track: found for track in dict.fromkeys(task.track for task in self.tasks.values()) if (found := self.of_track(track))}
+        tracks = {
+            track: found
+            for track in dict.fromkeys(task.track for task in self.tasks.values())
+            if (found := self.of_track(track))
+        }
         if not tracks:
             raise ValueError("no run of a task that counts has ended yet")
         colours = algorithm_colours(self.learners)
         with figure_style():
             figure = Figure(figsize=(4.2 * len(tracks), 3.4), layout="constrained")
-            for axes, (track, by_learner) in zip(np.atleast_1d(figure.subplots(1, len(tracks), sharey=True)), tracks.items(), strict=True):
+            for axes, (track, by_learner) in zip(
+                np.atleast_1d(figure.subplots(1, len(tracks), sharey=True)), tracks.items(), strict=True
+            ):
                 for learner, scores in by_learner.items():
                     shares = [(each.values[:, None] >= PROFILE).mean(axis=0) for each in scores.values()]
                     axes.plot(PROFILE, np.mean(shares, axis=0), color=colours[learner], label=learner)
@@ -205,4 +217,6 @@ def _improvement(first: dict[str, Scores], second: dict[str, Scores]) -> str:
     common = [task for task in first if task in second]
     if not common:
         return ""
-    return improvement_over_tasks([first[task].values for task in common], [second[task].values for task in common]).text()
+    return improvement_over_tasks(
+        [first[task].values for task in common], [second[task].values for task in common]
+    ).text()
