@@ -26,6 +26,7 @@ from algorithms.experiments.lenient_output import open_log
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
 from algorithms.experiments.run_directory import METRICS_FILE
+from algorithms.experiments.suite_scores import score_run
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
@@ -141,6 +142,9 @@ def run_peer(run: Run, console: Console) -> None:
         }
         finish = _finish_policy if peer.known_utility else _finish_front
         logger.log(steps, finish(run, policies, steps, about, console))
+        if experiment.evaluation.task is not None:
+            every = [policies.at(np.array([k])) for k in range(len(policies))]
+            score_run(run, every[0] if peer.known_utility else every)
     show_results(run, steps, console)
     run.set_status("finished", steps)
 
