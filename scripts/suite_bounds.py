@@ -30,6 +30,7 @@ def parse_arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("task", choices=suite.load().tasks)
     parser.add_argument("--scenarios", type=int, default=200, help="of the test split (default: %(default)s)")
     parser.add_argument("--generations", type=int, default=20, help="of a search (default: %(default)s)")
+    parser.add_argument("--from", dest="start", metavar="TASK", help="start from the plans of another task")
     options = parser.parse_args(arguments)
     check_least(parser, options, 1, "scenarios", "generations")
     return options
@@ -41,7 +42,8 @@ def main(arguments: list[str] | None = None) -> int:
     task = suite.load().task(options.task)
     seeds = SPLITS["test"][: options.scenarios]
     drawn = with_spare_preferences(task)
-    texts, values = plan_task(drawn, track(seeds, "planning", console=Console(stderr=True)), options.generations)
+    progress = track(seeds, "planning", console=Console(stderr=True))
+    texts, values = plan_task(drawn, progress, options.generations, options.start)
     if task.preferences is not None:
         kept, left_out = worth_driving(task, values.mean(axis=0))
         texts, values = [[each[k] for k in kept.tolist()] for each in texts], values[:, kept]
