@@ -206,6 +206,17 @@ LINEAR: dict[str, dict[str, float]] = {
         "jerk": -0.0006,
         "lane_violation": -0.06,
     },
+    # A second costs a tenth of an arrival: where time is free, a driver who waits until everybody must have gone is the
+    # best, and needs to see nobody.
+    "intersection_hurried": {
+        "distance": 0.5,
+        "destination": 10.0,
+        "collision": -4.0,
+        "g_force": -0.03,
+        "jerk": -0.0006,
+        "lane_violation": -0.06,
+        "time": -1.0,
+    },
     # Those of the intersection, but for two. A collision costs as much as an arrival gives, so that it is worse than
     # never arriving. A second costs 0.1: waiting for one more gap (4.5 s in the mean) is worth two collisions in a
     # hundred episodes (2% of 10 for the collision and of 10 for the arrival forgone), and even the 60 s of the time
