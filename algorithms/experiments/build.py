@@ -152,7 +152,7 @@ def open_driver(
         ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
     """
     if name.startswith(PREFIX):
-        if env.name != SCENARIO.id:
+        if find_environment(env.name).kwargs.get("scenario") != SCENARIO.name:
             raise ValueError(f"{name!r} drives in {SCENARIO.id}, not in {env.name}")
         driver = make_rule(name, action_type)
         if driver.vehicle != vehicle:
