@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 TRIED = 24  # episodes of the validation split by which candidates are compared
 TRIED_WITH_PARTNERS = 6  # of each partner
+TRIED_FOR_RISK = 600  # where a rare collision decides
 BLIND_SCENARIOS = 16  # of the validation split, in which the best open-loop policy is searched
-GAPS = (3.5, 4.0, 4.25, 4.5, 4.75, 5.0, 6.0)  # s, of rules for the left turn
+GAPS = (4.25, 4.5, 4.75, 5.0)  # s, of rules for the left turn
 SPEEDS = ((2.8, 6.0, 8.0), (3.5, 6.5, 9.0), (2.0, 5.0, 6.0))  # m/s, of the approach, in the crossing and after it
 FRONT_GAPS = (2.0, 3.0, 4.0, 4.5, 5.0, 6.0, 8.0)  # s, of the front of rules
 MEETING_GAPS = (4, 5, 6, 7, 8, 10)  # s, of rules for the intersection
@@ -49,13 +50,14 @@ class Found:
 def score_of(policy: Any, task_id: str, **options: Any) -> float:
     """The score of a policy on a task, without perturbations."""
     rows = suite.score(policy, task_id, perturbed=False, **options)
-    return next(row.value for row in rows if row.column == "score")
+    return next(row.value for row in rows if row.column == "score" and row.value is not None)
 
 
 def best_of(candidates: dict[str, Any], task_id: str) -> Found:
     """The candidate that is best on the validation split, with its score on the test split."""
     task = suite.load().task(task_id)
     tried = TRIED_WITH_PARTNERS if task.partners else TRIED
+    tried = TRIED_FOR_RISK if task.score == "certainty_equivalent" else tried
     start = SPLITS["validation"].start
     worth = {
         name: score_of(policy, task_id, episodes=tried, first_episode=start) for name, policy in candidates.items()
