@@ -14,7 +14,6 @@ from algorithms.common.hyperparameters import GuideSettings, a_twentieth
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
-from mo_deepdrive import suite
 from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
@@ -396,6 +395,8 @@ def _check_task(experiment: Experiment) -> None:
     """Refuse to score as a task of the suite what is trained on another environment."""
     if experiment.evaluation.task is None:
         return
+    from mo_deepdrive import suite  # as late as this, because it imports the simulation
+
     try:
         wanted = suite.load().task(experiment.evaluation.task).environment
     except ValueError as error:
