@@ -64,9 +64,10 @@ class Objective:
 
 def _seconds(vehicles: Any, v: int, params: Any) -> float:
     decisions = 1
-    end = vehicles[v].end
-    if params.charge_remaining_time and end != RUNNING and end != ARRIVED:
-        decisions += params.max_decisions - vehicles[v].decisions
+    if params.charge_remaining_time:
+        vehicle = vehicles[v]
+        if vehicle.end != RUNNING and vehicle.end != ARRIVED:
+            decisions += params.max_decisions - vehicle.decisions
     return float(params.dt * params.physics_steps * decisions)
 
 
@@ -77,7 +78,16 @@ OBJECTIVES: list[Objective] = [
     Objective("collision", "1", -1, 1.0, "1 on the decision that collides", bound=1.0),
     Objective("jerk", "m/s^3", -1, 500.0, "jerk at the end of the decision", bound="m/s^3"),
     Objective("lane_violation", "m", -1, 10.0, "metres outside the lane at the end of the decision", "lane_violation"),
-    Objective("time", "s", -1, 30.0, "duration of the decision", bound="time", measure=_seconds, reference=-60.0),
+    Objective(
+        "time",
+        "s",
+        -1,
+        30.0,
+        "duration of the decision; under charge_remaining_time also what an early end leaves of the time limit",
+        bound="time",
+        measure=_seconds,
+        reference=-60.0,
+    ),
     Objective(
         "near_miss",
         "1",
