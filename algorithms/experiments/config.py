@@ -20,7 +20,6 @@ from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.names import nearest
-from mo_deepdrive.reference_points import default_discount
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -379,7 +378,9 @@ def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> d
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
     gamma = experiment.evaluation.gamma
     if "gamma" not in experiment.evaluation.model_fields_set:
-        from mo_deepdrive.params import chosen_objectives  # as late as this, because it imports the simulation
+        # As late as this, because they import the simulation.
+        from mo_deepdrive.params import chosen_objectives
+        from mo_deepdrive.reference_points import default_discount
 
         gamma = default_discount(chosen_objectives(config))
     if given is not None or SCENARIOS[config.scenario].vehicles > 1:

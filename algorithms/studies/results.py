@@ -59,7 +59,7 @@ def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> li
     path = directory / row.directory
     status = read_status(path)
     state = str(status.get("state", WAITING))
-    about: dict[str, Any] = {"state": state, "cpu_seconds": status.get("cpu_seconds"), "source": str(path)}
+    about: dict[str, Any] = {"state": state, "cpu_seconds": status.get("cpu_seconds"), "source": row.directory}
     evaluation = read_evaluation(path) if state == FINISHED else None
     if evaluation is None:
         return [Row(task, learner, seed, "", "", None, **about)]
