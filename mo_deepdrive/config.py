@@ -11,8 +11,7 @@ from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.plain_values import plain
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.observation import NEAREST_CARS
-from mo_deepdrive.simulation.state import YAW_FRICTION
+from mo_deepdrive.simulation.state import NEAREST_CARS, YAW_FRICTION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -105,6 +104,15 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
                 prefix = f"{name!r} = {shown}: " if path else ""
                 lines.append(prefix + problem["msg"].removeprefix("Value error, "))
         raise ValueError(f"invalid {what}: " + "; ".join(lines)) from None
+
+
+class EnvironmentSettings(Settings):
+    """The environment of an experiment or a task."""
+
+    id: str
+    """A registered Gymnasium id with vector rewards; "module:id" imports the module first."""
+    arguments: dict[str, Any] = {}
+    """Keyword arguments of the environment."""
 
 
 class UtilityChoice(Settings):

@@ -125,19 +125,20 @@ class ComfortBudget:
         g_force: budget of the sum of the g-forces (g).
         jerk: budget of the sum of the jerks (m/s^3).
         prices: per unit of other costs.
+        excess_prices: per unit of what exceeds a budget.
     """
 
     GAINS: ClassVar[dict[str, float]] = {"distance": 0.1, "destination": 10.0}
-    EXCESS_PRICES: ClassVar[dict[str, float]] = {"g_force": 2.0, "jerk": 0.05}
 
     g_force: float
     jerk: float
     prices: Mapping[str, float] = field(default_factory=dict)
+    excess_prices: Mapping[str, float] = field(default_factory=lambda: {"g_force": 2.0, "jerk": 0.05})
 
     def utility(self, m: dict[str, Any]) -> Any:
-        """0.1 d + 10 r - 2 max(0, G - g_force) - 0.05 max(0, J - jerk) - prices of other costs."""
+        """0.1 d + 10 r - 2 max(0, G - g_force) - 0.05 max(0, J - jerk) - prices of other costs, by default."""
         value = sum(gain * m[objective] for objective, gain in self.GAINS.items())
-        for objective, price in self.EXCESS_PRICES.items():
+        for objective, price in self.excess_prices.items():
             value = value - price * _excess(m[objective], getattr(self, objective))
         for objective, price in self.prices.items():
             value = value - price * m[objective]
@@ -148,9 +149,43 @@ def _excess(magnitude: Any, budget: float) -> Any:
     return _where(magnitude > budget, magnitude - budget, 0.0 * magnitude)
 
 
-def _left_turn_risk_averse(m: dict[str, Any]) -> Any:
-    total = sum(weight * m[objective] for objective, weight in LINEAR["left_turn_linear"].items())
-    return RISK_TOLERANCE * (1.0 - math.e ** (-total / RISK_TOLERANCE))
+def _at_most_one(values: Any) -> Any:
+    return _where(values < 1.0, values, 0.0 * values + 1.0)
+
+
+def _one_waypoint_satisficing(m: dict[str, Any]) -> Any:
+    short = 2.0 * _excess(m["g_force"], 4.0) + _excess(m["jerk"], 30.0) / 5.0 + _excess(m["time"], 12.0)
+    return m["destination"] * (2.0 + 8.0 * (1.0 - _at_most_one(short)))
+
+
+def _one_waypoint_calm_arrival(m: dict[str, Any]) -> Any:
+    arrival, calm = m["destination"], 1.0 - m["jerk"] / 60.0
+    return _where(arrival < calm, arrival, calm)
+
+
+@dataclass(frozen=True)
+class RiskAversion:
+    """Constant absolute risk aversion in a linear value L of magnitudes: T (1 - exp(-L / T)).
+
+    J. W. Pratt, "Risk aversion in the small and in the large", Econometrica 32, 1964.
+
+    Attributes:
+        weights: of L, by objective.
+        tolerance: T, in the units of L. R. A. Howard ("Decision analysis: practice and promise", Management Science 34,
+            1988) reads it as the stake x for which an even chance to win x or lose x / 2 is hardly worth taking.
+    """
+
+    weights: Mapping[str, float]
+    tolerance: float
+
+    def utility(self, m: dict[str, Any]) -> Any:
+        """The utility of an episode."""
+        total = sum(weight * m[objective] for objective, weight in self.weights.items())
+        return self.tolerance * (1.0 - math.e ** (-total / self.tolerance))
+
+    def certainty_equivalent(self, utility: Any) -> Any:
+        """The L that is worth ``utility`` when it is certain: of an episode its own L, of a mean less than the mean."""
+        return -self.tolerance * np.log1p(-utility / self.tolerance)
 
 
 # Linear utilities: weights of the magnitudes. Those of the first three scenarios are the paper's.
@@ -171,6 +206,17 @@ LINEAR: dict[str, dict[str, float]] = {
         "jerk": -0.0006,
         "lane_violation": -0.06,
     },
+    # A second costs a tenth of an arrival: where time is free, a driver who waits until everybody must have gone is the
+    # best, and needs to see nobody.
+    "intersection_hurried": {
+        "distance": 0.5,
+        "destination": 10.0,
+        "collision": -4.0,
+        "g_force": -0.03,
+        "jerk": -0.0006,
+        "lane_violation": -0.06,
+        "time": -1.0,
+    },
     # Those of the intersection, but for two. A collision costs as much as an arrival gives, so that it is worse than
     # never arriving. A second costs 0.1: waiting for one more gap (4.5 s in the mean) is worth two collisions in a
     # hundred episodes (2% of 10 for the collision and of 10 for the arrival forgone), and even the 60 s of the time
@@ -186,10 +232,16 @@ LINEAR: dict[str, dict[str, float]] = {
     },
 }
 
-# Of left_turn_risk_averse, in units of left_turn_linear: what an arrival gives. R. A. Howard ("Decision analysis:
-# practice and promise", Management Science 34, 1988) reads it as the stake x for which an even chance to win x or lose
-# x / 2 is hardly worth taking. From an early collision to an arrival a unit's worth falls about twentyfold (e^3).
-RISK_TOLERANCE = 10.0
+# The first tolerance is what an arrival gives: from an early collision to an arrival a unit's worth falls about
+# twentyfold (e^3). In the second a second costs a tenth of an arrival, and a collision, which is charged all the time
+# that is left, loses nearly 70: with twice the tolerance one in a thousand episodes weighs about as much as a second.
+# Its prices of comfort and lanes are those of left_turn_linear.
+RISK_AVERSE: dict[str, RiskAversion] = {
+    "left_turn_risk_averse": RiskAversion(LINEAR["left_turn_linear"], tolerance=10.0),
+    "left_turn_hurried_risk_averse": RiskAversion(
+        {**LINEAR["left_turn_linear"], "distance": 0.3, "time": -1.0}, tolerance=20.0
+    ),
+}
 
 # An arrival gives 10, a metre 0.1, so that the way there pays, but less than getting there. 5 g or 200 m/s^3 beyond the
 # budget cost an arrival. Budgets are nine tenths of what is spent without one, so that they bind: by policies for the
@@ -200,6 +252,13 @@ COMFORT_BUDGETS: dict[str, ComfortBudget] = {
     "static_obstacle_comfort_budget": ComfortBudget(g_force=7.0, jerk=110.0, prices={"collision": 10.0}),
     "left_turn_comfort_budget": ComfortBudget(
         g_force=13.0, jerk=185.0, prices={"collision": 10.0, "lane_violation": 0.06, "time": 0.1}
+    ),
+    # Tighter, and dearer beyond: here a linear price of comfort cannot recover what is best.
+    "static_obstacle_tight_budget": ComfortBudget(
+        g_force=5.0,
+        jerk=60.0,
+        prices={"collision": 10.0, "time": 0.2},
+        excess_prices={"g_force": 5.0, "jerk": 0.2},
     ),
 }
 
@@ -216,9 +275,10 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
         ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
         _intersection_nonlinear,
     ),
-    # Constant absolute risk aversion in the value L of left_turn_linear, T (1 - exp(-L / T)): J. W. Pratt, "Risk
-    # aversion in the small and in the large", Econometrica 32, 1964.
-    "left_turn_risk_averse": (tuple(LINEAR["left_turn_linear"]), _left_turn_risk_averse),
+    # An arrival within limits of g-force, jerk and time pays five times as much as one beyond them.
+    "one_waypoint_satisficing": (("destination", "g_force", "jerk", "time"), _one_waypoint_satisficing),
+    "one_waypoint_calm_arrival": (("destination", "jerk"), _one_waypoint_calm_arrival),
+    **{name: (tuple(risk.weights), risk.utility) for name, risk in RISK_AVERSE.items()},
     **{
         name: (("distance", "destination", "g_force", "jerk", *budget.prices), budget.utility)
         for name, budget in COMFORT_BUDGETS.items()
