@@ -63,7 +63,7 @@ def test_a_run_that_cannot_be_an_entry_is_refused(task_id: str, changes: dict[st
     [
         (None, "policy.py", "policy file .*policy.py' does not exist"),
         ("def drive(*_):\n    pass\n", "policy.py", "the file has no 'policy' or 'Policy'; .*drive"),
-        (STILL, "policy.py:polcy", "the file has no 'polcy'; did you mean 'policy'"),
+        (STILL, "policy.py:policy_2", "the file has no 'policy_2'; did you mean 'policy'"),
         ("import nothing_of_this_name\n", "policy.py", "cannot be imported: ModuleNotFoundError"),
     ],
 )
