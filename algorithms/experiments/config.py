@@ -190,8 +190,9 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
             or an override that cannot be read; all of them are named.
     """
     values = read_mapping(find_config(path))
-    if "config" in values and "algorithm" not in values:
-        raise ValueError(f"{str(path)!r} is the file of a sweep; mo-deepdrive sweep --config {path} trains its runs")
+    if "algorithm" not in values and (kinds := [kind for kind in ("config", "tasks") if kind in values]):
+        kind = {"config": "sweep", "tasks": "study"}[kinds[0]]
+        raise ValueError(f"{str(path)!r} is the file of a {kind}; mo-deepdrive {kind} --config {path} trains its runs")
     for key, value in parse_overrides(overrides):
         override(values, key, value)
     return make_experiment(values, f"experiment {str(path)!r}")

@@ -20,7 +20,6 @@ from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter, compilation_noted
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
-from algorithms.experiments.suite_scores import scorable, score_run
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
@@ -291,6 +290,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             video=video,
         )
         if settings.task is not None:
+            from algorithms.experiments.suite_scores import scorable, score_run  # not earlier: it imports scipy.stats
+
             score_run(run, scorable(agent, run.experiment))
         if figures and not run.experiment.known_utility:
             with Accessory("no explorer", lambda text: print_line(console, text)):

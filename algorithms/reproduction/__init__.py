@@ -1,7 +1,7 @@
 """Reproduction of the paper's figures and claims.
 
-The plan (configs/reproduce.yaml) lists what is trained. A *task* is a scenario under a utility. A *protocol* is how a
-task is trained and evaluated: with the hyperparameters as printed in the paper, with tuned ones (best effort), or an
+The study configs/studies/paper.yaml lists what is trained. A *task* is a scenario under a utility. A *protocol* is how
+a task is trained and evaluated: with the hyperparameters as printed in the paper, with tuned ones (best effort), or an
 ablation. The *variants* of a protocol, such as A2C and MO-A2C, are compared with each other over several seeds.
 """
 

@@ -18,6 +18,7 @@ from mo_deepdrive.names import nearest
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from algorithms.experiments.registry import AlgorithmEntry
     from algorithms.studies.settings import Learner, Study, StudyTask
     from algorithms.sweeps.hyperparameter_search import Scores
 
@@ -178,36 +179,24 @@ def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
     Raises:
         ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
     """
-    arms = []
+    arms: list[Arm] = []
     unused = {*study.help, *(key for task in study.tasks.values() for key in task.help)}
     for name, task in study.tasks.items():
         for key, learner in study.learners_of(name).items():
             where = f"learner {key!r} on task {name!r}"
             values = _base(learner, where)
-            if task.task is not None and _known_utility(values, where) != (
-                suite.load().task(task.task).utility is not None
-            ):
+            entry = find_algorithm(values["algorithm"]["name"], where)
+            if task.task is not None and entry.known_utility != (suite.load().task(task.task).utility is not None):
                 if key in task.learners:
-                    raise ValueError(
-                        f"{where}: the learner needs {'a' if _known_utility(values, where) else 'no'} known utility"
-                    )
+                    raise ValueError(f"{where}: it learns for {'a' if entry.known_utility else 'no'} known utility")
                 continue
-            help_ = _fitting({**study.help, **task.help}, values)
+            help_ = {each: value for each, value in {**study.help, **task.help}.items() if _has(entry, each)}
             unused -= set(help_)
             values = _on_task(values, task)
             for changes in (study.overrides, task.overrides, help_, learner.overrides):
                 values = overridden(values, changes, {TASK: name, LEARNER: key})
-            arms.append(
-                Arm(
-                    name,
-                    key,
-                    learner.label or key,
-                    _metric(study, name),
-                    values,
-                    tuple(study.points(learner)),
-                    tuple(task.seeds or study.seeds),
-                )
-            )
+            points, seeds = tuple(study.points(learner)), tuple(task.seeds or study.seeds)
+            arms.append(Arm(name, key, learner.label or key, _metric(study, name), values, points, seeds))
     if not arms:
         raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
     learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
@@ -230,10 +219,6 @@ def _base(learner: Learner, where: str) -> dict[str, Any]:
     return values
 
 
-def _known_utility(values: Mapping[str, Any], where: str) -> bool:
-    return find_algorithm(values["algorithm"]["name"], where).known_utility
-
-
 def _on_task(values: Mapping[str, Any], task: StudyTask) -> dict[str, Any]:
     """The sections of a learner with what its task sets, whose own settings go before those of the suite."""
     known = None if task.task is None else suite.load().task(task.task)
@@ -252,13 +237,10 @@ def _on_task(values: Mapping[str, Any], task: StudyTask) -> dict[str, Any]:
     return changed
 
 
-def _fitting(help_: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries that a learner's algorithm has a setting for, and all that are not of the algorithm."""
-    known = find_algorithm(values["algorithm"]["name"]).config_class.model_fields
-    parts = {key: key.split(".") for key in help_}
-    return {
-        key: help_[key] for key, part in parts.items() if part[0] != "algorithm" or (len(part) > 1 and part[1] in known)
-    }
+def _has(entry: AlgorithmEntry, key: str) -> bool:
+    """Whether a key is a setting of an algorithm, or not in the section of the algorithm at all."""
+    section, _, rest = key.partition(".")
+    return section != "algorithm" or rest.partition(".")[0] in entry.config_class.model_fields
 
 
 def _metric(study: Study, name: str) -> str:

@@ -197,8 +197,8 @@ def test_links_of_root_files_lead_to_pages_or_to_the_repository() -> None:
     pages = repository.pages()
     assert "](docs/" not in pages["changelog.md"] + pages["contributing.md"]
     assert "(simulator.md#versions-of-the-ids)" in pages["contributing.md"]
-    text = "[a](../configs/reproduce.yaml) [b](../CONTRIBUTING.md#style) [c](x.md)"
-    outside = f"[a]({markdown.REPOSITORY_URL}configs/reproduce.yaml)"
+    text = "[a](../configs/studies/paper.yaml) [b](../CONTRIBUTING.md#style) [c](x.md)"
+    outside = f"[a]({markdown.REPOSITORY_URL}configs/studies/paper.yaml)"
     assert repository.outside_links(text, "peers.md") == f"{outside} [b](contributing.md#style) [c](x.md)"
     assert repository.outside_links("[b](../../CONTRIBUTING.md)", "results/x.md") == "[b](../contributing.md)"
 

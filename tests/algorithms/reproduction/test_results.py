@@ -74,13 +74,13 @@ def test_runs_that_cannot_be_read_are_left_out(tmp_path: Path, monkeypatch: pyte
         (run.job.path / "metrics.csv").write_text("step,eval/greedy/utility_esr\n0,1.0\n")
         opened.set_status("finished", 1)
         opened.unlock()
-    for run, name in zip(planned, ("config.yaml", "evaluation.json", "metrics.csv"), strict=False):
+    for run, name in zip(planned, ("evaluation.json", "metrics.csv"), strict=False):
         (run.job.path / name).write_bytes(b"\n\0")
     lines: list[str] = []
     results = gather(planned, lines.append)
-    assert [(row["variant"], row["seed"]) for row in results.scores] == [(run.variant, run.seed) for run in planned[3:]]
-    assert len(results.curves) == len(results.scores) == len(planned) - 3
+    assert [(row["variant"], row["seed"]) for row in results.scores] == [(run.variant, run.seed) for run in planned[2:]]
+    assert len(results.curves) == len(results.scores) == len(planned) - 2
     assert results.scores[0]["utility_esr_width"] == 1.5
-    for line, run, name in zip(lines, planned, ("config.yaml", "evaluation.json", "metrics.csv"), strict=False):
+    for line, run, name in zip(lines, planned, ("evaluation.json", "metrics.csv"), strict=False):
         assert line.startswith("left out: ")
         assert str(run.job.path / name) in line

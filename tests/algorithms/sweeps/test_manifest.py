@@ -280,7 +280,7 @@ def test_up_to_five_invalid_cells_are_named(tmp_path: Path, count: int) -> None:
         (
             {"utility.name": ["one_waypoint_linear", "static_obstacle_linear"]},
             "utility.name=static_obstacle_linear",
-            "'collision'",
+            "needs collision",
         ),
         ({"utility": [{"name": "linear", "arguments": {"weights": [1, 2]}}]}, "weights", "must be 4 finite numbers"),
         ({"utility": [{"name": "linear", "arguments": {"weights": [math.nan] * 4}}]}, "NaN", "4 finite numbers"),
