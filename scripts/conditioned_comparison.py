@@ -3,7 +3,7 @@
     python scripts/conditioned_comparison.py --only one_waypoint/conditioned --seeds 0 1 2 --output conditioned.csv
     python scripts/conditioned_comparison.py --only one_waypoint/conditioned --change algorithm.switching=0.03
 
-Every run is measured by its greedy policies in new episodes; docs/results/conditioned.md explains the table.
+Every run is measured by its greedy policies in new episodes; docs/lab/conditioned.md explains the table.
 """
 
 from __future__ import annotations
