@@ -15,7 +15,8 @@ replace those of its cell, with as many decimals as are there; the words of the 
 replaces the whole cell; an empty cell stays empty.
 
 A table after ``<!-- table: SELECT ... -->`` is made whole: its header has the names of the query's columns, its rows are
-the results, an empty cell where one is NULL. The tasks of the suite are the table ``suite_tasks``.
+the results, an empty cell where one is NULL. The tasks of the suite are the table ``suite_tasks``; the views of
+``docs/results/views.sql`` are tables, too.
 """
 
 from __future__ import annotations
@@ -159,6 +160,7 @@ def open_results() -> sqlite3.Connection:
         "number": lambda text: numbers(str(text))[0],
         "times": lambda factor, text: joined(*(factor * number for number in numbers(str(text)))),
         "significant": lambda value, digits: float(f"{value:.{digits}g}"),
+        "decimals": lambda value, places: None if value is None else f"{value:.{places}f}",
         "joined": joined,
     }
     for name, function in functions.items():
@@ -168,6 +170,7 @@ def open_results() -> sqlite3.Connection:
     aggregates |= {"interquartile_mean": InterquartileMean}
     for name, aggregate in aggregates.items():
         database.create_aggregate(name, -1, aggregate)
+    database.executescript((folder / "views.sql").read_text(encoding="utf-8"))
     return database
 
 
