@@ -7,7 +7,7 @@ from torch import nn
 from mo_deepdrive.wrappers import VectorUtilityReward
 
 ENV_ID, UTILITY = "mo_deepdrive:mo-deepdrive-left-turn-v0", "left_turn_linear"
-ENVS, STEPS, EPOCHS, MINIBATCHES, CLIP, LAMBDA = 256, 32, 4, 4, 0.2, 0.98
+ENVS, STEPS, EPOCHS, MINIBATCHES, CLIP, LAMBDA = 512, 32, 4, 4, 0.2, 0.98
 GAMMA = 0.9995  # an episode lasts hundreds of decisions
 RATE, ENTROPY = (1e-3, 1e-5), (0.03, 0.0003)  # at the start and at the end
 RETURN_SCALE = 10.0  # nominal return, in units of which the critic learns
@@ -19,7 +19,7 @@ def network(inputs, outputs):
     )
 
 
-def train(total_timesteps=5_000_000, seed=0):
+def train(total_timesteps=10_000_000, seed=0):
     """Return a policy, a function of observations, accrued rewards and discounts."""
     torch.manual_seed(seed)
     envs = gymnasium.make_vec(ENV_ID, num_envs=ENVS, autoreset_mode="SameStep")
