@@ -105,6 +105,15 @@ def parse(model: type[S], values: Mapping[str, Any], what: str) -> S:
         raise ValueError(f"invalid {what}: " + "; ".join(lines)) from None
 
 
+class EnvironmentSettings(Settings):
+    """The environment of an experiment or a task."""
+
+    id: str
+    """A registered Gymnasium id with vector rewards; "module:id" imports the module first."""
+    arguments: dict[str, Any] = {}
+    """Keyword arguments of the environment."""
+
+
 class UtilityChoice(Settings):
     """A utility, as the arguments of :func:`mo_deepdrive.utilities.make_utility`."""
 

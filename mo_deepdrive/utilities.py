@@ -125,19 +125,20 @@ class ComfortBudget:
         g_force: budget of the sum of the g-forces (g).
         jerk: budget of the sum of the jerks (m/s^3).
         prices: per unit of other costs.
+        excess_prices: per unit of what exceeds a budget.
     """
 
     GAINS: ClassVar[dict[str, float]] = {"distance": 0.1, "destination": 10.0}
-    EXCESS_PRICES: ClassVar[dict[str, float]] = {"g_force": 2.0, "jerk": 0.05}
 
     g_force: float
     jerk: float
     prices: Mapping[str, float] = field(default_factory=dict)
+    excess_prices: Mapping[str, float] = field(default_factory=lambda: {"g_force": 2.0, "jerk": 0.05})
 
     def utility(self, m: dict[str, Any]) -> Any:
-        """0.1 d + 10 r - 2 max(0, G - g_force) - 0.05 max(0, J - jerk) - prices of other costs."""
+        """0.1 d + 10 r - 2 max(0, G - g_force) - 0.05 max(0, J - jerk) - prices of other costs, by default."""
         value = sum(gain * m[objective] for objective, gain in self.GAINS.items())
-        for objective, price in self.EXCESS_PRICES.items():
+        for objective, price in self.excess_prices.items():
             value = value - price * _excess(m[objective], getattr(self, objective))
         for objective, price in self.prices.items():
             value = value - price * m[objective]
@@ -148,9 +149,43 @@ def _excess(magnitude: Any, budget: float) -> Any:
     return _where(magnitude > budget, magnitude - budget, 0.0 * magnitude)
 
 
-def _left_turn_risk_averse(m: dict[str, Any]) -> Any:
-    total = sum(weight * m[objective] for objective, weight in LINEAR["left_turn_linear"].items())
-    return RISK_TOLERANCE * (1.0 - math.e ** (-total / RISK_TOLERANCE))
+def _at_most_one(values: Any) -> Any:
+    return _where(values < 1.0, values, 0.0 * values + 1.0)
+
+
+def _one_waypoint_satisficing(m: dict[str, Any]) -> Any:
+    short = 2.0 * _excess(m["g_force"], 4.0) + _excess(m["jerk"], 30.0) / 5.0 + _excess(m["time"], 12.0)
+    return m["destination"] * (2.0 + 8.0 * (1.0 - _at_most_one(short)))
+
+
+def _one_waypoint_calm_arrival(m: dict[str, Any]) -> Any:
+    arrival, calm = m["destination"], 1.0 - m["jerk"] / 60.0
+    return _where(arrival < calm, arrival, calm)
+
+
+@dataclass(frozen=True)
+class RiskAversion:
+    """Constant absolute risk aversion in a linear value L of magnitudes: T (1 - exp(-L / T)).
+
+    J. W. Pratt, "Risk aversion in the small and in the large", Econometrica 32, 1964.
+
+    Attributes:
+        weights: of L, by objective.
+        tolerance: T, in the units of L. R. A. Howard ("Decision analysis: practice and promise", Management Science 34,
+            1988) reads it as the stake x for which an even chance to win x or lose x / 2 is hardly worth taking.
+    """
+
+    weights: Mapping[str, float]
+    tolerance: float
+
+    def utility(self, m: dict[str, Any]) -> Any:
+        """The utility of an episode."""
+        total = sum(weight * m[objective] for objective, weight in self.weights.items())
+        return self.tolerance * (1.0 - math.e ** (-total / self.tolerance))
+
+    def certainty_equivalent(self, utility: Any) -> Any:
+        """The L that is worth ``utility`` when it is certain: of an episode its own L, of a mean less than the mean."""
+        return -self.tolerance * np.log1p(-utility / self.tolerance)
 
 
 # Linear utilities: weights of the magnitudes. Those of the first three scenarios are the paper's.
@@ -186,10 +221,15 @@ LINEAR: dict[str, dict[str, float]] = {
     },
 }
 
-# Of left_turn_risk_averse, in units of left_turn_linear: what an arrival gives. R. A. Howard ("Decision analysis:
-# practice and promise", Management Science 34, 1988) reads it as the stake x for which an even chance to win x or lose
-# x / 2 is hardly worth taking. From an early collision to an arrival a unit's worth falls about twentyfold (e^3).
-RISK_TOLERANCE = 10.0
+# In the first the tolerance is what an arrival gives: from an early collision to an arrival a unit's worth falls about
+# twentyfold (e^3). In the second a second costs a tenth of an arrival, so that waiting for a wide gap is a matter of
+# risk, not of the mean; prices of comfort and lanes are those of left_turn_linear.
+RISK_AVERSE: dict[str, RiskAversion] = {
+    "left_turn_risk_averse": RiskAversion(LINEAR["left_turn_linear"], tolerance=10.0),
+    "left_turn_hurried_risk_averse": RiskAversion(
+        {**LINEAR["left_turn_linear"], "distance": 0.3, "time": -1.0}, tolerance=5.0
+    ),
+}
 
 # An arrival gives 10, a metre 0.1, so that the way there pays, but less than getting there. 5 g or 200 m/s^3 beyond the
 # budget cost an arrival. Budgets are nine tenths of what is spent without one, so that they bind: by policies for the
@@ -200,6 +240,13 @@ COMFORT_BUDGETS: dict[str, ComfortBudget] = {
     "static_obstacle_comfort_budget": ComfortBudget(g_force=7.0, jerk=110.0, prices={"collision": 10.0}),
     "left_turn_comfort_budget": ComfortBudget(
         g_force=13.0, jerk=185.0, prices={"collision": 10.0, "lane_violation": 0.06, "time": 0.1}
+    ),
+    # Tighter, and dearer beyond: here a linear price of comfort cannot recover what is best.
+    "static_obstacle_tight_budget": ComfortBudget(
+        g_force=5.0,
+        jerk=60.0,
+        prices={"collision": 10.0, "time": 0.2},
+        excess_prices={"g_force": 5.0, "jerk": 0.2},
     ),
 }
 
@@ -216,9 +263,10 @@ NONLINEAR: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Any]], Any]]] = 
         ("distance", "destination", "g_force", "collision", "jerk", "lane_violation"),
         _intersection_nonlinear,
     ),
-    # Constant absolute risk aversion in the value L of left_turn_linear, T (1 - exp(-L / T)): J. W. Pratt, "Risk
-    # aversion in the small and in the large", Econometrica 32, 1964.
-    "left_turn_risk_averse": (tuple(LINEAR["left_turn_linear"]), _left_turn_risk_averse),
+    # An arrival within limits of g-force, jerk and time pays five times as much as one beyond them.
+    "one_waypoint_satisficing": (("destination", "g_force", "jerk", "time"), _one_waypoint_satisficing),
+    "one_waypoint_calm_arrival": (("destination", "jerk"), _one_waypoint_calm_arrival),
+    **{name: (tuple(risk.weights), risk.utility) for name, risk in RISK_AVERSE.items()},
     **{
         name: (("distance", "destination", "g_force", "jerk", *budget.prices), budget.utility)
         for name, budget in COMFORT_BUDGETS.items()
@@ -324,7 +372,8 @@ def make_utility(name: str, objectives: Sequence[str], cost_sign: str = "maximis
     Args:
         name: one of UTILITIES, or the path ``package.module:function`` of a function that maps returns (..., d), with
             the signs of the environment's rewards, to (...).
-        objectives: names of the components of the environment's reward, in order.
+        objectives: names of the components of the environment's reward, in order. Those that a named utility is not
+            defined for weigh nothing.
         cost_sign: the environment's setting: "maximise" or "paper".
         **arguments: arguments of the utility, for example ``weights``; of a comfort budget ``g_force`` and ``jerk``.
 
@@ -355,19 +404,22 @@ def _make_utility(name: str, objectives: tuple[str, ...], cost_sign: str, argume
     if arguments and budget is None:
         raise ValueError(f"utility {name!r} takes no arguments; got {sorted(arguments)}")
     needed = tuple(LINEAR[name]) if name in LINEAR else NONLINEAR[name][0]
-    if sorted(needed) != sorted(objectives):
-        raise ValueError(f"utility {name!r} is defined for {needed}; the environment has {objectives}")
-    signs = [1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[objective]].sign) for objective in objectives]
+    if absent := [objective for objective in needed if objective not in objectives]:
+        raise ValueError(f"utility {name!r} needs {', '.join(absent)}; the environment has {objectives}")
+    signs = {each: 1.0 if cost_sign == "paper" else float(OBJECTIVES[INDEX[each]].sign) for each in needed}
     if name in LINEAR:
-        weights = [LINEAR[name][objective] * sign for objective, sign in zip(objectives, signs, strict=True)]
+        weights = [LINEAR[name][each] * signs[each] if each in signs else 0.0 for each in objectives]
         return Utility(name, objectives, partial(_weighted_sum, weights), weights)
     formula = NONLINEAR[name][1] if budget is None else budget.utility
-    return Utility(name, objectives, partial(_of_magnitudes, formula, dict(zip(objectives, signs, strict=True))))
+    columns = {each: (objectives.index(each), sign) for each, sign in signs.items()}
+    return Utility(name, objectives, partial(_of_magnitudes, formula, columns))
 
 
-def _of_magnitudes(formula: Callable[[dict[str, Any]], Any], signs: dict[str, float], returns: Any) -> Any:
+def _of_magnitudes(
+    formula: Callable[[dict[str, Any]], Any], columns: dict[str, tuple[int, float]], returns: Any
+) -> Any:
     # Of a single return, too, the magnitudes are arrays: NumPy's powers of scalars have other last bits.
-    magnitudes = {objective: returns[..., i, None] * sign for i, (objective, sign) in enumerate(signs.items())}
+    magnitudes = {objective: returns[..., i, None] * sign for objective, (i, sign) in columns.items()}
     return formula(magnitudes)[..., 0][()]
 
 

@@ -16,13 +16,14 @@ COMMANDS = {
     "explore": "a page to choose a policy of a front and watch its drive",
     "export": "the policy as an ONNX file, for other programs",
     "sweep": "train all runs of a grid or search: on this machine, Ray or Slurm",
+    "suite": "tasks with a floor and a ceiling, and what a policy scores on them",
     "reproduce": "the paper's figures and claims, from scratch",
     "peers": "train an algorithm of another library",
     "play": "drive in a window, alone or against a trained policy",
     "zoo": "list the trained policies that come with the package",
 }
 # What prints its result; all else writes it to files.
-PRINTING_COMMANDS = ("keys", "evaluate", "table", "choose", "zoo")
+PRINTING_COMMANDS = ("keys", "evaluate", "table", "choose", "suite", "zoo")
 PRINTING_OPTIONS = ("-h", "--help", "--version", "--list", "--status", "--dry-run")
 
 

@@ -14,7 +14,7 @@ from algorithms.common.guides import Guide
 from algorithms.common.threads import set_threads
 from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
 from algorithms.driving.scripted_policy import ScriptedPolicy
-from algorithms.experiments.config import EnvironmentSettings, Experiment, UtilitySettings, find_environment, is_ours
+from algorithms.experiments.config import Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import Agent
+    from mo_deepdrive.config import EnvironmentSettings
     from mo_deepdrive.evaluation.policy import Policy
 
 

@@ -14,7 +14,7 @@ from algorithms.common.hyperparameters import GuideSettings, a_twentieth
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
-from mo_deepdrive.config import EnvConfig, Settings, UtilityChoice, parse
+from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.extras import EXTRAS
@@ -43,15 +43,6 @@ def _integer(value: Any) -> Any:
 
 Count = Annotated[int, Field(ge=1), BeforeValidator(_integer)]
 Environments = Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]
-
-
-class EnvironmentSettings(Settings):
-    """The environment of an experiment."""
-
-    id: str
-    """A registered Gymnasium id with vector rewards; "module:id" imports the module first."""
-    arguments: dict[str, Any] = {}
-    """Keyword arguments of the environment."""
 
 
 class UtilitySettings(UtilityChoice):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.experiments.build import make_environment
-from algorithms.experiments.config import EnvironmentSettings, Experiment, find_environment, is_ours
+from algorithms.experiments.config import Experiment, find_environment, is_ours
 from mo_deepdrive.evaluation.episodes import OTHER_ENVS, OUR_ENVS, evaluate
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from algorithms.agent import FrontAgent
+    from mo_deepdrive.config import EnvironmentSettings
     from mo_deepdrive.evaluation.evaluation import Evaluation
     from mo_deepdrive.evaluation.front import Front
     from mo_deepdrive.evaluation.policy import Policy

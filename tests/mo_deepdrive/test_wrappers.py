@@ -138,7 +138,7 @@ def test_the_wrapped_environment_can_be_made_again_from_its_spec() -> None:
     ("arguments", "message"),
     [
         ({"utility": "one_waypoint_linaer"}, "did you mean 'one_waypoint_linear'"),
-        ({"utility": "static_obstacle_linear"}, "is defined for"),
+        ({"utility": "static_obstacle_linear"}, "needs collision; the environment has"),
         ({"utility": "one_waypoint_linear", "of": "episode"}, "of = 'episode' must be one of"),
         ({"utility": make_utility("linear", ["a", "b"], weights=[1.0, 1.0])}, "takes"),
         ({"utility": make_utility("linear", list("abcd"), weights=[1.0] * 4), "weights": [1.0] * 4}, "by name"),

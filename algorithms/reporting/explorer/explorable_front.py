@@ -102,7 +102,7 @@ class ExplorableFront:
                 "jerk": budget.jerk,
                 "prices": dict(budget.prices),
                 "gains": budget.GAINS,
-                "excessPrices": budget.EXCESS_PRICES,
+                "excessPrices": dict(budget.excess_prices),
             },
             "scenes": self._scenes_to_json(),
         }

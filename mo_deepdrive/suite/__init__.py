@@ -1,0 +1,10 @@
+"""The suite: tasks that tell methods apart, with a floor and a ceiling each, and how a policy is scored on them.
+
+from mo_deepdrive import suite
+suite.load().tasks["K1"].title
+suite.score(policy, "K1")
+"""
+
+from mo_deepdrive.suite.tasks import Suite, Task, load
+
+__all__ = ["Suite", "Task", "load"]

@@ -1,0 +1,181 @@
+"""The tasks of the suite as data: what is driven, by what it is judged, and between which bounds a score lies.
+
+``data/suite.yaml`` has them. A number there is part of a published result: whoever changes a task, a floor or a ceiling
+raises the version.
+"""
+
+from __future__ import annotations
+
+import functools
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Literal
+
+import gymnasium
+import numpy as np
+import yaml
+from pydantic import Field
+
+from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse, parse_arguments
+from mo_deepdrive.names import nearest
+from mo_deepdrive.objectives import scales
+from mo_deepdrive.params import chosen_objectives
+from mo_deepdrive.utilities import Utility, make_utility
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+DATA = resources.files("mo_deepdrive") / "data"
+LOWEST = -1.0  # of normalised scores
+Track = Literal["known utility", "unknown utility", "many vehicles"]
+Kind = Literal["planned", "closed form", "best known"]
+PolicyKind = Literal["greedy", "stochastic"]
+
+
+class Bound(Settings):
+    """A score that normalised scores are measured from."""
+
+    value: float
+    """The score."""
+    by: str
+    """What earns it, and on which scenarios."""
+
+
+class Ceiling(Bound):
+    """The score that counts as 1."""
+
+    kind: Kind
+    """Whether it was planned with the scenario known, follows from a formula, or is the best that is known."""
+
+
+class HiddenPreferences(Settings):
+    """Linear preferences that no learner is told before it is scored: weights from a Dirichlet distribution."""
+
+    count: int = Field(ge=1)
+    """How many."""
+    seed: int = Field(ge=0)
+    """Seed of the drawing."""
+    concentration: float = Field(gt=0.0)
+    """Concentration of the distribution; below 1 favours few objectives."""
+    left_out: list[int] = []
+    """The drawn preferences, counted from 0, under which standing still is within 0.05 of the best."""
+
+    def weights(self, objectives: Sequence[str]) -> NDArray[np.float64]:
+        """(count, d) weights, which sum to 1, of returns divided by the nominal scales of the objectives."""
+        drawn = np.random.default_rng(self.seed).dirichlet(
+            np.full(len(objectives), self.concentration), self.count + len(self.left_out)
+        )
+        return np.asarray(np.delete(drawn, self.left_out, axis=0))
+
+
+class Partners(Settings):
+    """Scripted drivers of the other vehicle, which no learner has met."""
+
+    vehicle: int = Field(ge=0, le=1)
+    """The vehicle that they drive."""
+    made_by: str
+    """The function that makes one of its name and the action type, as "package.module:function"."""
+    names: list[str]
+    """Their names."""
+
+
+class Task(Settings):
+    """One task of the suite."""
+
+    title: str
+    """A few words."""
+    tests: str
+    """What it asks of a method, in a sentence."""
+    track: Track
+    """The table that it belongs to."""
+    core: bool = False
+    """Whether it is one of the four that are tried first."""
+    counted: bool = True
+    """Whether it counts in a table over tasks."""
+    environment: EnvironmentSettings
+    """The environment."""
+    utility: UtilityChoice | None = None
+    """The utility, where it is known while learning."""
+    preferences: HiddenPreferences | None = None
+    """The preferences, where the utility is not known while learning."""
+    vehicle: int = 0
+    """The vehicle whose driver is scored."""
+    partners: Partners | None = None
+    """Who drives the other vehicle when it is scored."""
+    steps: int = Field(ge=1)
+    """Environment steps that a learner may take."""
+    episodes: int = Field(ge=1)
+    """Episodes of the test split that a score is the mean of; with preferences or partners, of each of them."""
+    score: str
+    """The scorer, a key of :data:`mo_deepdrive.suite.scorers.SCORERS`."""
+    policy: PolicyKind
+    """Whether the greedy or the stochastic policy of a learner is the one that is ranked; the other is shown too."""
+    columns: list[str] = []
+    """The perturbations under which it is scored too, keys of :attr:`Suite.perturbations`."""
+    floor: Bound
+    """What the best policy earns that needs no skill."""
+    ceiling: Ceiling
+    """What counts as 1."""
+
+    def normalised(self, score: Any) -> Any:
+        """A score with the floor as 0 and the ceiling as 1; cut off at -1, and not above."""
+        return np.maximum(LOWEST, (score - self.floor.value) / (self.ceiling.value - self.floor.value))
+
+    def config(self) -> EnvConfig:
+        """The configuration of the environment, with every default."""
+        spec = gymnasium.spec(self.environment.id)
+        own = {name: value for name, value in spec.kwargs.items() if name != "scenario"}
+        return parse_arguments(spec.kwargs["scenario"], {**own, **self.environment.arguments})
+
+    def objectives(self) -> tuple[str, ...]:
+        """The names of the objectives of the environment's reward, in order."""
+        return chosen_objectives(self.config())
+
+    def make_utility(self) -> Utility:
+        """The known utility, over the objectives of the environment.
+
+        Raises:
+            ValueError: if the task has none.
+        """
+        if self.utility is None:
+            raise ValueError(f"the task {self.title!r} has no known utility")
+        return make_utility(self.utility.name, self.objectives(), **self.utility.arguments)
+
+    def hidden_weights(self) -> NDArray[np.float64]:
+        """(P, d) weights of the undiscounted returns, one row per hidden preference.
+
+        Raises:
+            ValueError: if the task has no preferences.
+        """
+        if self.preferences is None:
+            raise ValueError(f"the task {self.title!r} has no preferences")
+        objectives = self.objectives()
+        return np.asarray(self.preferences.weights(objectives) / scales(objectives))
+
+
+class Suite(Settings):
+    """All tasks."""
+
+    version: int
+    """Scores of different versions cannot be compared."""
+    perturbations: dict[str, dict[str, Any]]
+    """Arguments of the environment that no learner trains with, by the name of their column."""
+    tasks: dict[str, Task]
+    """The tasks by id."""
+
+    def task(self, name: str) -> Task:
+        """The task of an id.
+
+        Raises:
+            ValueError: if there is none.
+        """
+        if name not in self.tasks:
+            raise ValueError(f"task {name!r} is unknown; {nearest(name, self.tasks)}")
+        return self.tasks[name]
+
+
+@functools.cache
+def load() -> Suite:
+    """The suite that comes with the package."""
+    return parse(Suite, yaml.safe_load((DATA / "suite.yaml").read_text(encoding="utf-8")), "suite.yaml")
