@@ -33,7 +33,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "_fragments", "_readme.md", "examples", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_readme.md", "examples", "**.ipynb_checkpoints"]
 
 # Markdown and notebooks
 myst_enable_extensions = ["colon_fence"]
