@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from algorithms.planning.driving_rules import random_calm_rules
-from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import CRITERIA, Criterion, EvaluatedPlans
 from algorithms.planning.variation import make_offspring
-from mo_deepdrive.actions import CONTINUOUS, decode_discrete
+from mo_deepdrive.actions import decode_discrete
 from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
+
+    from algorithms.planning.plan_evaluation import PlanEvaluator
 
 FIRST = 2048  # rules of the first generation
 POPULATION = 1024  # plans of each later one
@@ -67,7 +68,8 @@ class UtilitySearch:
         """
         self.evaluator.batch.state[0] = start
         plan_format, n_actions = self.evaluator.format, len(self.evaluator.format.table)
-        kept = self.evaluator.evaluate(plan_format.from_sequences([*sequences, np.zeros_like(sequences[0])]), 0)
+        idle = plan_format.to_sequence(plan_format.idle_plans(1)[0])
+        kept = self.evaluator.evaluate(plan_format.from_sequences([idle, *sequences]), 0)
         kept = kept.append(self._ruled(plan_format.idle_plans(FIRST), np.zeros(FIRST)))
         kept, values = self._select(kept, self.values(kept))
         for _ in range(generations):
