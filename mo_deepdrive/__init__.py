@@ -1,14 +1,15 @@
 """MO-DeepDrive: multi-objective driving environments for Gymnasium, MO-Gymnasium, PettingZoo and MOMAland.
 
-Importing the package registers ``mo-deepdrive-one-waypoint-v0``, ``mo-deepdrive-static-obstacle-v0``,
-``mo-deepdrive-intersection-v0`` and ``mo-deepdrive-left-turn-v0``. :func:`parallel_env` and :func:`env` make the
-multi-agent environments, :func:`reference_point` and :func:`reference_front` are what returns are compared with.
-:func:`register_objective` and :func:`register_scenario` add one's own.
+Importing the package registers ``mo-deepdrive-one-waypoint-v1``, ``mo-deepdrive-static-obstacle-v1``,
+``mo-deepdrive-intersection-v1`` and ``mo-deepdrive-left-turn-v1``, and the same with ``v0``. :func:`parallel_env` and
+:func:`env` make the multi-agent environments, :func:`reference_point` and :func:`reference_front` are what returns are
+compared with. :func:`register_objective` and :func:`register_scenario` add one's own.
 """
 
 from __future__ import annotations
 
 import importlib
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from mo_deepdrive.objectives import Objective, register_objective
@@ -44,6 +45,8 @@ _LAZY = {
 
 for _scenario in SCENARIOS.values():
     register_id(_scenario)
+# Earlier versions stay what results were published with, so Gymnasium's advice to leave them is wrong.
+warnings.filterwarnings("ignore", "(?s).*The environment mo-deepdrive-.* is out of date")
 
 
 def __getattr__(name: str) -> Any:

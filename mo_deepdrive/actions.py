@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import MAX_ACCELERATION, STEER_RANGE, Records
+from mo_deepdrive.simulation.state import MAX_ACCELERATION, RUNNING, STEER_RANGE, Records
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,6 +91,26 @@ def find_infinite(actions: NDArray[np.float64]) -> int:
                 if not math.isfinite(actions[i, v, axis]):
                     return i
     return -1
+
+
+@jit
+def delay(worlds: Records, sent: NDArray[Any], arriving: NDArray[Any]) -> None:
+    """Send actions on their way, and write those that arrive: idle ones in the first decisions of an episode.
+
+    Args:
+        worlds: (worlds, vehicles) of VEHICLE with room for pending actions; those of running vehicles change.
+        sent: (worlds, vehicles, k) numbers of discrete actions with k = 1, or controls of continuous ones with k = 3.
+        arriving: likewise, written; it may be ``sent``.
+    """
+    for i in range(sent.shape[0]):
+        for v in range(sent.shape[1]):
+            vehicle = worlds[i, v]
+            row = vehicle.decisions % len(vehicle.pending)
+            for k in range(sent.shape[2]):
+                number = sent[i, v, k]
+                arriving[i, v, k] = vehicle.pending[row, k]
+                if vehicle.end == RUNNING:
+                    vehicle.pending[row, k] = number
 
 
 @jit

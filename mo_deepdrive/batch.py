@@ -14,13 +14,13 @@ from mo_deepdrive.limits import check_state
 from mo_deepdrive.machine import check_memory
 from mo_deepdrive.measures import make_measures
 from mo_deepdrive.observation import layout
-from mo_deepdrive.params import chosen_objectives, make_params
+from mo_deepdrive.params import chosen_objectives, make_params, vehicle_record
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.simulation import observation, traffic
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.kernel import observe_batch, reset_batch, step_batch
 from mo_deepdrive.simulation.placing import pin_nothing
-from mo_deepdrive.simulation.state import ENDS, PARAMS, RUNNING, SPAWN, VEHICLE, with_room
+from mo_deepdrive.simulation.state import ENDS, PARAMS, RUNNING, SPAWN, with_room
 from mo_deepdrive.thread_pool import ThreadPool
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class WorldBatch:
         threads: how many threads share a step.
 
     Attributes:
-        state: (worlds, vehicles) of VEHICLE, with room for the scenario's obstacles and oncoming cars.
+        state: (worlds, vehicles) of VEHICLE, with the room of :func:`mo_deepdrive.params.vehicle_record`.
         observations: (worlds, vehicles, size), overwritten by every call.
         rewards: (worlds, vehicles, d), overwritten by every step.
         terminated: (worlds, vehicles), overwritten by every call.
@@ -102,7 +102,7 @@ class WorldBatch:
         self.params = make_params(config)
         vehicles, obstacles, cars = self.scenario.vehicles, self.scenario.obstacles, self.scenario.cars
         size = len(layout(self.scenario))
-        dtype = with_room(VEHICLE, obstacles, cars)
+        dtype = vehicle_record(config)
         numbers = size + len(self.objectives) + 2 * 3  # of observations, rewards and controls
         check_memory(f"num_envs = {worlds}", worlds * vehicles * (dtype.itemsize + 4 * numbers))
         self.state = np.zeros((worlds, vehicles), dtype=dtype)
@@ -114,7 +114,7 @@ class WorldBatch:
         self._controls = np.zeros((worlds, vehicles, 3))
         self._acting = np.zeros((worlds, vehicles), dtype=np.bool_)
         self.measures = make_measures(config)
-        self._spawn = np.zeros(1, dtype=with_room(SPAWN, obstacles, cars))
+        self._spawn = np.zeros(1, dtype=with_room(SPAWN, obstacles, cars, 0))
         self._sight = np.zeros(1, dtype=observation.SIGHT)
         self.no_pins = np.zeros_like(self._spawn)
         pin_nothing(self.no_pins)
@@ -129,12 +129,12 @@ class WorldBatch:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        obstacles, cars = self.scenario.obstacles, self.scenario.cars
+        spawn = with_room(SPAWN, self.scenario.obstacles, self.scenario.cars, 0)
         for name, dtype in (
-            ("state", with_room(VEHICLE, obstacles, cars)),
+            ("state", vehicle_record(self.config)),
             ("params", PARAMS),
-            ("_spawn", with_room(SPAWN, obstacles, cars)),
-            ("no_pins", with_room(SPAWN, obstacles, cars)),
+            ("_spawn", spawn),
+            ("no_pins", spawn),
             ("_sight", observation.SIGHT),
         ):
             # The dtype of unpickled records only equals this one; Numba would compare their fields at every call.
@@ -245,10 +245,16 @@ class WorldBatch:
 
     def _run(self, part: Part, actions: NDArray[Any]) -> None:
         """Decode the actions of one part and move its worlds."""
+        actions = actions[part.rows]
         if self.continuous:
-            action_sets.decode_continuous(actions[part.rows], part.controls)
+            action_sets.decode_continuous(actions, part.controls)
+            if self.config.action_delay:
+                action_sets.delay(part.worlds, part.controls, part.controls)
         else:
-            action_sets.decode_discrete(part.worlds, actions[part.rows], self.table, part.controls)
+            if self.config.action_delay:
+                sent, actions = actions, np.empty_like(actions)
+                action_sets.delay(part.worlds, sent[..., None], actions[..., None])
+            action_sets.decode_discrete(part.worlds, actions, self.table, part.controls)
         if self.measures:
             np.equal(part.worlds["end"], RUNNING, out=part.acting)
         step_batch(

@@ -11,6 +11,8 @@ from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.plain_values import plain
 from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.simulation.observation import NEAREST_CARS
+from mo_deepdrive.simulation.state import YAW_FRICTION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -169,6 +171,18 @@ class EnvConfig(Settings):
     (LeftTurn) approaches."""
     end_together: bool = False
     """Both vehicles end when the first one ends, as in the published code (Intersection)."""
+    charge_remaining_time: bool = False
+    """Charge what remains of the time limit to the objective time, in the last reward of a vehicle that ends earlier
+    without having arrived, whatever ended it (the end of the other vehicle, too), so that an early end costs as much
+    time as standing still. A vehicle is charged nothing more where it arrives or reaches the time limit, or where a
+    wrapper cuts the episode off; nor does the setting matter where time is not among the objectives."""
+    yaw_friction: float = Field(default=YAW_FRICTION, gt=0.0, lt=1.0)
+    """By what the turn per physics step is multiplied at every step of 1/60 s; with more a car turns further for the
+    same steering, and longer after it."""
+    action_delay: int = Field(default=0, ge=0, le=100)
+    """Decisions by which actions arrive late; until the first one arrives, a vehicle idles."""
+    observed_cars: int = Field(default=NEAREST_CARS, ge=0, le=NEAREST_CARS)
+    """How many of the nearest oncoming cars are observed; the others look as if there were none (LeftTurn)."""
     traffic: Traffic = "default"
     """Flow of the oncoming cars, "none", or "light", "default" or "dense" with a mean headway of 9, 4.5 or 2.5 s
     (LeftTurn)."""

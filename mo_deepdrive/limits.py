@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mo_deepdrive.actions import CONTINUOUS, action_table
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
 from mo_deepdrive.observation import FAR
 from mo_deepdrive.plain_values import is_finite
@@ -82,7 +83,7 @@ def limits(config: EnvConfig) -> dict[str, float]:
         # The distance of one decision, the swing of the front, and the change to the next waypoint.
         "distance": speed / config.decision_frequency + 2 * LENGTH + 2.0,
         "lane_violation": 2 * FAR + 2 * config.lane_margin,
-        "time": 1.0 / config.decision_frequency,
+        "time": (config.max_decisions if config.charge_remaining_time else 1) / config.decision_frequency,
     }
 
 
@@ -125,8 +126,16 @@ def _state_ranges(config: EnvConfig, n_waypoints: NDArray[np.int64]) -> dict[str
         "approaching": (0, 1),
         "decisions": (0, config.max_decisions),
         "end": (0, len(ENDS) - 1),
+        "pending": _pending_range(config),
         **{f"cars.{name}": bounds for name, bounds in _car_ranges(config, most).items()},
     }
+
+
+def _pending_range(config: EnvConfig) -> tuple[float, float]:
+    """The lowest and the highest number of a delayed action."""
+    if config.action_type == CONTINUOUS:
+        return -MAX_ACCELERATION, MAX_ACCELERATION
+    return 0, len(action_table(config.action_type)) - 1
 
 
 def _car_ranges(config: EnvConfig, most: dict[str, float]) -> dict[str, tuple[float, float]]:

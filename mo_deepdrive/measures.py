@@ -11,9 +11,8 @@ import numpy as np
 
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.objectives import INDEX, OBJECTIVES
-from mo_deepdrive.params import chosen_objectives, make_params, reward_signs
+from mo_deepdrive.params import chosen_objectives, make_params, reward_signs, vehicle_record
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.state import VEHICLE, Records, with_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mo_deepdrive.config import EnvConfig
+    from mo_deepdrive.simulation.state import Records
 
 REASON_LENGTH = 300  # of a message of Numba, which may have hundreds of lines
 
@@ -77,8 +77,7 @@ def make_measures(config: EnvConfig) -> tuple[Measure, ...]:
     Raises:
         ValueError: naming the objective, if its function cannot be compiled.
     """
-    scenario = SCENARIOS[config.scenario]
-    nothing = np.zeros((0, scenario.vehicles), dtype=with_room(VEHICLE, scenario.obstacles, scenario.cars))
+    nothing = np.zeros((0, SCENARIOS[config.scenario].vehicles), dtype=vehicle_record(config))
     measures = []
     for column, (name, sign) in enumerate(zip(chosen_objectives(config), reward_signs(config), strict=True)):
         function = OBJECTIVES[INDEX[name]].measure

@@ -15,6 +15,7 @@ import numpy as np
 
 from mo_deepdrive.names import check_name
 from mo_deepdrive.plain_values import is_finite, with_plain_fields
+from mo_deepdrive.simulation.state import ARRIVED, RUNNING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,8 +62,12 @@ class Objective:
     reference: float | None = None
 
 
-def _seconds(vehicles: Any, v: int, params: Any) -> float:  # noqa: ARG001  (the signature of a measure)
-    return float(params.dt * params.physics_steps)
+def _seconds(vehicles: Any, v: int, params: Any) -> float:
+    decisions = 1
+    end = vehicles[v].end
+    if params.charge_remaining_time and end != RUNNING and end != ARRIVED:
+        decisions += params.max_decisions - vehicles[v].decisions
+    return float(params.dt * params.physics_steps * decisions)
 
 
 OBJECTIVES: list[Objective] = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from mo_deepdrive.simulation.state import (
     KERNEL_NAMES,
     PARAMS,
     SPEED_FRICTION,
-    YAW_FRICTION,
+    VEHICLE,
+    with_room,
 )
 from mo_deepdrive.simulation.traffic import MEAN_HEADWAY
 
@@ -61,12 +62,19 @@ def _has_effect(scenario: Scenario) -> dict[str, bool]:
         "yield_to_oncoming": scenario.lanes and scenario.others,
         "end_together": scenario.vehicles > 1,
         "traffic": scenario.cars > 0,
+        "observed_cars": scenario.cars > 0,
     }
 
 
 def cars_in_traffic(config: EnvConfig) -> int:
     """How many oncoming cars an episode has, unless a reset option says otherwise."""
     return 0 if config.traffic == "none" else SCENARIOS[config.scenario].cars
+
+
+def vehicle_record(config: EnvConfig) -> np.dtype[Any]:
+    """The record VEHICLE with the room that a configuration needs."""
+    scenario = SCENARIOS[config.scenario]
+    return with_room(VEHICLE, scenario.obstacles, scenario.cars, config.action_delay)
 
 
 def make_params(config: EnvConfig) -> np.ndarray:
@@ -86,13 +94,14 @@ def make_params(config: EnvConfig) -> np.ndarray:
     row.dt = 1.0 / config.simulation_frequency
     row.physics_steps = config.physics_steps
     friction_steps = ORIGINAL_FREQUENCY / config.simulation_frequency
-    row.yaw_friction = YAW_FRICTION**friction_steps
+    row.yaw_friction = config.yaw_friction**friction_steps
     row.speed_friction = SPEED_FRICTION**friction_steps
     row.log_brake_friction = math.log(BRAKE_FRICTION) * friction_steps
     row.max_decisions = config.max_decisions
     row.harmful_g_force = math.inf if config.harmful_g_force is None else config.harmful_g_force
     row.harmful_jerk = math.inf if config.harmful_jerk is None else config.harmful_jerk
-    for name in ("constrain_controls", "ignore_brake", *(name for name in settings if name != "traffic")):
+    copied = ("constrain_controls", "ignore_brake", "charge_remaining_time", *settings)
+    for name in (name for name in copied if name != "traffic"):
         row[name] = getattr(config, name)
     row.has_obstacle = scenario.obstacles > 0
     row.has_lanes = scenario.lanes

@@ -169,15 +169,32 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
+# What the versions of the package's ids set, by scenario; arguments of make() override it.
+VERSIONS: dict[str, dict[str, dict[str, Any]]] = {
+    name: {
+        "v0": {},
+        # Time is an objective, and ending early saves none. At the left turn distance is what was driven: where it
+        # turns negative as long as a car approaches, waiting is rewarded for its own sake.
+        "v1": {
+            "objectives": tuple(dict.fromkeys((*scenario.objectives, "time"))),
+            "charge_remaining_time": True,
+            **({"yield_to_oncoming": False} if scenario.cars else {}),
+        },
+    }
+    for name, scenario in SCENARIOS.items()
+}
+
+
 def register_id(scenario: Scenario) -> None:
-    """Register the environments of a scenario with Gymnasium, for ``make`` and ``make_vec``."""
+    """Register the environments of a scenario with Gymnasium, for ``make`` and ``make_vec``, in every version."""
     alone = scenario.vehicles == 1
-    gymnasium.register(
-        scenario.id,
-        entry_point="mo_deepdrive.envs.single:DrivingEnv" if alone else "mo_deepdrive.envs.turn_based:TurnBasedEnv",
-        vector_entry_point="mo_deepdrive.envs.vector:DrivingVectorEnv",
-        kwargs={"scenario": scenario.name},
-    )
+    for version, arguments in VERSIONS.get(scenario.name, {"v0": {}}).items():
+        gymnasium.register(
+            scenario.id.removesuffix("v0") + version,
+            entry_point="mo_deepdrive.envs.single:DrivingEnv" if alone else "mo_deepdrive.envs.turn_based:TurnBasedEnv",
+            vector_entry_point="mo_deepdrive.envs.vector:DrivingVectorEnv",
+            kwargs={"scenario": scenario.name, **arguments},
+        )
 
 
 def register_scenario(scenario: Scenario) -> None:

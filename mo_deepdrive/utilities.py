@@ -221,13 +221,13 @@ LINEAR: dict[str, dict[str, float]] = {
     },
 }
 
-# In the first the tolerance is what an arrival gives: from an early collision to an arrival a unit's worth falls about
-# twentyfold (e^3). In the second a second costs a tenth of an arrival, so that waiting for a wide gap is a matter of
-# risk, not of the mean; prices of comfort and lanes are those of left_turn_linear.
+# The tolerance is what an arrival gives: from an early collision to an arrival a unit's worth falls about twentyfold
+# (e^3). In the second a second costs a tenth of an arrival, so that how wide a gap is waited for is a matter of risk;
+# prices of comfort and lanes are those of left_turn_linear.
 RISK_AVERSE: dict[str, RiskAversion] = {
     "left_turn_risk_averse": RiskAversion(LINEAR["left_turn_linear"], tolerance=10.0),
     "left_turn_hurried_risk_averse": RiskAversion(
-        {**LINEAR["left_turn_linear"], "distance": 0.3, "time": -1.0}, tolerance=5.0
+        {**LINEAR["left_turn_linear"], "distance": 0.3, "time": -1.0}, tolerance=10.0
     ),
 }
 

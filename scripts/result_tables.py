@@ -14,8 +14,8 @@ and what follows an empty line in ``scores.csv`` is ``scores_1``. The numbers th
 replace those of its cell, with as many decimals as are there; the words of the cell remain. A result without numbers
 replaces the whole cell; an empty cell stays empty.
 
-A table after ``<!-- table: SELECT ... -->`` is made whole: its header has the names of the query's columns, its rows are
-the results, an empty cell where one is NULL. The tasks of the suite are the table ``suite_tasks``; the views of
+A table after ``<!-- table: SELECT ... -->`` is made whole: its header has the names of the columns of the query, its
+rows are the results. The tasks of the suite are the table ``suite_tasks``; the views of
 ``docs/results/views.sql`` are tables, too.
 """
 
@@ -176,15 +176,12 @@ def open_results() -> sqlite3.Connection:
 
 def suite_tasks() -> tuple[list[str], list[list[Any]]]:
     """Columns and rows of the table of the suite's tasks, in order."""
-    header = ["task", "title", "tests", "track", "core", "counted", "environment", "utility", "steps", "score", "policy"]
-    header += ["floor", "floor_by", "ceiling", "ceiling_by", "kind"]
+    fields = ["title", "tests", "track", "core", "counted", "steps", "score", "policy"]
     rows = []
     for name, task in suite.load().tasks.items():
-        utility = task.utility.name if task.utility else None
-        row = [name, task.title, task.tests, task.track, int(task.core), int(task.counted), task.environment.id, utility]
-        row += [task.steps, task.score, task.policy, task.floor.value, task.floor.by]
-        rows.append([*row, task.ceiling.value, task.ceiling.by, task.ceiling.kind])
-    return header, rows
+        bounds = [task.floor.value, task.floor.by, task.ceiling.value, task.ceiling.by, task.ceiling.kind]
+        rows.append([name, *(getattr(task, field) for field in fields), *bounds])
+    return ["task", *fields, "floor", "floor_by", "ceiling", "ceiling_by", "kind"], rows
 
 
 def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

@@ -17,6 +17,7 @@ COMMANDS = {
     "export": "the policy as an ONNX file, for other programs",
     "sweep": "train all runs of a grid or search: on this machine, Ray or Slurm",
     "suite": "tasks with a floor and a ceiling, and what a policy scores on them",
+    "study": "train and compare learners on tasks, with tuning, and write the tables",
     "reproduce": "the paper's figures and claims, from scratch",
     "peers": "train an algorithm of another library",
     "play": "drive in a window, alone or against a trained policy",

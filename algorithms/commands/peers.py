@@ -10,10 +10,7 @@ checkpoints: a run that is interrupted cannot be resumed.
 
 from __future__ import annotations
 
-import random
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from algorithms.experiments.cli import (
     INSTALLED,
@@ -61,20 +58,10 @@ def load_peer_experiment(path: str, overrides: list[str]) -> Experiment:
     return experiment
 
 
-def seed_everything(seed: int) -> None:
-    """Seed the global generators: the libraries draw from them whatever seed they are given."""
-    import torch
-
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
-    torch.manual_seed(seed)
-
-
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments``; returns the exit code."""
     options, overrides = parse_arguments(arguments, program)
 
-    from algorithms.common.threads import set_threads
     from algorithms.experiments.console import make_console
     from algorithms.peers.listing import peers_table
     from algorithms.peers.running import run_peer
@@ -88,8 +75,6 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
         check_loggers(experiment)
         run = new_run(options, experiment)
     print(f"run {run.path}", flush=True)
-    set_threads(experiment.training.threads)
-    seed_everything(experiment.training.seed)
     with exit_on_error(hint="runs of other libraries' algorithms cannot be resumed"):
         try:
             run_peer(run, console)

@@ -26,7 +26,12 @@ from algorithms.sweeps import BACKENDS
 from algorithms.sweeps.sweep_settings import load_sweep
 
 if TYPE_CHECKING:
-    from argparse import Namespace
+    from argparse import ArgumentParser, Namespace, _MutuallyExclusiveGroup
+    from collections.abc import Callable
+
+    from rich.console import Console
+
+    from algorithms.sweeps.runner import Backend, Runner
 
 ENVIRONMENT = {
     **PROCESS_DEFAULTS,
@@ -49,8 +54,25 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "sweep")
     parser.add_argument("--config", metavar="FILE", help="YAML file of the sweep, or the name of a shipped one")
+    add_run_arguments(parser, "sweep")
+    options = parser.parse_args(arguments)
+    if options.config is None and not ((options.status or options.verify) and options.output):
+        parser.error("--config is required, except for --status and --verify with --output")
+    return options
+
+
+def add_run_arguments(parser: ArgumentParser, what: str) -> _MutuallyExclusiveGroup:
+    """The options of what trains many runs; returns those of which one alone can be given.
+
+    Args:
+        parser: which they are added to.
+        what: is trained.
+    """
     parser.add_argument("--on", choices=BACKENDS, default="local", help="where to train the runs (default: local)")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="the sweep's directory (default: runs/sweeps/NAME)")
+    folder = {"sweep": "sweeps", "study": "studies"}[what]
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help=f"the {what}'s directory (default: runs/{folder}/NAME)"
+    )
     parser.add_argument(
         "--workers", type=int, metavar="N", help="maximum number of concurrent runs (default: limited by the cores)"
     )
@@ -60,7 +82,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser.add_argument("--no-wait", action="store_true", help="Slurm: submit the jobs and exit")
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--dry-run", action="store_true", help="Slurm: print the batch script and write nothing")
-    instead.add_argument("--status", action="store_true", help="show the progress of the sweep and exit")
+    instead.add_argument("--status", action="store_true", help=f"show the progress of the {what} and exit")
     instead.add_argument(
         "--verify",
         action="store_true",
@@ -69,10 +91,7 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     instead.add_argument(
         "--remake", action="store_true", help="also make finished runs again whose files are broken, in their place"
     )
-    options = parser.parse_args(arguments)
-    if options.config is None and not ((options.status or options.verify) and options.output):
-        parser.error("--config is required, except for --status and --verify with --output")
-    return options
+    return instead
 
 
 def check_options(options: Namespace) -> None:
@@ -85,30 +104,38 @@ def check_options(options: Namespace) -> None:
         raise ValueError(f"--workers {options.workers} must be at least 1")
     check_directory("--output", options.output)
     for name, backends in BACKENDS_OF_OPTIONS.items():
-        if getattr(options, name) and options.on not in backends:
+        if getattr(options, name, False) and options.on not in backends:
             raise ValueError(f"--{name.replace('_', '-')} is for --on {' and '.join(backends)}, not {options.on}")
     module = REQUIRED_MODULES.get(options.on)
     if module is not None and find_spec(module) is None:
         raise ValueError(f"--on {options.on} needs {module}: pip install 'mo-deepdrive[sweep]'")
 
 
-def main(arguments: list[str], program: str = INSTALLED) -> int:
-    """Run the command line ``arguments`` and return the exit code."""
-    options = parse_arguments(arguments, program)
+def run_command(
+    options: Namespace, program: str, directory: Path, make: Callable[[Path, Backend, Console], Runner]
+) -> int:
+    """Do what the options of :func:`add_run_arguments` say; returns the exit code.
 
+    Args:
+        options: the options.
+        program: how commands are called.
+        directory: of the runs.
+        make: what makes the runner.
+    """
     from algorithms.experiments.console import make_console
-    from algorithms.sweeps.runner import Backend, SweepRunner, show_broken, show_status
+    from algorithms.sweeps.runner import Backend, show_broken, show_status
 
-    directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
+    console = make_console()
     try:
         check_options(options)
         if options.status:
-            show_status(directory, make_console())
+            show_status(directory, console)
             return 0
         if options.verify:
-            return show_broken(directory, make_console())
-        backend = Backend(options.on, options.workers, options.address, wait=not options.no_wait)
-        runner = SweepRunner(load_sweep(options.config), directory, backend, make_console())
+            return show_broken(directory, console)
+        runner = make(
+            directory, Backend(options.on, options.workers, options.address, wait=not options.no_wait), console
+        )
         if options.remake:
             return runner.remake()
         return runner.print_batch_script() if options.dry_run else runner.run()
@@ -118,3 +145,16 @@ def main(arguments: list[str], program: str = INSTALLED) -> int:
     except Stopped as error:
         warn(f"error: {error}\nrun the same command again to resume", program)
         return 1
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments`` and return the exit code."""
+    options = parse_arguments(arguments, program)
+
+    def make(directory: Path, backend: Backend, console: Console) -> Runner:
+        from algorithms.sweeps.runner import SweepRunner
+
+        return SweepRunner(load_sweep(options.config), directory, backend, console)
+
+    directory = options.output or Path("runs") / "sweeps" / Path(options.config).stem
+    return run_command(options, program, directory, make)

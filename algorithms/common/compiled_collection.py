@@ -26,7 +26,7 @@ from algorithms.common.actors import (
 from algorithms.common.perceptron import BLOCK, Perceptron, forward_rows
 from algorithms.common.rollout import Buffers, follow_episodes
 from algorithms.common.threads import one_blas_thread, wanted_threads
-from mo_deepdrive.actions import decode_continuous, decode_discrete, find_infinite
+from mo_deepdrive.actions import decode_continuous, decode_discrete, delay, find_infinite
 from mo_deepdrive.batch import MAX_REDRAWS
 from mo_deepdrive.envs.streams import BLOCK as DRAWS_IN_BLOCK
 from mo_deepdrive.faults import check_vehicles
@@ -199,13 +199,21 @@ def _choose(outputs: Array, at: int, noise: Array, deviations: Array, v: int, ac
 @separate_jit
 def _decode(actions: Any, state: Records, table: NDArray[np.float64], controls: NDArray[np.float64]) -> int:
     """Write the target controls of the actions."""
+    late = len(state[0, 0].pending) > 0
     if actions.ndim == 2:
-        decode_discrete(state, actions, table, controls)
+        arriving = actions
+        if late:
+            n, vehicles = actions.shape
+            arriving = np.empty((n, vehicles), np.int64)
+            delay(state, actions.reshape(n, vehicles, 1), arriving.reshape(n, vehicles, 1))
+        decode_discrete(state, arriving, table, controls)
     else:
         exact = actions.astype(np.float64)
         if find_infinite(exact) >= 0:
             return NOT_FINITE
         decode_continuous(exact, controls)
+        if late:
+            delay(state, controls, controls)
     return DONE
 
 

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import gymnasium
 import mo_gymnasium  # noqa: F401  (registers its ids)
-from pydantic import BeforeValidator, Field, SerializationInfo, model_serializer
+from pydantic import BeforeValidator, Field, SerializationInfo, SerializerFunctionWrapHandler, model_serializer
 
 import mo_deepdrive
 from algorithms.common.hyperparameters import GuideSettings, a_twentieth
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
+from mo_deepdrive import suite
 from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
@@ -94,6 +95,13 @@ class EvaluationSettings(Settings):
     reference_point: list[float] | None = None
     """Reference point of a front's hypervolume, one number per objective; None for the default of this package's
     environments, and for no hypervolume on others."""
+    task: str | None = None
+    """The id of a task of the suite, as which the policy is scored, too, at the end."""
+
+    @model_serializer(mode="wrap")
+    def _without_no_task(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = serialise(self)
+        return values if self.task is not None else {key: each for key, each in values.items() if key != "task"}
 
     @property
     def final_seed(self) -> int:
@@ -218,6 +226,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     attempt(lambda: check_device("training.device", experiment.training.device, here))
     attempt(lambda: _check_episodes(experiment.evaluation))
+    attempt(lambda: _check_task(experiment))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
     reference: dict[str, Any] = {}
@@ -381,6 +390,24 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
 def _check_episodes(settings: EvaluationSettings) -> None:
     check_episodes("evaluation.episodes", settings.episodes, "validation")
     check_episodes("evaluation.final_episodes", settings.final_episodes, settings.split)
+
+
+def _check_task(experiment: Experiment) -> None:
+    """Refuse to score as a task of the suite what is trained on another environment."""
+    if experiment.evaluation.task is None:
+        return
+    try:
+        wanted = suite.load().task(experiment.evaluation.task).environment
+    except ValueError as error:
+        raise ValueError(f"evaluation.task: {error}") from None
+    action_types = [each.arguments.get("action_type", "discrete") for each in (experiment.environment, wanted)]
+    for key, given, needed in (
+        ("id", experiment.environment.id, wanted.id),
+        ("arguments.action_type", *action_types),
+    ):
+        if given != needed:
+            task = experiment.evaluation.task
+            raise ValueError(f"environment.{key} = {given!r}: evaluation.task = {task!r} needs {needed!r}")
 
 
 def check_loggers(experiment: Experiment) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, check_loggers, make_experiment
 from algorithms.experiments.interrupts import Moved, describe, stopped_by
+from algorithms.experiments.registry import find_algorithm, peer_running
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
 from algorithms.reporting.run_records import Recorded
 from algorithms.reporting.seed_groups import INCIDENTAL
@@ -159,8 +160,11 @@ def perform(job: Job, *, watch: Watch | None = None, stop: Callable[[], bool] | 
             _take_over_settings(run, job)
         check_loggers(run.experiment)
         _keep_wandb_id(job)
-        agent = resume(run)
         with open_log(job.path / "train.log") as log:
+            if find_algorithm(run.experiment.algorithm.name).is_peer:
+                peer_running().run_peer(run, make_console(log))
+                return "trained"
+            agent = resume(run)
             if train_and_finish(run, agent, make_console(log), resumed=resumed, watch=watch, stop=stop) is not None:
                 return "stopped"
     except OSError as error:

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-# "module:attribute" of the table of other libraries' algorithms, and of the function that finds a trained policy.
+# "module:attribute" of the table of other libraries' algorithms, the module that trains them, and "module:attribute" of
+# the function that finds a trained policy.
 PEER_TABLE = "algorithms.peers:PEERS"
+PEER_RUNNING = "algorithms.peers.running"
 FIND_TRAINED_POLICY = "algorithms.zoo:find"
 
 
@@ -99,6 +101,11 @@ def _users_class(path: str) -> type[Any]:
     if not (isinstance(found.Config, type) and issubclass(found.Config, Settings)):
         raise ValueError(f"algorithm.name = {path!r}: Config = {found.Config!r} must be a subclass of Settings")
     return found
+
+
+def peer_running() -> Any:
+    """The module that trains other libraries' algorithms."""
+    return resolve_name(PEER_RUNNING)
 
 
 def directory_name(algorithm: str) -> str:

@@ -9,7 +9,7 @@ import subprocess
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from algorithms.common.yaml_io import dump, read_mapping
@@ -48,13 +48,15 @@ PACKAGES = (
     "torch",
     "wandb",
 )
-# Entries of status.json: state, step and length of the training, seconds of work over all processes, time of the last
-# change; why it failed, what is missing in metrics.csv, the rows at the last checkpoints, the record of the files.
+# Entries of status.json: state, step and length of the training, seconds of work over all processes, their CPU seconds
+# until the training ended, time of the last change; why it failed, what is missing in metrics.csv, the rows at the last
+# checkpoints, the record of the files.
 STATUS: dict[str, tuple[type, ...]] = {
     "state": (str,),
     "step": (int,),
     "total_timesteps": (int,),
     "seconds": (int, float),
+    "cpu_seconds": (int, float),
     "updated": (str,),
     "reason": (str,),
     "metrics_gap": (str,),
@@ -87,13 +89,14 @@ class Run:
         self.experiment = experiment
         self.locked = True
         self._lock: IO[bytes] | None = None
-        self._opened = perf_counter()
+        self._opened, self._cpu_opened = perf_counter(), process_time()
         self._read_status()
 
     def _read_status(self) -> None:
         """Take over from status.json what later states keep."""
         status = self.status
         self._seconds_before: float = status.get("seconds", 0.0)
+        self._cpu_before: float = status.get("cpu_seconds", 0.0)
         self._logged = [entry for entry in status.get("logged", []) if isinstance(entry, dict)]
         self.metrics_gap: str | None = status.get("metrics_gap")
 
@@ -258,6 +261,9 @@ class Run:
             OSError: if it cannot be written, or a file cannot be recorded.
         """
         self.check_place()
+        used = round(self._cpu_before + process_time() - self._cpu_opened, 1)
+        if state == "finished":  # what came after the training does not count
+            used = self.status.get("cpu_seconds", used)
         write_json(
             self.path / STATUS_FILE,
             {
@@ -265,6 +271,7 @@ class Run:
                 "step": step,
                 "total_timesteps": self.experiment.training.total_timesteps,
                 "seconds": round(self._seconds_before + perf_counter() - self._opened, 1),
+                "cpu_seconds": used,
                 "updated": datetime.now().astimezone().isoformat(timespec="seconds"),
                 **({} if reason is None else {"reason": reason}),
                 **({} if self.metrics_gap is None else {"metrics_gap": self.metrics_gap}),

@@ -20,6 +20,7 @@ from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter, compilation_noted
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
+from algorithms.experiments.suite_scores import scorable, score_run
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS
@@ -289,6 +290,8 @@ def finish(run: Run, agent: Any, console: Console) -> None:
             directory=run.path,
             video=video,
         )
+        if settings.task is not None:
+            score_run(run, scorable(agent, run.experiment))
         if figures and not run.experiment.known_utility:
             with Accessory("no explorer", lambda text: print_line(console, text)):
                 from algorithms.experiments.front_explorer import write_explorer  # not earlier: only fronts need it

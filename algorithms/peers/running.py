@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import random  # noqa: TID251  (the libraries draw from the global generators)
 from importlib import metadata
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import numpy as np
 import torch
 
 from algorithms.common.fronts_file import FrontsFile
+from algorithms.common.threads import set_threads
 from algorithms.experiments.agent_report import (
     VIDEO_FILE,
     draw_figures_of_front,
@@ -23,6 +25,8 @@ from algorithms.experiments.build import make_environment
 from algorithms.experiments.lenient_output import open_log
 from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
+from algorithms.experiments.run_directory import METRICS_FILE
+from algorithms.experiments.suite_scores import score_run
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask
@@ -94,11 +98,18 @@ def prepare(experiment: Experiment, log: Log) -> PeerTask:
     return task
 
 
+def seed_everything(seed: int) -> None:
+    """Seed the global generators: the libraries draw from them whatever seed they are given."""
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  (the libraries use the legacy generator)
+    torch.manual_seed(seed)  # noqa: TID251
+
+
 def run_peer(run: Run, console: Console) -> None:
     """Train a peer, evaluate its policies on unmodified environments and our seeds, and write all results.
 
-    Its output goes to ``peer.log``, the recorder's metrics to ``metrics.csv``. Peers use the global random generators,
-    which the caller has to seed.
+    Its output goes to ``peer.log``, the recorder's metrics to ``metrics.csv``. A run that was interrupted begins anew.
+    Peers use the global random generators of this process, which are seeded.
 
     Raises:
         ValueError: as :func:`prepare`.
@@ -106,7 +117,15 @@ def run_peer(run: Run, console: Console) -> None:
     """
     experiment = run.experiment
     peer = PEERS[experiment.algorithm.name]
-    with Logger(run.path, wandb=experiment.logging.wandb, config=experiment.to_dict(), name=run.path.name) as logger:
+    set_threads(experiment.training.threads)
+    seed_everything(experiment.training.seed)
+    with Logger(
+        run.path,
+        after=-1 if (run.path / METRICS_FILE).exists() else None,
+        wandb=experiment.logging.wandb,
+        config=experiment.to_dict(),
+        name=run.path.name,
+    ) as logger:
         task = prepare(experiment, logger.log)
         with open_log(run.path / "peer.log") as file, contextlib.redirect_stdout(file):
             started, used = perf_counter(), process_time()
@@ -123,6 +142,9 @@ def run_peer(run: Run, console: Console) -> None:
         }
         finish = _finish_policy if peer.known_utility else _finish_front
         logger.log(steps, finish(run, policies, steps, about, console))
+        if experiment.evaluation.task is not None:
+            every = [policies.at(np.array([k])) for k in range(len(policies))]
+            score_run(run, every[0] if peer.known_utility else every)
     show_results(run, steps, console)
     run.set_status("finished", steps)
 

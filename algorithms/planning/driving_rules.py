@@ -2,9 +2,8 @@
 
 A rule waits, speeds up to a target speed and coasts or holds it, steers towards the next waypoint by proportional
 control of the direction, at first off to a side, and slows down before it arrives. So a part of them collides and a
-part arrives, quickly or calmly. They are
-the population of :mod:`algorithms.planning.conflicts`, give the front search its first plans, and take over from a
-plan in the middle of an episode.
+part arrives, quickly or calmly. They give the front search its first plans, and take over from a plan in the middle of
+an episode.
 """
 
 from __future__ import annotations

@@ -92,6 +92,7 @@ class PlanEvaluator:
     Args:
         scenario: "one_waypoint" or "static_obstacle".
         action_type: "discrete", "discrete-16" or "continuous".
+        time_limit: seconds after which an episode ends; the environment's by default.
 
     Attributes:
         batch: one world at the start of the scenario.
@@ -99,8 +100,10 @@ class PlanEvaluator:
         simulated_decisions: decisions simulated so far.
     """
 
-    def __init__(self, scenario: str, action_type: str):
+    def __init__(self, scenario: str, action_type: str, time_limit: float | None = None):
         config = front_config(scenario, action_type)
+        if time_limit is not None:
+            config = config.model_copy(update={"time_limit": time_limit})
         self.batch = WorldBatch(config, 1)
         self.batch.place(np.arange(1), lambda rows: np.zeros((len(rows), self.batch.scenario.draws)))
         self.format = PlanFormat(action_type, config.max_decisions)

@@ -58,7 +58,7 @@ def write_tables(path: Path, scores: Sequence[ScoreGroup], compared: Sequence[Sc
         if len(rows := tidy_comparisons(compared)) > 1:
             found[differences] = csv_bytes(rows)
     else:
-        text = _latex if path.suffix.lower() == ".tex" else _markdown
+        text = _latex if path.suffix.lower() == ".tex" else markdown
         table = scores_table(scores, TABLE_METRICS)
         found = {path: text(table, table[0].index("seeds") + 1, note).encode()}
         if len(table := comparison_table(compared)) > 1:
@@ -95,7 +95,7 @@ def _latex(rows: Rows, labels: int, note: str) -> str:
     )
 
 
-def _markdown(rows: Rows, labels: int, note: str) -> str:
+def markdown(rows: Rows, labels: int, note: str) -> str:
     """A table of GitHub's Markdown between what all rows share and the note."""
     shared, rows, labels = lift_labels(rows, labels)
 

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Experiment, check_loggers, make_experiment, override
 from algorithms.experiments.jobs import Job
-from algorithms.experiments.registry import directory_name
+from algorithms.experiments.registry import directory_name, find_algorithm, peer_running
 from algorithms.experiments.shipped import find_config
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
@@ -108,8 +108,9 @@ def expand(settings: SweepSettings, scores: Scores) -> list[ManifestRow]:
         grid = dict(zip(settings.grid, values, strict=True))
         cell = {"config": names[path], **grid} if len(bases) > 1 else grid
         try:
-            base = _overridden(bases[path], {**settings.overrides, **grid}, cell)
-            rows += _search_rows(settings, cell, base, scores) if settings.search else _cell_rows(settings, cell, base)
+            base = overridden(bases[path], {**settings.overrides, **grid}, cell)
+            search = settings.search is not None
+            rows += _search_rows(settings, cell, base, scores) if search else cell_rows(cell, base, settings.seeds)
         except ValueError as error:
             problems.append(str(error))
     if problems:
@@ -127,12 +128,12 @@ def _search_rows(
     assert settings.search is not None
     evaluation = base.get("evaluation")
     if not isinstance(evaluation, dict) or "split" not in evaluation:
-        base = _overridden(base, {"evaluation.split": "validation"}, cell)
+        base = overridden(base, {"evaluation.split": "validation"}, cell)
     rows: list[ManifestRow] = []
 
     def runs_of(trial: int, point: dict[str, Any]) -> list[str]:
         point_cell = {**cell, **point}
-        found = _cell_rows(settings, point_cell, _overridden(base, point, point_cell), trial)
+        found = cell_rows(point_cell, overridden(base, point, point_cell), settings.seeds, trial)
         known = {row.id for row in rows}  # a search may choose a point twice
         rows.extend(row for row in found if row.id not in known)
         return [row.id for row in found]
@@ -141,21 +142,31 @@ def _search_rows(
     return rows
 
 
-def _cell_rows(
-    settings: SweepSettings, cell: dict[str, Any], values: dict[str, Any], trial: int | None = None
+def cell_rows(
+    cell: dict[str, Any], values: Mapping[str, Any], seeds: Sequence[int], trial: int | None = None
 ) -> list[ManifestRow]:
-    """The rows of one cell, one per seed."""
+    """The rows of one cell, one per seed; its agent is built once to check it.
+
+    Args:
+        cell: the varied values, by key.
+        values: the sections of the experiment.
+        seeds: of the runs.
+        trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
+
+    Raises:
+        ValueError: naming the cell and its problem.
+    """
     where = _cell_name(cell)
-    experiment = make_experiment(_overridden(values, {"training.seed": settings.seeds[0]}, cell), where, here=False)
+    experiment = make_experiment(overridden(values, {"training.seed": seeds[0]}, cell), where, here=False)
     if trial is not None and experiment.evaluation.split != "validation":
         raise ValueError(
-            f"{where}: evaluation.split = {experiment.evaluation.split!r}: a search chooses by the final scores, so it "
-            "needs 'validation'"
+            f"{where}: evaluation.split = {experiment.evaluation.split!r}: settings are chosen by the final scores, "
+            "which needs 'validation'"
         )
     _check_buildable(experiment, where)
     resolved = _sorted(experiment.to_dict())
     rows: list[ManifestRow] = []
-    for seed in settings.seeds:
+    for seed in seeds:
         config = {**resolved, "training": {**resolved["training"], "seed": seed}}
         name = run_id(config)
         directory = f"{RUNS}/{directory_name(experiment.algorithm.name)}-seed{seed}-{name}"
@@ -170,7 +181,11 @@ def _check_buildable(experiment: Experiment, where: str) -> None:
     settings = experiment.training.model_copy(update={"device": "cpu"})  # this machine may not have the run's device
     try:
         check_loggers(experiment)
-        build(experiment.model_copy(update={"training": settings}), num_envs=1)
+        here = experiment.model_copy(update={"training": settings})
+        if find_algorithm(experiment.algorithm.name).is_peer:
+            peer_running().prepare(here, lambda _step, _metrics: None)
+        else:
+            build(here, num_envs=1)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
@@ -180,7 +195,7 @@ def _cell_name(cell: Mapping[str, Any]) -> str:
     return f"cell [{label(cell)}]"
 
 
-def _overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
+def overridden(values: Mapping[str, Any], changes: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of ``values`` with ``changes`` applied; errors name the cell."""
     result = copy.deepcopy(dict(values))
     try:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from algorithms.experiments.dashboard import Dashboard
-    from algorithms.sweeps.sweep_settings import AshaSettings, SweepSettings
+    from algorithms.sweeps.sweep_settings import AshaSettings, BackendSettings
 
 TuneReport = dict[str, Any]
 CONNECT_TIMEOUT = 10.0  # s, to find out whether a cluster can be reached
@@ -208,7 +208,7 @@ class _StopWhenAsked(_NotPickled, tune.Stopper):  # type: ignore[misc]  # Ray's 
 
 def run_on_ray(
     jobs: Sequence[Job],
-    settings: SweepSettings,
+    settings: BackendSettings,
     sweep: Path,
     monitor: Dashboard,
     *,
@@ -289,7 +289,7 @@ def _trial_name(trial: Any) -> str:
     return str(trial.config["run"]["id"])
 
 
-def _resources(settings: SweepSettings) -> dict[str, float]:
+def _resources(settings: BackendSettings) -> dict[str, float]:
     needs = settings.resources
     memory = {} if needs.memory_gb is None else {"memory": needs.memory_gb * GIB}
     return {"cpu": needs.cpus, **({"gpu": needs.gpus} if needs.gpus else {}), **memory}

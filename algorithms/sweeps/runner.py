@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from algorithms.experiments.jobs import Job
-    from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings, SweepSettings
+    from algorithms.sweeps.hyperparameter_search import Scores
+    from algorithms.sweeps.sweep_settings import BackendSettings, SweepSettings
 
 
 WORKER_MEMORY = GIB / 4  # bytes of a process that trains, without its rollouts
@@ -47,22 +49,38 @@ class Backend:
     wait: bool = True
 
 
-class SweepRunner:
-    """Runs a sweep in its directory.
+class Runner(ABC):
+    """Trains runs in a directory, which has their manifest; which runs may depend on the scores of others.
 
     Args:
-        settings: of the sweep.
-        directory: of the sweep; it has the manifest and the run directories.
+        settings: of the backends.
+        directory: has the manifest and the run directories.
         backend: what trains the runs.
         console: shows the progress.
     """
 
-    def __init__(self, settings: SweepSettings, directory: Path, backend: Backend, console: Console):
+    def __init__(self, settings: BackendSettings, directory: Path, backend: Backend, console: Console):
         self._settings = settings
         self._directory = directory
         self._backend = backend
         self._console = console
         self._failed: dict[Job, str] = {}
+
+    @abstractmethod
+    def expand(self, scores: Scores) -> list[ManifestRow]:
+        """The runs that are known by now: all of them, or those that ``scores`` suffice to choose.
+
+        Raises:
+            ValueError: naming what is invalid.
+        """
+
+    @abstractmethod
+    def metric_of(self, row: ManifestRow) -> str | None:
+        """The metric of the final evaluation by which later runs are chosen; None for a run that chooses nothing."""
+
+    @abstractmethod
+    def settled(self, rows: Sequence[ManifestRow]) -> list[ManifestRow]:
+        """Those rows by which others of them were chosen: they are not retried if they failed."""
 
     def _listed(self) -> Iterator[ManifestRow]:
         """The rows of the manifest in the directory; none if it has no manifest yet."""
@@ -127,24 +145,38 @@ class SweepRunner:
         return 0
 
     def _expand(self) -> list[ManifestRow]:
-        """The runs of the sweep; with a search, those of the batches chosen so far.
+        """The runs that are known by now.
 
         Raises:
             ValueError: for an invalid sweep, or the directory of a run or of another sweep.
         """
         if is_run(self._directory):
             raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another --output")
-        search = self._settings.search
-        scores: dict[str, float | None] = {}
-        if search is not None and is_sweep(self._directory):
-            self._check_manifest()  # the scores of another sweep may not have the search's metric
-            rows = read_manifest(self._directory)
-            scores |= read_scores([row.job(self._directory) for row in rows], search.metric)
-            self._remember_failures(rows, search)
-        scores |= {job.id: None for job in self._failed if job.id is not None}
-        expanded = expand(self._settings, scores)
+        expanded = self.expand(self.scores())
         self._refuse_other_sweep(expanded)
         return expanded
+
+    def scores(self) -> dict[str, float | None]:
+        """The scores by which runs are chosen, of the runs that have ended, by id; None for those that failed.
+
+        Raises:
+            ValueError: for the directory of another sweep, or scores that cannot be read.
+        """
+        scores: dict[str, float | None] = {}
+        if self._settings.adaptive and is_sweep(self._directory):
+            self._check_manifest()  # the scores of another sweep may not have the metric
+            rows = read_manifest(self._directory)
+            by_metric: dict[str, list[Job]] = {}
+            for row in rows:
+                if (metric := self.metric_of(row)) is not None:
+                    by_metric.setdefault(metric, []).append(row.job(self._directory))
+            for metric, jobs in by_metric.items():
+                scores |= read_scores(jobs, metric)
+            for row in self.settled(rows):
+                status = read_status(self._directory / row.directory)
+                if status.get("state") == "failed":
+                    self._failed.setdefault(row.job(self._directory), str(status.get("reason")))
+        return scores | {job.id: None for job in self._failed if job.id is not None}
 
     def _refuse_other_sweep(self, rows: Sequence[ManifestRow]) -> None:
         """Refuse a directory whose manifest has none of ``rows``; that of a sweep that was extended or cut has some."""
@@ -157,7 +189,7 @@ class SweepRunner:
 
     def _check_manifest(self) -> None:
         """Refuse a manifest of another sweep, or one that names code that this sweep does not, before it is opened."""
-        rows = expand(self._settings, {})
+        rows = self.expand({})
         self._refuse_other_sweep(rows)
         known = {name for row in rows for name in imported_paths(row.config).values()}
         for row in iterate_manifest(self._directory):
@@ -167,18 +199,6 @@ class SweepRunner:
                         f"the manifest of {str(self._directory)!r} has {key} = {name!r}, code that this sweep does not "
                         "name; choose another --output, or delete that sweep"
                     )
-
-    def _remember_failures(self, rows: Sequence[ManifestRow], search: HyperparameterSearchSettings) -> None:
-        """Do not retry failed runs of a cell's earlier batches: its later batches were chosen with these failures."""
-        cells = [json.dumps({key: row.cell[key] for key in row.cell if key not in search.space}) for row in rows]
-        batches = [(row.trial or 0) // search.points_at_a_time for row in rows]
-        last: dict[str, int] = {}  # every cell of the grid has a search of its own
-        for cell, batch in zip(cells, batches, strict=True):
-            last[cell] = max(batch, last.get(cell, 0))
-        for row, cell, batch in zip(rows, cells, batches, strict=True):
-            status = read_status(self._directory / row.directory)
-            if batch < last[cell] and status.get("state") == "failed":
-                self._failed.setdefault(row.job(self._directory), str(status.get("reason")))
 
     def _train(self, stop: Callable[[], bool]) -> list[Job]:
         """Train the runs, batch after batch of a search; returns all of them, whether they succeeded or not."""
@@ -195,7 +215,7 @@ class SweepRunner:
                 failed = self._train_batch([job for job in jobs if job not in self._failed], monitor, stop)
             self._failed |= failed
             # Without waiting, failures may have been all that the next batch of a search was waiting for.
-            if stop() or self._settings.search is None or not (self._backend.wait or failed):
+            if stop() or not self._settings.adaptive or not (self._backend.wait or failed):
                 return jobs
 
     def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
@@ -270,6 +290,32 @@ class SweepRunner:
 
     def _say(self, text: str) -> None:
         print_line(self._console, text)
+
+
+class SweepRunner(Runner):
+    """Trains the runs of a sweep; those of a search batch after batch."""
+
+    _settings: SweepSettings
+
+    def expand(self, scores: Scores) -> list[ManifestRow]:
+        """As of the base class."""
+        return expand(self._settings, scores)
+
+    def metric_of(self, row: ManifestRow) -> str | None:
+        """As of the base class."""
+        del row
+        return None if self._settings.search is None else self._settings.search.metric
+
+    def settled(self, rows: Sequence[ManifestRow]) -> list[ManifestRow]:
+        """The runs of a cell's earlier batches: its later ones were chosen with their failures."""
+        search = self._settings.search
+        assert search is not None
+        cells = [json.dumps({key: row.cell[key] for key in row.cell if key not in search.space}) for row in rows]
+        batches = [(row.trial or 0) // search.points_at_a_time for row in rows]
+        last: dict[str, int] = {}  # every cell of the grid has a search of its own
+        for cell, batch in zip(cells, batches, strict=True):
+            last[cell] = max(batch, last.get(cell, 0))
+        return [row for row, cell, batch in zip(rows, cells, batches, strict=True) if batch < last[cell]]
 
 
 def show_status(directory: Path, console: Console) -> None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from algorithms.experiments.jobs import Job
-    from algorithms.sweeps.sweep_settings import SweepSettings
+    from algorithms.sweeps.sweep_settings import BackendSettings
 
 POLL = 5.0  # s between queries of the queue
 JOBS_PER_QUERY = 500  # the length of a command line is limited
@@ -128,7 +128,7 @@ def _ask_accounting(job: str) -> dict[str, str]:
     return {name: state.split()[0] for name, _, state in (line.partition("|") for line in lines) if state.split()}
 
 
-def array_tasks(jobs: Sequence[Job], settings: SweepSettings) -> list[ArrayTask]:
+def array_tasks(jobs: Sequence[Job], settings: BackendSettings) -> list[ArrayTask]:
     """Divide the runs among tasks of a job array."""
     jobs = [replace(job.without_code(), path=job.path.resolve()) for job in jobs]
     size = settings.slurm.runs_per_job
@@ -151,7 +151,7 @@ class SlurmQueue:
         self.jobs = self._read()
         self.states: dict[str, str] = {}
 
-    def submit(self, tasks: Sequence[ArrayTask], settings: SweepSettings, sweep: Path) -> None:
+    def submit(self, tasks: Sequence[ArrayTask], settings: BackendSettings, sweep: Path) -> None:
         """Submit tasks to Slurm, in as few job arrays as possible.
 
         Raises:
@@ -212,7 +212,7 @@ class SlurmQueue:
 
 def run_on_slurm(
     jobs: Sequence[Job],
-    settings: SweepSettings,
+    settings: BackendSettings,
     sweep: Path,
     monitor: Dashboard,
     *,
@@ -244,7 +244,7 @@ def run_on_slurm(
     missing_before: set[Any] = set()
     first = True
     # Without waiting, nobody sees a run fail: a search that submitted it at every call would not pass its batch.
-    count_failures = not wait and settings.search is not None
+    count_failures = not wait and settings.adaptive
     while True:
         if queue.refresh():
             active = queue.active_runs()

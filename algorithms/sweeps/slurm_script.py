@@ -39,7 +39,7 @@ from mo_deepdrive.atomic_io import own_path
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from algorithms.sweeps.sweep_settings import SweepSettings
+    from algorithms.sweeps.sweep_settings import BackendSettings
 
 MAX_ARRAY_TASKS = 1000  # Slurm's default limit is 1001 (MaxArraySize)
 
@@ -77,7 +77,7 @@ def slurm_folder(sweep: Path) -> Path:
     return own_path(sweep.resolve(), "slurm")
 
 
-def sbatch_options(settings: SweepSettings, name: str) -> dict[str, Any]:
+def sbatch_options(settings: BackendSettings, name: str) -> dict[str, Any]:
     """The options of sbatch for each task of the array, under submitit's names.
 
     Args:
@@ -111,7 +111,7 @@ def sbatch_options(settings: SweepSettings, name: str) -> dict[str, Any]:
     }
 
 
-def batch_script(tasks: int, settings: SweepSettings, sweep: Path) -> str:
+def batch_script(tasks: int, settings: BackendSettings, sweep: Path) -> str:
     """The text of the batch script for an array of ``tasks`` tasks, or for the first array if there are several."""
     executor = _ScriptWriter(slurm_folder(sweep), max_num_timeout=settings.slurm.max_requeues)
     executor.update_parameters(**sbatch_options(settings, sweep.name))

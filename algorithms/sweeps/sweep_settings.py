@@ -37,6 +37,7 @@ def _as_choices(value: Any) -> Any:
 
 
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Seeds = Annotated[list[Seed], BeforeValidator(_as_seeds), Field(min_length=1)]
 
 
 class SearchRange(Settings):
@@ -140,7 +141,25 @@ class SlurmSettings(Settings):
     """Any other options of sbatch."""
 
 
-class SweepSettings(Settings):
+class BackendSettings(Settings):
+    """How many runs are trained: the resources of each, and the settings of the backends."""
+
+    resources: Resources = Resources()
+    """What each run needs."""
+    retries: int = Field(default=3, ge=0)
+    """How often to retry a run whose process died or could not write."""
+    ray: RaySettings = RaySettings()
+    """Settings of the backend of this name."""
+    slurm: SlurmSettings = SlurmSettings()
+    """Settings of the backend of this name."""
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether later runs are chosen by the scores of earlier ones."""
+        return False
+
+
+class SweepSettings(BackendSettings):
     """A sweep: a base experiment, what varies, and the resources of each run."""
 
     config: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
@@ -152,16 +171,13 @@ class SweepSettings(Settings):
     """Values of experiment keys; every combination is a cell. A mapping is merged into its section."""
     search: HyperparameterSearchSettings | None = None
     """A hyperparameter search, instead of a grid or within each cell of it."""
-    seeds: Annotated[list[Seed], BeforeValidator(_as_seeds), Field(min_length=1)] = [0]
+    seeds: Seeds = [0]
     """Seeds of each cell; a number is short for that many from 0 on."""
-    resources: Resources = Resources()
-    """What each run needs."""
-    retries: int = Field(default=3, ge=0)
-    """How often to retry a run whose process died or could not write."""
-    ray: RaySettings = RaySettings()
-    """Settings of the backend of this name."""
-    slurm: SlurmSettings = SlurmSettings()
-    """Settings of the backend of this name."""
+
+    @property
+    def adaptive(self) -> bool:
+        """As of the base class."""
+        return self.search is not None
 
 
 def load_sweep(path: str | Path) -> SweepSettings:

@@ -1,9 +1,12 @@
 -- What the made tables of the documentation select from: views of the CSV files in this folder and of the suite's tasks.
 
-CREATE VIEW suite_normalised AS -- every scored seed, by the policy that its task ranks
+CREATE VIEW suite_normalised AS -- every run, by the policy that its task ranks; one that failed has the lowest score
 SELECT learner, task, track, core, seed, cpu_seconds, max(-1.0, (value - floor) / (ceiling - floor)) AS score
 FROM suite JOIN suite_tasks USING (task, policy)
-WHERE suite."column" = 'score' AND value <> '' AND counted;
+WHERE suite."column" = 'score' AND value <> '' AND counted
+UNION ALL
+SELECT DISTINCT learner, task, track, core, seed, NULL, -1.0
+FROM suite JOIN suite_tasks USING (task) WHERE state = 'failed' AND counted;
 
 CREATE VIEW suite_tracks AS -- README: learners by tracks
 WITH cells AS (
@@ -22,7 +25,7 @@ FROM suite_tasks WHERE counted;
 
 CREATE VIEW suite_bounds AS -- scoreboard: floors, ceilings and the best learner of each task
 WITH means AS (
-  SELECT task, learner, avg(score) AS score, count(*) AS seeds, avg(cpu_seconds) / 60 AS minutes
+  SELECT task, learner, interquartile_mean(score) AS score, count(*) AS seeds, avg(cpu_seconds) / 60 AS minutes
   FROM suite_normalised GROUP BY task, learner),
 best AS (SELECT task, learner, max(score) AS score, seeds, minutes FROM means GROUP BY task)
 SELECT '`' || task || '`' AS task, printf('%.4g', floor) AS floor, floor_by AS "by", printf('%.4g', ceiling) AS ceiling, kind,
@@ -36,7 +39,7 @@ FROM suite_list AS list JOIN suite_bounds USING (task) WHERE core;
 
 CREATE VIEW suite_scores AS -- scoreboard: learners by tasks
 WITH cells AS (
-  SELECT learner, task, printf('%.2f', avg(score)) AS cell FROM suite_normalised GROUP BY learner, task)
+  SELECT learner, task, printf('%.2f', interquartile_mean(score)) AS cell FROM suite_normalised GROUP BY learner, task)
 SELECT learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE task WHEN 'K2' THEN cell END) AS K2,
   max(CASE task WHEN 'K3' THEN cell END) AS K3, max(CASE task WHEN 'K4' THEN cell END) AS K4,
   max(CASE task WHEN 'K5' THEN cell END) AS K5, max(CASE task WHEN 'K6-ESR' THEN cell END) AS "K6-ESR",
@@ -48,10 +51,10 @@ ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.le
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores where no learner has trained
 SELECT '`' || task || '`' AS task, learner,
-  decimals(avg(CASE suite."column" WHEN 'score' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "as trained",
-  decimals(avg(CASE suite."column" WHEN 'yaw_friction' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "less grip",
-  decimals(avg(CASE suite."column" WHEN 'action_delay' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "delayed actions",
-  decimals(avg(CASE suite."column" WHEN 'hidden_car' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "a hidden car"
+  decimals(interquartile_mean(CASE suite."column" WHEN 'score' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "as trained",
+  decimals(interquartile_mean(CASE suite."column" WHEN 'yaw_friction' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "less grip",
+  decimals(interquartile_mean(CASE suite."column" WHEN 'action_delay' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "delayed actions",
+  decimals(interquartile_mean(CASE suite."column" WHEN 'hidden_car' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "a hidden car"
 FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted GROUP BY task, learner;
 
 CREATE VIEW speed AS -- README

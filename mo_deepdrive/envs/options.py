@@ -82,7 +82,7 @@ def make_pins(options: Mapping[str, Any] | None, config: EnvConfig) -> np.ndarra
     for name in options:
         if name not in known:
             raise ValueError(f"unknown reset option {name!r} in {scenario.title}; {nearest(name, known)}")
-    array = np.zeros(1, dtype=with_room(SPAWN, scenario.obstacles, scenario.cars))
+    array = np.zeros(1, dtype=with_room(SPAWN, scenario.obstacles, scenario.cars, 0))
     pin_nothing(array)
     pins = array[0]
     if "start" in options:

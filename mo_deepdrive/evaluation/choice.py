@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mo_deepdrive.evaluation.statistics import resample
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -30,16 +32,7 @@ class ChoiceCriterion:
 
     def estimate(self, returns: NDArray[np.float64]) -> Estimate:
         """The value of one policy from returns (E, d) of its episodes, with its bootstrap interval."""
-        from mo_deepdrive.evaluation.statistics import LEVEL, MIN_SAMPLES, RESAMPLES, Estimate
-
-        value, n = float(self.values(returns[None])[0]), len(returns)
-        if n < MIN_SAMPLES:
-            return Estimate(value)
-        draws = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
-        values = np.concatenate([self.values(returns[part]) for part in np.array_split(draws, 20)])
-        tail = (1.0 - LEVEL) / 2.0
-        low, high = np.quantile(values, [tail, 1.0 - tail])
-        return Estimate(value, float(low), float(high))
+        return resample(returns, lambda part: float(self.values(part[None])[0]))
 
 
 def weighted_sum(weights: Mapping[str, float], objectives: Sequence[str]) -> ChoiceCriterion:

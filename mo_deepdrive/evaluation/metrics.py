@@ -47,6 +47,10 @@ WORST_OFF_UTILITY_ESR = "worst_off_utility_esr"  # mean over episodes of the lea
 SUCCESS, LENGTH = "success", "length"
 RETURN, DISCOUNTED_RETURN, END = "return/", "discounted_return/", "end/"
 
+# Of a task of the suite: the score, and beside it those under perturbations and so on.
+SUITE = "suite/"
+SUITE_SCORE = SUITE + "score"
+
 # Of fronts.
 HYPERVOLUME, CARDINALITY, EXPECTED_UTILITY = "hypervolume", "cardinality", "expected_utility"
 IGD_PLUS, ADDITIVE_EPSILON = "igd_plus", "additive_epsilon"

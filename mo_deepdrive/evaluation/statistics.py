@@ -114,6 +114,18 @@ def estimate(samples: NDArray[Any], statistic: Callable[..., Any]) -> Estimate:
     return Estimate(value) if np.isnan(low) else Estimate(value, float(low), float(high))
 
 
+def resample(samples: NDArray[Any], statistic: Callable[[NDArray[Any]], float]) -> Estimate:
+    """A statistic of the rows of ``samples`` (n, ...), which need not be a mean, with its bootstrap interval."""
+    value, n = statistic(samples), len(samples)
+    if n < MIN_SAMPLES:
+        return Estimate(value)
+    draws = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
+    values = [statistic(samples[rows]) for rows in draws]
+    tail = (1.0 - LEVEL) / 2.0
+    low, high = np.quantile(values, [tail, 1.0 - tail])
+    return Estimate(value, float(low), float(high))
+
+
 def rate(events: NDArray[np.bool_]) -> Estimate:
     """The share of True in ``events`` (n,) with Wilson's interval."""
     happened, n = int(np.sum(events)), len(events)
@@ -148,7 +160,7 @@ def interquartile_mean(samples: NDArray[Any], axis: int = 0) -> Any:
 
 def probability_of_improvement(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
     """The probability that a run of ``first`` (n,) scores higher than one of ``second`` (m,); ties count half."""
-    return _compare(first, second, lambda x, y: (np.sign(x[..., :, None] - y[..., None, :]).mean((-2, -1)) + 1.0) / 2.0)
+    return _compare(first, second, _improvement)
 
 
 def mean_difference(first: NDArray[Any], second: NDArray[Any]) -> Estimate:
@@ -193,17 +205,43 @@ def spread_ratio_power(runs: int, ratio: float) -> float:
     return float(np.mean([high is not None and high < 1.0 for high in highs]))
 
 
+def iqm_over_tasks(samples: Sequence[NDArray[Any]]) -> Estimate:
+    """The interquartile mean of the scores of several tasks, (n,) each, together; resampled within each task."""
+    return _resampled(samples, lambda *tasks: interquartile_mean(np.concatenate(tasks, axis=-1), axis=-1))
+
+
+def improvement_over_tasks(first: Sequence[NDArray[Any]], second: Sequence[NDArray[Any]]) -> Estimate:
+    """The mean over tasks of :func:`probability_of_improvement`; resampled within each task.
+
+    Args:
+        first: (n,) scores of each task.
+        second: (m,) scores of the same tasks, in the same order.
+    """
+
+    def statistic(*samples: Any) -> Any:
+        pairs = zip(samples[: len(first)], samples[len(first) :], strict=True)
+        return np.mean([_improvement(x, y) for x, y in pairs], axis=0)
+
+    return _resampled([*first, *second], statistic)
+
+
+def _improvement(x: Any, y: Any) -> Any:
+    return (np.sign(x[..., :, None] - y[..., None, :]).mean((-2, -1)) + 1.0) / 2.0
+
+
 def _compare(first: NDArray[Any], second: NDArray[Any], statistic: Callable[[Any, Any], Any]) -> Estimate:
     """``statistic`` of two independent samples, which are resampled independently; no interval if one is too small."""
-    first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    value = float(statistic(first, second))
-    if min(len(first), len(second)) < MIN_SAMPLES:
+    return _resampled([first, second], statistic)
+
+
+def _resampled(samples: Sequence[NDArray[Any]], statistic: Callable[..., Any]) -> Estimate:
+    """``statistic`` of independent samples, which are resampled independently; no interval if one is too small."""
+    samples = [np.asarray(sample, dtype=np.float64) for sample in samples]
+    value = float(statistic(*samples))
+    if min(len(sample) for sample in samples) < MIN_SAMPLES:
         return Estimate(value)
     generator = np.random.default_rng(0)
-    resampled = statistic(
-        generator.choice(first, (COMPARISON_RESAMPLES, len(first))),
-        generator.choice(second, (COMPARISON_RESAMPLES, len(second))),
-    )
+    resampled = statistic(*(generator.choice(sample, (COMPARISON_RESAMPLES, len(sample))) for sample in samples))
     tail = (1.0 - LEVEL) / 2.0
     # Interpolating between two infinite values would give NaN.
     method: Literal["linear", "nearest"] = "linear" if np.isfinite(resampled).all() else "nearest"

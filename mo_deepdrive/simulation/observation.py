@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 # A vehicle that has left the road is observed straight ahead, at rest, at this distance (m).
 ABSENT_DISTANCE = 100.0
 
-# So many oncoming cars are observed, the next ones that have not passed the crossing, from this distance to it on (m).
+# There is room for so many oncoming cars: the next ones that have not passed the crossing, from this distance to it on
+# (m).
 NEAREST_CARS = 2
 SIGHT_DISTANCE = 100.0
 
@@ -35,10 +36,10 @@ def look(s: Record, lanes: int) -> None:
 
 
 @jit
-def write_oncoming(worlds: Records, i: int, v: int, position: int, out: NDArray[np.float32]) -> None:
+def write_oncoming(worlds: Records, i: int, v: int, position: int, params: Record, out: NDArray[np.float32]) -> None:
     """Write distance and speed of the nearest oncoming cars of world ``i`` from the column ``position`` on.
 
-    Where there is none in sight, the distance is that of sight, and the speed zero.
+    Where there is none in sight, or fewer are observed, the distance is that of sight, and the speed zero.
     """
     for column in range(position, position + 2 * NEAREST_CARS, 2):
         out[i, v, column] = SIGHT_DISTANCE
@@ -48,7 +49,7 @@ def write_oncoming(worlds: Records, i: int, v: int, position: int, out: NDArray[
         car = worlds[i, v].cars[k]
         distance = traffic.distance_to_crossing(car)
         seen = car.present and not traffic.has_passed(car) and distance <= SIGHT_DISTANCE
-        if seen and column < position + 2 * NEAREST_CARS:
+        if seen and column < position + 2 * params.observed_cars:
             out[i, v, column] = distance
             out[i, v, column + 1] = car.speed
             column += 2
@@ -152,4 +153,4 @@ def write(
         position += 8
     if len(worlds[first, v].cars) > 0:
         for lane in range(lanes):
-            write_oncoming(worlds, first + lane, v, position, out)
+            write_oncoming(worlds, first + lane, v, position, params, out)

@@ -143,6 +143,9 @@ def place(worlds: Records, i: int, spawn: Record, params: Record) -> None:
         vehicle.brake = 0.0
         vehicle.travelled = 0.0
         vehicle.decisions = 0
+        for k in range(len(vehicle.pending)):
+            for axis in range(3):
+                vehicle.pending[k, axis] = 0.0
         vehicle.end = RUNNING
         vehicle.next_waypoint = 0
         vehicle.n_waypoints = params.n_waypoints[v]

@@ -137,6 +137,9 @@ VEHICLE = np.dtype(
             ("waypoints", _FLOAT, (MAX_WAYPOINTS, 2)),
             ("along", _FLOAT, (MAX_WAYPOINTS,)),
             ("obstacle", _FLOAT, (2, 2)),
+            # the actions on their way, that of decision t in the row t mod delay: the number of a discrete one, or the
+            # controls of a continuous one; zeros idle
+            ("pending", _FLOAT, (0, 3)),
             # the oncoming cars, the first one first; only beside a vehicle that is alone
             ("cars", CAR, (0,)),
         ],
@@ -160,12 +163,17 @@ SPAWN = np.dtype(
 
 
 @functools.cache  # one object for all batches: Numba takes microseconds per call to find that two dtypes are equal
-def with_room(dtype: np.dtype[Any], obstacles: int, cars: int) -> np.dtype[Any]:
-    """VEHICLE or SPAWN with the two ends of every obstacle, or of one if there is none, and ``cars`` oncoming cars."""
+def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np.dtype[Any]:
+    """VEHICLE or SPAWN with room for what not all worlds have.
+
+    That is the two ends of every obstacle, or of one if there is none, ``cars`` oncoming cars, and the actions of
+    ``delay`` decisions.
+    """
     shapes: dict[str, tuple[int, ...]] = {
         "obstacle": (2 * max(1, obstacles), 2),
         "cars": (cars,),
         "drivers": (cars,),
+        "pending": (delay, 3),
     }
     fields = ((name, dtype[name].base, shapes.get(name, dtype[name].shape)) for name in dtype.names or ())
     return np.dtype((np.record, list(fields)))
@@ -190,6 +198,7 @@ PARAMS = np.dtype(
             ("end_on_lane_violation", np.bool_),
             ("yield_to_oncoming", np.bool_),
             ("end_together", np.bool_),
+            ("charge_remaining_time", np.bool_),
             ("has_obstacle", np.bool_),
             ("has_lanes", np.bool_),
             # the objectives of the kernel that are emitted: indices, columns of the reward, and signs
@@ -209,6 +218,7 @@ PARAMS = np.dtype(
             ("fixed_obstacle", np.bool_),
             ("map_centre", _FLOAT),
             ("n_cars", np.int64),
+            ("observed_cars", np.int64),
             ("mean_headway", _FLOAT),
             ("driver_draw", np.int64),
         ],

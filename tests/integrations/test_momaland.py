@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import runpy
 import sys
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 import mo_deepdrive
-from tests.helpers.paths import REPOSITORY
 from tests.integrations.envs import SHORT, WEIGHTS, one_leaves_early, parallel
 from tests.integrations.matrix import Library, row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-    from types import ModuleType
 
 LIBRARY = Library("MOMAland", "momaland", "momaland", "`mo_deepdrive.parallel_env()`, `mo_deepdrive.env()`")
 
@@ -149,65 +142,3 @@ def test_a_central_agent_learns_with_morl_baselines() -> None:
     agent = CAPQL(central(), log=False, seed=0, device="cpu", **small)
     agent.train(100, central(), np.full(6, -1e4), num_eval_weights_for_front=6, num_eval_episodes_for_front=1)
     assert agent.global_step == 100
-
-
-# --------------------------------------------------------------------------------------- scripts/momaland_learners.py
-
-
-@pytest.fixture
-def needs_learners() -> None:
-    for module in ("distrax", "supersuit", "morl_baselines"):
-        pytest.importorskip(module)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("needs_learners")
-def test_the_learners_are_trained_and_scored(
-    load_script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output = tmp_path / "scores.csv"
-    options = ["--decisions", "128", "--episodes", "20", "--output", str(output)]
-    assert load_script("momaland_learners").main(["momappo", "gpi_ls", *options]) == 0
-    with output.open(encoding="utf-8") as file:
-        scores = list(csv.DictReader(file))
-    assert [(each["learner"], each["actions"]) for each in scores] == [
-        ("momappo", "sampled"),
-        ("momappo", "greedy"),
-        ("gpi_ls", "greedy"),
-    ]
-    for each in scores:
-        assert each["joint_decisions"] == "128"
-        assert float(each["cpu_seconds"]) > 0
-        shares = [float(each[name]) for name in each if name.endswith(("arrives", "collides", "both_arrive"))]
-        assert all(0.0 <= share <= 1.0 for share in shares)
-        assert np.isfinite([float(each[f"vehicle_{v}_utility"]) for v in range(2)]).all()
-    assert scores[0]["vehicle_0_utility"] != scores[1]["vehicle_0_utility"], "sampled and greedy actions differ"
-    # The results in the documentation have the columns of today.
-    with (REPOSITORY / "docs" / "results" / "momaland_learners.csv").open(encoding="utf-8") as file:
-        assert csv.DictReader(file).fieldnames == list(scores[0])
-
-
-@pytest.mark.usefixtures("needs_learners")
-def test_the_actor_is_scored_with_the_indicator_of_its_training(load_script: Callable[[str], ModuleType]) -> None:
-    from supersuit import agent_indicator_v0
-
-    plain, marked = parallel(keep_finished=True), agent_indicator_v0(parallel(keep_finished=True))
-    for env in (plain, marked):
-        env.reset(seed=3)
-    own, seen = (env.step(dict.fromkeys(env.agents, 3))[0] for env in (plain, marked))
-    for agent, indicator in zip(plain.agents, load_script("momaland_learners").indicators(), strict=True):
-        np.testing.assert_array_equal(seen[agent], [*own[agent], *indicator])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--decisions", "127"], "--decisions 127 must be at least 128"),
-        (["--output", "nowhere/scores.csv"], "nowhere"),
-    ],
-)
-def test_wrong_options_are_refused_before_training(
-    options: list[str], message: str, load_script: Callable[[str], ModuleType], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert load_script("momaland_learners").main(["momappo", "--output", "scores.csv", *options]) == 2
-    assert message in capsys.readouterr().err

@@ -17,8 +17,8 @@ NEVER_NEGATIVE = ("next_distance", "along", "travelled", "jerk", "g_force", "bra
 
 @pytest.fixture(scope="module")
 def driven(make_vector: Any) -> Any:
-    """Two intersections, after a few decisions."""
-    env = make_vector("intersection", 2)
+    """Two intersections, after a few decisions, with room for every field."""
+    env = make_vector("intersection", 2, action_delay=2)
     env.reset(seed=0)
     for _ in range(5):
         env.step(np.full((2, 2), 3))
@@ -29,7 +29,7 @@ def refusal(env: Any, name: str, value: Any) -> str:
     """The message that refuses ``value`` in field ``name`` of the last vehicle; the environment is unchanged."""
     before = env.get_state()
     saved = env.get_state()
-    vehicles = saved["state"].view(VEHICLE)
+    vehicles = saved["state"].view(env.batch.state.dtype)
     field = vehicles[name] if vehicles[name].dtype != np.bool_ else vehicles[name].view(np.uint8)
     field[(1, 1, *[-1] * (field.ndim - 2))] = value
     with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
@@ -107,6 +107,7 @@ def test_a_running_vehicle_without_waypoints_is_refused_and_one_that_was_never_p
 EXTREMES: dict[str, dict[str, Any]] = {
     "as published": {},
     "discrete": {"action_type": "discrete"},
+    "delayed": {"action_delay": 3},
     "constrained": {"constrain_controls": True},
     "coarse": {"simulation_frequency": 1, "decision_frequency": 1},
     "coarse decisions": {"simulation_frequency": 60, "decision_frequency": 1},

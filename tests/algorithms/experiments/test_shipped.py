@@ -8,6 +8,8 @@ import pytest
 
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.shipped import CONFIGS, config_names, find_config
+from algorithms.studies.plan import StudyPlan
+from algorithms.studies.settings import load_study
 from algorithms.sweeps.sweep_settings import load_sweep
 
 if TYPE_CHECKING:
@@ -66,3 +68,10 @@ def test_an_unknown_name_is_refused_with_the_nearest(load: Callable[[str], Any])
 @pytest.mark.parametrize("name", ["sweeps/one_waypoint", "sweeps/load", "sweeps/search"])
 def test_shipped_sweeps_name_shipped_experiments(name: str) -> None:
     assert all(find_config(config).is_file() for config in load_sweep(name).config)
+
+
+@pytest.mark.parametrize("name", [name for name in config_names() if name.startswith("studies/")])
+def test_in_shipped_studies_everything_has_an_effect(name: str) -> None:
+    plan = StudyPlan(load_study(name))
+    assert plan.arms
+    assert plan.idle == []

@@ -436,7 +436,7 @@ def test_a_search_is_scored_on_the_validation_split(tmp_path: Path) -> None:
     for row in expanded(tmp_path, search=search):
         assert row.config["evaluation"]["split"] == "validation"
     said = refused_cells(tmp_path, search=search, overrides={"evaluation.split": "test"})
-    assert "evaluation.split = 'test': a search chooses by the final scores, so it needs 'validation'" in said
+    assert "evaluation.split = 'test': settings are chosen by the final scores, which needs 'validation'" in said
     misspelt = {**search, "space": {"algorithm.step": [8]}}
     assert "did you mean 'steps'?" in refused_cells(tmp_path, search=misspelt)
     assert expanded(tmp_path)[0].config["evaluation"]["split"] == "test"

@@ -1,0 +1,86 @@
+"""Train all runs of a study, and write its tables: on this machine, on Ray or on Slurm.
+
+    mo-deepdrive study --config studies/suite                       # train what is missing, then write the tables
+    mo-deepdrive study --config studies/suite --tasks K1 K3         # some of its tasks; --learners ppo: some learners
+    mo-deepdrive study --config studies/suite --tables              # tables of what has finished by now
+    mo-deepdrive study --config studies/suite --on slurm            # as Slurm job arrays
+    mo-deepdrive study --config studies/suite --status              # show the progress
+
+A study trains some learners on some tasks; it may first choose the settings of each, on the validation split. Run the
+same command again to resume: finished runs are skipped, interrupted ones continue from their checkpoints.
+
+The study's directory is like that of a sweep, which mo-deepdrive table and mo-deepdrive plot read. It also gets
+results.csv (task, learner, seed, policy, column, value, low, high, state, CPU seconds), tuning.csv and results.md.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
+from algorithms.commands.sweep import add_run_arguments, run_command
+from algorithms.experiments.cli import INSTALLED, make_parser
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+    from rich.console import Console
+
+    from algorithms.studies.settings import Study
+    from algorithms.sweeps.runner import Backend, Runner
+
+
+def add_study_arguments(parser: ArgumentParser) -> None:
+    """The options of what trains a study."""
+    instead = add_run_arguments(parser, "study")
+    instead.add_argument("--tables", action="store_true", help="write the tables of what has finished")
+
+
+def parse_arguments(arguments: list[str], program: str) -> Namespace:
+    """The options."""
+    parser = make_parser(__doc__, program, "study")
+    parser.add_argument("--config", metavar="FILE", help="YAML file of the study, or the name of a shipped one")
+    parser.add_argument("--tasks", nargs="+", metavar="TASK", help="some of its tasks (default: all)")
+    parser.add_argument("--learners", nargs="+", metavar="NAME", help="some of its learners (default: all)")
+    add_study_arguments(parser)
+    options = parser.parse_args(arguments)
+    if options.config is None and not ((options.status or options.verify) and options.output):
+        parser.error("--config is required, except for --status and --verify with --output")
+    return options
+
+
+def make_runner(study: Study, options: Namespace, directory: Path, backend: Backend, console: Console) -> Runner:
+    """What trains a study.
+
+    Args:
+        study: its settings.
+        options: of the command.
+        directory: of the study.
+        backend: what trains the runs.
+        console: shows the progress.
+
+    Raises:
+        ValueError: naming what is invalid.
+    """
+    from algorithms.studies.plan import StudyPlan
+    from algorithms.studies.runner import StudyRunner
+
+    plan = StudyPlan(study)
+    if plan.idle and not (options.tasks or options.learners):
+        raise ValueError(f"invalid study: {'; '.join(plan.idle)}")
+    return StudyRunner(plan, directory, backend, console, train=not options.tables)
+
+
+def main(arguments: list[str], program: str = INSTALLED) -> int:
+    """Run the command line ``arguments`` and return the exit code."""
+    options = parse_arguments(arguments, program)
+
+    def make(directory: Path, backend: Backend, console: Console) -> Runner:
+        from algorithms.studies.settings import load_study, select
+
+        study = load_study(options.config)
+        return make_runner(select(study, options.tasks, options.learners), options, directory, backend, console)
+
+    directory = options.output or Path("runs") / "studies" / Path(options.config).stem
+    return run_command(options, program, directory, make)

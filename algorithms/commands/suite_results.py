@@ -1,0 +1,130 @@
+"""The actions of the command suite that make and show results: run and table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from algorithms.commands.study import add_study_arguments, make_runner
+from algorithms.commands.sweep import run_command
+from algorithms.experiments.cli import check_file
+from algorithms.experiments.shipped import CONFIGS
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+    from rich.console import Console
+
+    from algorithms.studies.settings import Study
+    from algorithms.sweeps.runner import Backend, Runner
+
+REFERENCE = "studies/suite"  # the study of the reference results
+PUBLISHED = CONFIGS.parent / "docs" / "results" / "suite.csv"  # these results; exists in a checkout alone
+CORE, ALL = "core", "all"  # instead of tasks
+
+
+def add_suite_run(parser: ArgumentParser) -> None:
+    """The options of ``suite run``."""
+    parser.add_argument(
+        "--learner",
+        nargs="+",
+        required=True,
+        metavar="L",
+        help="YAML file with an algorithm, the name of a shipped one, an own package.module:Class, or a learner of the "
+        f"reference study ({REFERENCE}), which is tuned as there",
+    )
+    parser.add_argument(
+        "--tasks", nargs="+", default=[CORE], metavar="TASK", help="their ids, core (the default), or all that count"
+    )
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds of each task (default: %(default)s)")
+    add_study_arguments(parser)
+
+
+def suite_run(options: Namespace) -> int:
+    """Train learners on tasks of the suite, and score them; returns the exit code."""
+
+    def make(directory: Path, backend: Backend, console: Console) -> Runner:
+        return make_runner(
+            study_of(options.learner, options.tasks, options.seeds), options, directory, backend, console
+        )
+
+    name = "-".join(["suite", *(Path(each).stem.rpartition(":")[2] for each in options.learner)])
+    return run_command(options, options.program, options.output or Path("runs") / "studies" / name, make)
+
+
+def study_of(learners: list[str], tasks: list[str], seeds: int) -> Study:
+    """The study of some learners on tasks of the suite, with the help of the reference study.
+
+    Args:
+        learners: learners of the reference study, which are tuned as there; else configs or paths of classes, which are
+            not tuned.
+        tasks: their ids, "core" or "all".
+        seeds: number of seeds.
+
+    Raises:
+        ValueError: naming what is unknown.
+    """
+    from algorithms.studies.settings import Learner, StudyTask, load_study, select
+    from mo_deepdrive import suite
+
+    if seeds < 1:
+        raise ValueError(f"--seeds {seeds} must be at least 1")
+    reference = load_study(REFERENCE)
+    known = suite.load().tasks
+    groups = {CORE: [key for key in known if known[key].core], ALL: [key for key in known if known[key].counted]}
+    wanted = [key for name in tasks for key in groups.get(name, [name])]
+    for key in wanted:
+        suite.load().task(key)
+    planned = {key for task in reference.tasks for key in reference.learners_of(task)}
+    if set(learners) <= planned:
+        return select(reference, wanted, learners).model_copy(update={"seeds": list(range(seeds))})
+    found = {}
+    for name in learners:
+        if name in planned:
+            raise ValueError(f"--learner {' '.join(learners)}: {name} is tuned, the others are not; run them apart")
+        key = Path(name).stem.rpartition(":")[2]
+        found[key] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)
+    values = {key: reference.tasks.get(key, StudyTask(task=key)).model_copy(update={"learners": {}}) for key in wanted}
+    given = reference.model_copy(update={"tuning": None, "learners": found, "seeds": list(range(seeds))})
+    return given.model_copy(update={"tasks": values})
+
+
+def add_suite_table(parser: ArgumentParser) -> None:
+    """The options of ``suite table``."""
+    parser.add_argument(
+        "results", nargs="?", type=Path, metavar="RESULTS.csv", help="of a study (default: the reference results)"
+    )
+    parser.add_argument("--against", metavar="LEARNER", help="whom the others are compared with (default: lintune)")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw the performance profiles")
+    parser.add_argument("--output", type=Path, metavar="FILE.md", help="write the tables as Markdown")
+
+
+def suite_table(options: Namespace) -> int:
+    """Print the tables of the suite, and write them if asked to; returns the exit code."""
+    from algorithms.experiments.console import make_console, print_line
+    from algorithms.reporting.table_files import markdown
+    from algorithms.reporting.wide_tables import print_rows
+    from algorithms.studies.results import read_results
+    from algorithms.studies.suite_tables import NOTE, Scoreboard
+    from mo_deepdrive import suite
+    from mo_deepdrive.atomic_io import atomic_write
+
+    check_file("--figure", options.figure)
+    check_file("--output", options.output, ".md")
+    path = options.results or PUBLISHED
+    if not path.is_file():
+        raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
+    console, board = make_console(), Scoreboard(read_results(path), suite.load())
+    tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
+    tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
+    for title, rows in tables:
+        print_rows(console, rows, title, 1)
+    console.print(NOTE, highlight=False)
+    if options.figure is not None:
+        board.draw_profiles(options.figure)
+        print_line(console, f"written: {options.figure}")
+    if options.output is not None:
+        text = "\n".join(f"## {title}\n\n{markdown(rows, 1, NOTE)}" for title, rows in tables)
+        atomic_write(options.output, text.encode())
+        print_line(console, f"written: {options.output}")
+    return 0

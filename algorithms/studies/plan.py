@@ -1,0 +1,261 @@
+"""From a study to its runs: those of the tuning first, and those that count of every arm whose tuning has scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.registry import find_algorithm
+from algorithms.experiments.shipped import find_config
+from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden
+from mo_deepdrive import suite
+from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from algorithms.studies.settings import Learner, Study, StudyTask
+    from algorithms.sweeps.hyperparameter_search import Scores
+
+TASK, LEARNER = "task", "learner"  # keys of every cell
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A learner on a task.
+
+    Attributes:
+        task, learner: their names.
+        label: of the learner.
+        metric: of the final evaluation, by which settings are chosen and learners are compared.
+        values: the sections of the experiment.
+        points: the settings that are tried, values by key; none if the study does not tune.
+        seeds: that count.
+    """
+
+    task: str
+    learner: str
+    label: str
+    metric: str
+    values: dict[str, Any]
+    points: tuple[dict[str, Any], ...]
+    seeds: tuple[int, ...]
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """The names of task and learner."""
+        return self.task, self.learner
+
+
+@dataclass(frozen=True)
+class ArmRuns:
+    """The runs of an arm that are known by now.
+
+    Attributes:
+        arm: whose they are.
+        tuning: one per tuning seed of every point.
+        scores: mean score of every point; None if a run of it failed, NaN if one has not ended.
+        chosen: index of the best point; None while it is not known, or if the study does not tune.
+        final: those that count; none while the settings are not chosen.
+    """
+
+    arm: Arm
+    tuning: tuple[tuple[ManifestRow, ...], ...]
+    scores: tuple[float | None, ...]
+    chosen: int | None
+    final: tuple[ManifestRow, ...]
+
+    @property
+    def rows(self) -> list[ManifestRow]:
+        """All of them."""
+        return [*(row for rows in self.tuning for row in rows), *self.final]
+
+    @property
+    def given_up(self) -> bool:
+        """Whether no settings can be chosen, because none of those that were tried has a score."""
+        return bool(self.tuning) and all(score is None for score in self.scores)
+
+
+class StudyPlan:
+    """The arms of a study.
+
+    Args:
+        study: its settings.
+
+    Attributes:
+        arms: learners on tasks.
+        idle: what has no effect, one line each: a learner that fits no task, help that no learner has a setting for.
+
+    Raises:
+        ValueError: naming the arm and what is invalid.
+    """
+
+    def __init__(self, study: Study):
+        self.study = study
+        self.arms, self.idle = _arms(study)
+        self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
+
+    def runs(self, scores: Scores) -> list[ArmRuns]:
+        """The runs that are known by now, by arm.
+
+        Args:
+            scores: of the runs that have ended, by id; None for those that failed.
+
+        Raises:
+            ValueError: naming the arm and what is invalid.
+        """
+        return [self._runs_of(arm, scores) for arm in self.arms]
+
+    def rows(self, scores: Scores) -> list[ManifestRow]:
+        """The same as the rows of a manifest: those of the tuning first, a run that two arms share once."""
+        arms = self.runs(scores)
+        tuning = [row for arm in arms for rows in arm.tuning for row in rows]
+        found: dict[str, ManifestRow] = {}
+        for row in [*tuning, *(row for arm in arms for row in arm.final)]:
+            found.setdefault(row.id, row)
+        return list(found.values())
+
+    def _runs_of(self, arm: Arm, scores: Scores) -> ArmRuns:
+        tuning = tuple(self._cell(arm, trial) for trial in range(len(arm.points)))
+        found = tuple(_mean([scores.get(row.id, np.nan) for row in rows]) for rows in tuning)
+        known = [score for score in found if score is not None]
+        if not arm.points:
+            return ArmRuns(arm, (), (), None, self._cell(arm, None))
+        if not known or np.isnan(known).any():
+            return ArmRuns(arm, tuning, found, None, ())
+        chosen = found.index((min if lower_is_better(arm.metric) else max)(known))
+        return ArmRuns(arm, tuning, found, chosen, self._cell(arm, None, chosen))
+
+    def _cell(self, arm: Arm, trial: int | None, chosen: int | None = None) -> tuple[ManifestRow, ...]:
+        """The rows of a point of the tuning, or those that count with the chosen point; every cell is checked once."""
+        key = (*arm.key, trial if chosen is None else -1 - chosen)
+        if key not in self._rows:
+            index = trial if trial is not None else chosen
+            point = {} if index is None else arm.points[index]
+            cell = {TASK: arm.task, LEARNER: arm.learner, **point}
+            split = "test" if trial is None else "validation"
+            values = overridden(arm.values, {**point, "evaluation.split": split}, cell)
+            seeds = arm.seeds
+            if trial is not None:
+                assert self.study.tuning is not None
+                seeds = tuple(self.study.tuning.seeds)
+                if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
+                    values["training"]["total_timesteps"] = max(1, round(self.study.tuning.share * steps))
+            self._rows[key] = tuple(cell_rows(cell, values, seeds, trial))
+        return self._rows[key]
+
+
+def _mean(scores: Sequence[float | None]) -> float | None:
+    """The mean of the scores of a point; None if a run failed, NaN if one has not ended."""
+    known = [score for score in scores if score is not None]
+    return float(np.mean(known)) if len(known) == len(scores) else None
+
+
+def _arms(study: Study) -> tuple[tuple[Arm, ...], list[str]]:
+    """The arms of a study, and what has no effect.
+
+    Raises:
+        ValueError: for an unknown task of the suite, or a learner without an algorithm or that fits no task.
+    """
+    arms = []
+    unused = {*study.help, *(key for task in study.tasks.values() for key in task.help)}
+    for name, task in study.tasks.items():
+        for key, learner in study.learners_of(name).items():
+            where = f"learner {key!r} on task {name!r}"
+            values = _base(learner, where)
+            if task.task is not None and _known_utility(values, where) != (
+                suite.load().task(task.task).utility is not None
+            ):
+                if key in task.learners:
+                    raise ValueError(
+                        f"{where}: the learner needs {'a' if _known_utility(values, where) else 'no'} known utility"
+                    )
+                continue
+            help_ = _fitting({**study.help, **task.help}, values)
+            unused -= set(help_)
+            values = _on_task(values, task)
+            for changes in (study.overrides, task.overrides, help_, learner.overrides):
+                values = overridden(values, changes, {TASK: name, LEARNER: key})
+            arms.append(
+                Arm(
+                    name,
+                    key,
+                    learner.label or key,
+                    _metric(study, name),
+                    values,
+                    tuple(study.points(learner)),
+                    tuple(task.seeds or study.seeds),
+                )
+            )
+    if not arms:
+        raise ValueError(f"no learner fits any of the tasks {', '.join(study.tasks)}")
+    learners = {key for name in study.tasks for key in study.learners_of(name)} - {arm.learner for arm in arms}
+    idle = [f"learner {key!r} fits none of the tasks" for key in sorted(learners)]
+    return tuple(arms), idle + [f"help: no learner has the setting {key!r}" for key in sorted(unused)]
+
+
+def _base(learner: Learner, where: str) -> dict[str, Any]:
+    """The sections of a learner's config, with the name of its algorithm.
+
+    Raises:
+        ValueError: if it has no algorithm.
+    """
+    values = {} if learner.config is None else read_mapping(find_config(learner.config))
+    section = values.setdefault("algorithm", {})
+    if "algorithm.name" in learner.overrides and isinstance(section, dict):
+        section["name"] = learner.overrides["algorithm.name"]
+    if not isinstance(section, dict) or "name" not in section:
+        raise ValueError(f"{where} has no algorithm; give it a config, or algorithm.name in its overrides")
+    return values
+
+
+def _known_utility(values: Mapping[str, Any], where: str) -> bool:
+    return find_algorithm(values["algorithm"]["name"], where).known_utility
+
+
+def _on_task(values: Mapping[str, Any], task: StudyTask) -> dict[str, Any]:
+    """The sections of a learner with what its task sets, whose own settings go before those of the suite."""
+    known = None if task.task is None else suite.load().task(task.task)
+    environment = task.environment or (known and known.environment)
+    utility = task.utility or (known and known.utility)
+    steps = task.steps or (known and known.steps)
+    changed = dict(values)
+    if environment is not None:
+        changed["environment"] = environment.model_dump(mode="json")
+    if utility is not None or known is not None:
+        changed["utility"] = utility and utility.model_dump(mode="json")
+    if steps is not None:
+        changed["training"] = {**(values.get("training") or {}), "total_timesteps": steps}
+    if known is not None:
+        changed["evaluation"] = {**(values.get("evaluation") or {}), "task": task.task}
+    return changed
+
+
+def _fitting(help_: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries that a learner's algorithm has a setting for, and all that are not of the algorithm."""
+    known = find_algorithm(values["algorithm"]["name"]).config_class.model_fields
+    parts = {key: key.split(".") for key in help_}
+    return {
+        key: help_[key] for key, part in parts.items() if part[0] != "algorithm" or (len(part) > 1 and part[1] in known)
+    }
+
+
+def _metric(study: Study, name: str) -> str:
+    """The metric of a task.
+
+    Raises:
+        ValueError: if there is none, or it names no policy.
+    """
+    task = study.tasks[name]
+    default = study.metric
+    if task.task is not None:
+        default = f"{suite.load().task(task.task).policy}/{SUITE_SCORE}"
+    metric = task.metric or default
+    if metric is None:
+        raise ValueError(f"task {name!r} has no metric; give one to it or to the study")
+    if not split_name(metric).policy:
+        raise ValueError(f"task {name!r}: metric = {metric!r} must begin with a policy, one of {', '.join(POLICIES)}")
+    return metric

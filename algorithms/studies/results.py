@@ -1,0 +1,223 @@
+"""The results of a study: a tidy table of the runs that count, one of the tuning, and a page of tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from algorithms.experiments.run_directory import read_status
+from algorithms.reporting.run_records import final_scores
+from algorithms.reporting.table_files import markdown
+from algorithms.sweeps.manifest import label
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.metrics import SUITE, split_name
+from mo_deepdrive.evaluation.statistics import mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from algorithms.reporting.wide_tables import Rows
+    from algorithms.studies.plan import ArmRuns, StudyPlan
+    from algorithms.sweeps.manifest import ManifestRow
+    from mo_deepdrive.evaluation.statistics import Estimate
+
+RESULTS_FILE, TUNING_FILE, TABLES_FILE = "results.csv", "tuning.csv", "results.md"
+FINISHED, FAILED, WAITING = "finished", "failed", "waiting"
+NOTE = (
+    "Means over seeds with 95% bootstrap intervals. Runs that failed or are not finished have no score and are counted."
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A score of a run that counts; a run without scores has one row, in which those fields are empty.
+
+    Attributes:
+        task, learner: names of the arm.
+        seed: of the run.
+        policy: "greedy", "stochastic" or "front".
+        column: what was measured: "score" and so on for a task of the suite, else a metric of the final evaluation.
+        value, low, high: the score with its 95% interval over episodes.
+        state: of the run: "finished", "failed", "running", "waiting" and so on.
+        cpu_seconds: of its training.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    task: str
+    learner: str
+    seed: int
+    policy: str
+    column: str
+    value: float | None
+    low: float | None
+    high: float | None
+    state: str
+    cpu_seconds: float | None
+
+
+def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Result]:
+    """The results of the runs that count, in the order of the study.
+
+    Args:
+        plan: of the study.
+        runs: that are known by now.
+        directory: of the study.
+
+    Raises:
+        ValueError: if a finished run cannot be read, or has no value of its metric.
+    """
+    return [result for arm in runs for seed in arm.arm.seeds for result in _results_of(plan, arm, seed, directory)]
+
+
+def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> list[Result]:
+    """The results of one seed of an arm; an arm whose tuning failed has failed for every seed."""
+    task, learner = arm.arm.key
+    row = next((row for row in arm.final if row.seed == seed), None)
+    if row is None:
+        state = FAILED if arm.given_up else WAITING
+        return [Result(task, learner, seed, "", "", None, None, None, state, None)]
+    status = read_status(directory / row.directory)
+    state, seconds = str(status.get("state", WAITING)), status.get("cpu_seconds")
+    scores = final_scores(directory / row.directory) if state == FINISHED else {}
+    found = []
+    for name, score in scores.items():
+        if (column := _column(plan, arm, name)) is not None:
+            policy = split_name(name).policy
+            found.append(
+                Result(task, learner, seed, policy, column, score.value, score.low, score.high, state, seconds)
+            )
+    if state == FINISHED and arm.arm.metric not in scores:
+        raise ValueError(f"run {str(directory / row.directory)!r} has no {arm.arm.metric!r} in its final evaluation")
+    return found or [Result(task, learner, seed, "", "", None, None, None, state, seconds)]
+
+
+def _column(plan: StudyPlan, arm: ArmRuns, name: str) -> str | None:
+    """The column of a metric of the final evaluation; None for one that the results leave out."""
+    rest = name.partition("/")[2]
+    if rest.startswith(SUITE):
+        return rest.removeprefix(SUITE)
+    metric = arm.arm.metric.partition("/")[2]
+    return rest if rest in (metric, *plan.study.columns) else None
+
+
+def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Result]:
+    """Write the tables of a study into its directory; returns the results.
+
+    Raises:
+        ValueError: as :func:`results_of`.
+        OSError: if a file cannot be written; it is then unchanged.
+    """
+    results = results_of(plan, runs, directory)
+    atomic_write(directory / RESULTS_FILE, results_csv(results))
+    if plan.study.tuning is not None:
+        atomic_write(directory / TUNING_FILE, csv_bytes(tuning_rows(runs, directory)))
+    parts = [f"# {plan.study.title or directory.name}"]
+    for title, rows in study_tables(plan, runs, results):
+        parts.append(f"## {title}\n\n{markdown(rows, 1, NOTE)}")
+    atomic_write(directory / TABLES_FILE, ("\n\n".join(parts)).encode())
+    return results
+
+
+def results_csv(results: Iterable[Result]) -> bytes:
+    """Results as a tidy CSV, numbers with seven significant digits."""
+    rows = [
+        ["" if each is None else f"{each:.7g}" if isinstance(each, float) else each for each in asdict(result).values()]
+        for result in results
+    ]
+    return csv_bytes([[field.name for field in fields(Result)], *rows])
+
+
+def read_results(path: Path) -> list[Result]:
+    """The results in a CSV that :func:`results_csv` wrote.
+
+    Raises:
+        ValueError: naming the line and the column that is invalid.
+        OSError: if it cannot be read.
+    """
+    found, rows = [], TypeAdapter(Result)
+    for number, row in enumerate(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))), 2):
+        text = ("task", "learner", "policy", "column", "state")
+        try:
+            found.append(
+                rows.validate_python({name: value if name in text else value or None for name, value in row.items()})
+            )
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]
+            where = ".".join(map(str, problem["loc"]))
+            raise ValueError(
+                f"{str(path)!r} is not a table of results: line {number}, {where}: {problem['msg']}"
+            ) from None
+    if not found:
+        raise ValueError(f"{str(path)!r} has no results")
+    return found
+
+
+def tuning_rows(runs: Sequence[ArmRuns], directory: Path) -> list[list[Any]]:
+    """A row per run of the tuning: its settings and state, the mean score of these, and whether they were chosen."""
+    rows: list[list[Any]] = [
+        ["task", "learner", "trial", "settings", "seed", "state", "metric", "mean_score", "chosen"]
+    ]
+    for arm in runs:
+        for trial, (of_point, score) in enumerate(zip(arm.tuning, arm.scores, strict=True)):
+            known = "" if score is None or np.isnan(score) else f"{score:.7g}"
+            for row in of_point:
+                settings = json.dumps(arm.arm.points[trial], sort_keys=True)
+                about = [*arm.arm.key, trial, settings, row.seed, _state(row, directory)]
+                rows.append([*about, arm.arm.metric, known, int(trial == arm.chosen)])
+    return rows
+
+
+def _state(row: ManifestRow, directory: Path) -> str:
+    return str(read_status(directory / row.directory).get("state", WAITING))
+
+
+def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Result]) -> list[tuple[str, Rows]]:
+    """The tables of a study, one per task with its title: a row per learner, the best first.
+
+    Args:
+        plan: of the study.
+        runs: that are known by now.
+        results: of these.
+    """
+    found = []
+    for name, task in plan.study.tasks.items():
+        mine = [result for result in results if result.task == name]
+        columns = list(dict.fromkeys((result.policy, result.column) for result in mine if result.column))
+        arms = [arm for arm in runs if arm.arm.task == name]
+        rows = [["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]]
+        for arm in arms:
+            of_arm = [result for result in mine if result.learner == arm.arm.learner]
+            states = Counter({result.seed: result.state for result in of_arm}.values())
+            others = ", ".join(f"{number} {state}" for state, number in sorted(states.items()) if state != FINISHED)
+            seeds = f"{sum(states.values())}" + (f" ({others})" if others else "")
+            minutes = [
+                seconds / 60
+                for seconds in {result.seed: result.cpu_seconds for result in of_arm}.values()
+                if seconds is not None
+            ]
+            cells = [_text(score_of(of_arm, policy, column)) for policy, column in columns]
+            chosen = "" if arm.chosen is None else label(arm.arm.points[arm.chosen])
+            rows.append([arm.arm.label, seeds, f"{np.mean(minutes):.1f}" if minutes else "", *cells, chosen])
+        found.append((task.title or name, rows))
+    return found
+
+
+def score_of(results: Iterable[Result], policy: str, column: str) -> Estimate | None:
+    """The mean over seeds of a column of one policy; None if no run has it."""
+    values = [
+        each.value for each in results if (each.policy, each.column) == (policy, column) and each.value is not None
+    ]
+    return mean(np.array(values)) if values else None
+
+
+def _text(score: Estimate | None) -> str:
+    return "" if score is None else score.text()

@@ -1,0 +1,75 @@
+"""Train the runs of a study, the tuning of every arm before the runs that count, and write its tables."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from algorithms.reporting.wide_tables import print_rows
+from algorithms.studies.plan import LEARNER, TASK, StudyPlan
+from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
+from algorithms.sweeps.manifest import is_sweep
+from algorithms.sweeps.runner import Backend, Runner
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from algorithms.sweeps.hyperparameter_search import Scores
+    from algorithms.sweeps.manifest import ManifestRow
+
+
+class StudyRunner(Runner):
+    """Trains the runs of a study in a directory like a sweep's.
+
+    Args:
+        plan: the arms of the study.
+        directory: has the manifest and the run directories.
+        backend: what trains the runs.
+        console: shows the progress.
+        train: whether to train what is missing; else the tables are written of what there is.
+    """
+
+    def __init__(self, plan: StudyPlan, directory: Path, backend: Backend, console: Console, *, train: bool = True):
+        super().__init__(plan.study, directory, backend, console)
+        self._plan = plan
+        self._train_missing = train
+        self._metrics = {arm.key: arm.metric for arm in plan.arms}
+
+    def expand(self, scores: Scores) -> list[ManifestRow]:
+        """As of the base class."""
+        return self._plan.rows(scores)
+
+    def metric_of(self, row: ManifestRow) -> str | None:
+        """As of the base class."""
+        return None if row.trial is None else self._metrics.get(_arm(row))
+
+    def settled(self, rows: Sequence[ManifestRow]) -> list[ManifestRow]:
+        """The tuning of the arms that have runs that count."""
+        chosen = {_arm(row) for row in rows if row.trial is None}
+        return [row for row in rows if row.trial is not None and _arm(row) in chosen]
+
+    def run(self) -> int:
+        """Train as the base class does, with its exit codes and errors; then write and print the tables."""
+        code = 0
+        if self._train_missing:
+            code = super().run()
+        elif not is_sweep(self._directory):
+            raise ValueError(f"there is no study in {str(self._directory)!r} yet; leave out --tables to train its runs")
+        if self._backend.name != "manifest":
+            self._write_tables()
+        return code
+
+    def _write_tables(self) -> None:
+        runs = self._plan.runs(self.scores())
+        results = write_results(self._plan, runs, self._directory)
+        for title, rows in study_tables(self._plan, runs, results):
+            print_rows(self._console, rows, title, 1)
+        self._console.print(NOTE, highlight=False)
+        self._say(f"written: {self._directory / RESULTS_FILE}, {self._directory / TABLES_FILE}")
+
+
+def _arm(row: ManifestRow) -> tuple[str, str]:
+    """Task and learner of a row."""
+    return str(row.cell.get(TASK)), str(row.cell.get(LEARNER))

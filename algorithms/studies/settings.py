@@ -1,0 +1,223 @@
+"""The settings of a study, as its YAML file gives them."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from algorithms.common.yaml_io import read_mapping
+from algorithms.experiments.config import Count, UtilitySettings
+from algorithms.experiments.shipped import find_config
+from algorithms.sweeps.sweep_settings import BackendSettings, Seeds
+from mo_deepdrive.config import EnvironmentSettings, Settings, parse
+from mo_deepdrive.names import nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+MAX_TUNING_RUNS = 12  # of an arm
+
+Values = dict[str, Annotated[list[Any], Field(min_length=1)]]
+
+
+def _as_tasks(value: Any) -> Any:
+    """A list is short for tasks of the suite."""
+    return {name: {"task": name} for name in value} if isinstance(value, list) else value
+
+
+class Learner(Settings):
+    """An algorithm with its settings, one line of a table."""
+
+    label: str | None = None
+    """Name in tables and figures; None for its key."""
+    config: str | None = None
+    """YAML file with the algorithm, or of a whole experiment, relative to the working directory or to the folder of the
+    study's own file, or the name of a shipped one."""
+    overrides: dict[str, Any] = {}
+    """Values of experiment keys."""
+    tuning: Values | None = None
+    """Values of experiment keys that are tried, instead of those of the study; every combination is tried."""
+
+    def with_changes(self, other: Learner) -> Learner:
+        """The learner with what ``other`` sets: its overrides are added, anything else is replaced."""
+        changes = {name: getattr(other, name) for name in other.model_fields_set}
+        return self.model_copy(update={**changes, "overrides": {**self.overrides, **other.overrides}})
+
+
+class Tuning(Settings):
+    """How the settings of every arm are chosen: tried on the validation split, the best mean over the seeds wins."""
+
+    values: Values = {}
+    """Values of experiment keys that are tried, for learners that name none; every combination is tried."""
+    seeds: Seeds = [100]
+    """Seeds of each combination, none of which may be a seed that counts; a number is short for that many from 0 on."""
+    share: float = Field(default=1.0, gt=0.0, le=1.0)
+    """Share of a run's environment steps that a run of the tuning takes."""
+
+
+class StudyTask(Settings):
+    """What is learnt. A task of the suite brings environment, utility, steps and score; any other names them."""
+
+    task: str | None = None
+    """The id of a task of the suite."""
+    title: str | None = None
+    """Name in tables and figures; None for the suite's, or for its key."""
+    environment: EnvironmentSettings | None = None
+    """The environment, instead of that of the learners' configs."""
+    utility: UtilitySettings | None = None
+    """The utility, instead of that of the learners' configs."""
+    steps: Count | None = None
+    """Environment steps of a run, instead of those of the learners' configs."""
+    metric: str | None = None
+    """The metric of the final evaluation by which settings are chosen and learners are compared, instead of the
+    study's; with a suite's task its score."""
+    seeds: Seeds | None = None
+    """Seeds that count, instead of the study's."""
+    help: dict[str, Any] = {}
+    """As the study's, which these are added to."""
+    overrides: dict[str, Any] = {}
+    """Values of experiment keys, the same for all runs of the task."""
+    learners: dict[str, Learner] = {}
+    """Further learners of this task by name, and what differs here from the study's learner of that name."""
+
+
+class Study(BackendSettings):
+    """A study: tasks, learners, and how settings are chosen."""
+
+    title: str = ""
+    """Name in tables and figures."""
+    tasks: Annotated[dict[str, StudyTask], BeforeValidator(_as_tasks), Field(min_length=1)]
+    """What is learnt, by name; a list of ids is short for tasks of the suite."""
+    learners: dict[str, Learner] = {}
+    """What learns, by name."""
+    seeds: Seeds = [0]
+    """Seeds that count, scored on the test split; a number is short for that many from 0 on."""
+    tuning: Tuning | None = None
+    """How settings are chosen; None to train every learner with its own."""
+    metric: str | None = None
+    """The metric of the final evaluation by which settings are chosen and learners are compared, such as
+    "stochastic/utility_esr" or "front/hypervolume"; for tasks that name none."""
+    columns: list[str] = []
+    """Further metrics of the final evaluation that the results have, without the policy, such as "success"."""
+    help: dict[str, Any] = {}
+    """Settings that every learner gets that has them, so that all have the same help."""
+    overrides: dict[str, Any] = {}
+    """Values of experiment keys, the same for all runs."""
+
+    @property
+    def adaptive(self) -> bool:
+        """As of the base class."""
+        return self.tuning is not None
+
+    def learners_of(self, task: str) -> dict[str, Learner]:
+        """The learners of a task, by name."""
+        own = self.tasks[task].learners
+        return {
+            name: self.learners.get(name, Learner()).with_changes(own.get(name, Learner()))
+            for name in {**self.learners, **own}
+        }
+
+    def points(self, learner: Learner) -> list[dict[str, Any]]:
+        """The settings that are tried for a learner: values of experiment keys; none if the study does not tune."""
+        if self.tuning is None:
+            return []
+        values = self.tuning.values if learner.tuning is None else learner.tuning
+        return (
+            [dict(zip(values, combination, strict=True)) for combination in product(*values.values())] if values else []
+        )
+
+
+def select(study: Study, tasks: Sequence[str] | None, learners: Sequence[str] | None) -> Study:
+    """The part of a study with some tasks and learners; None for all.
+
+    Raises:
+        ValueError: for unknown ones, with the nearest names.
+    """
+    known = {key for task in study.tasks for key in study.learners_of(task)}
+    for option, names, choices in (("--tasks", tasks, set(study.tasks)), ("--learners", learners, known)):
+        for name in names or ():
+            if name not in choices:
+                raise ValueError(f"{option} {name}: unknown; {nearest(name, choices)}")
+
+    def kept(given: dict[str, Learner]) -> dict[str, Learner]:
+        return {key: each for key, each in given.items() if learners is None or key in learners}
+
+    chosen = {
+        name: task.model_copy(update={"learners": kept(task.learners)})
+        for name, task in study.tasks.items()
+        if (tasks is None or name in tasks) and kept(study.learners_of(name))
+    }
+    if not chosen:
+        raise ValueError(f"none of the tasks has a learner of --learners {' '.join(learners or ())}")
+    return study.model_copy(update={"tasks": chosen, "learners": kept(study.learners)})
+
+
+def load_study(path: str | Path) -> Study:
+    """Read the settings of a study: a YAML file, or the name of a shipped one.
+
+    Raises:
+        ValueError: naming the file and every invalid key; or a config that does not exist, with the places.
+    """
+    name, path = str(path), find_config(path)
+    given = read_mapping(path)
+    if "tasks" not in given:
+        kind, command = ("sweep", "sweep") if "config" in given else ("experiment", "train")
+        raise ValueError(f"{name!r} is the file of a{'n' * (kind[0] == 'e')} {kind}; mo-deepdrive {command} takes it")
+    study = parse(Study, given, f"study {name!r}")
+    problems = problems_of(study)
+    if problems:
+        raise ValueError(f"invalid study {name!r}: {'; '.join(problems)}")
+
+    def found(learners: dict[str, Learner]) -> dict[str, Learner]:
+        return {
+            key: each.model_copy(update={"config": _beside(each.config, path)}) if each.config else each
+            for key, each in learners.items()
+        }
+
+    tasks = {key: task.model_copy(update={"learners": found(task.learners)}) for key, task in study.tasks.items()}
+    return study.model_copy(update={"tasks": tasks, "learners": found(study.learners)})
+
+
+def _beside(name: str, study: Path) -> str:
+    """``name``, or the path of the file that it names beside the file of the study.
+
+    Raises:
+        ValueError: if there is no such config.
+    """
+    beside = study.parent / name
+    return str(beside) if find_config(name, beside=study) == beside else name
+
+
+def problems_of(study: Study) -> list[str]:
+    """What is invalid in a study by itself, one line each."""
+    found = []
+    tuning = [] if study.tuning is None else study.tuning.seeds
+    for where, seeds in {
+        "seeds": study.seeds,
+        "tuning.seeds": tuning,
+        **{f"tasks.{key}.seeds": task.seeds or [] for key, task in study.tasks.items()},
+    }.items():
+        if len(set(seeds)) < len(seeds):
+            found.append(f"{where} = {seeds} has a duplicate seed")
+        if where != "tuning.seeds" and (both := set(seeds) & set(tuning)):
+            found.append(f"{where} has {min(both)}, a seed of the tuning; take others")
+    if study.ray.asha is not None:
+        found.append("ray.asha would prune runs that count")
+    for name in study.tasks:
+        learners = study.learners_of(name)
+        if not learners:
+            found.append(f"task {name!r} has no learners")
+        runs = {key: len(study.points(learner)) * len(tuning) for key, learner in learners.items()}
+        if len(set(runs.values())) > 1:
+            numbers = ", ".join(f"{key} {number}" for key, number in runs.items())
+            found.append(f"task {name!r}: every learner must have the same number of tuning runs, not {numbers}")
+        if study.tuning is not None and runs and 0 in runs.values():
+            found.append(f"task {name!r}: tuning without values; give tuning.values, or those of the learners")
+        if max(runs.values(), default=0) > MAX_TUNING_RUNS:
+            found.append(
+                f"task {name!r}: {max(runs.values())} tuning runs of a learner; at most {MAX_TUNING_RUNS} are allowed"
+            )
+    return found

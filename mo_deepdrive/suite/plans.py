@@ -1,0 +1,85 @@
+"""Planned drives: the action sequences behind the planned ceilings, which can be replayed.
+
+A file of ``data`` has those of a task: of each of the first scenarios of the test split one sequence, or one per hidden
+preference. A planner knows the whole scenario, so that no policy can be expected to reach it everywhere.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mo_deepdrive.action_sequences import decode, idle
+from mo_deepdrive.suite.tasks import DATA, load
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+class Playback:
+    """A policy that replays a sequence of actions in each of parallel environments, and idles after it.
+
+    Args:
+        sequences: of environment actions, one per episode, in their order; or one for all.
+        action_type: "discrete", "discrete-16" or "continuous".
+    """
+
+    def __init__(self, sequences: Sequence[NDArray[Any]], action_type: str):
+        longest = max(map(len, sequences)) + 1  # at least one idle action
+        nothing = idle(action_type)
+        self._actions = np.tile(nothing, (longest, len(sequences), *(1,) * nothing.ndim))
+        for row, sequence in enumerate(sequences):
+            self._actions[: len(sequence), row] = sequence
+        self._decisions = 0
+
+    def __call__(self, observations: NDArray[Any], accrued: NDArray[Any], discounts: NDArray[Any]) -> NDArray[Any]:
+        """Actions (N,) or (N, k); an episode begins where nothing has been discounted yet."""
+        self._decisions = 0 if (discounts == 1.0).all() and not accrued.any() else self._decisions + 1
+        actions: NDArray[Any] = self._actions[min(self._decisions, len(self._actions) - 1)]
+        if len(actions) == 1:
+            return np.repeat(actions, len(observations), axis=0)
+        return actions[np.minimum(np.arange(len(observations)), len(actions) - 1)]
+
+
+@functools.cache
+def _sequences(task_id: str) -> tuple[str, list[list[str]]]:
+    """The action type of a task's plans, and their texts by scenario and preference."""
+    file = DATA / f"plans_{task_id.lower()}.json"
+    if not file.is_file():
+        raise ValueError(f"task {task_id!r} has no plans; its ceiling is {load().task(task_id).ceiling.kind}")
+    found = json.loads(file.read_text(encoding="utf-8"))
+    return found["action_type"], found["actions"]
+
+
+def planned_scenarios(task_id: str) -> int:
+    """How many scenarios, the first of the test split, the plans of a task are for."""
+    return len(_sequences(task_id)[1])
+
+
+def planned_actions(task_id: str, scenario: int) -> list[NDArray[Any]]:
+    """The planned actions of a task in a scenario, counted from the first of the test split; one drive per preference.
+
+    Raises:
+        ValueError: if the task has no plans.
+    """
+    action_type, texts = _sequences(task_id)
+    return [decode(text, action_type) for text in texts[scenario]]
+
+
+def planned(task_id: str, preference: int = 0) -> Playback:
+    """The policy that replays the plans of a task in the first scenarios of the test split.
+
+    Args:
+        task_id: of the task.
+        preference: the index of the hidden preference, where the task has some.
+
+    Raises:
+        ValueError: if the task has no plans.
+    """
+    action_type, texts = _sequences(task_id)
+    return Playback([decode(text[preference], action_type) for text in texts], action_type)

@@ -1,0 +1,294 @@
+"""The scorers: what is measured of a policy's episodes in a task, and the numbers that are made of it.
+
+A scorer has two parts. The first drives and gives samples (E, ...), one row per scenario; the second makes a number of
+any resample of the rows, so that every number has a bootstrap interval over the scenarios.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import scipy.stats
+
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
+from mo_deepdrive.evaluation.episodes import OUR_ENVS, as_policy, evaluate
+from mo_deepdrive.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation.pareto import hypervolume
+from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.evaluation.team import Team
+from mo_deepdrive.importing import import_named
+from mo_deepdrive.reference_points import reference_point
+from mo_deepdrive.utilities import RISK_AVERSE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from gymnasium.vector import VectorEnv
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.evaluation.evaluation import Evaluation
+    from mo_deepdrive.evaluation.function_policy import PolicyFunction
+    from mo_deepdrive.evaluation.policy import Policy
+    from mo_deepdrive.suite.tasks import Task
+    from mo_deepdrive.utilities import RiskAversion
+
+    Single = Policy | PolicyFunction
+    Statistic = Callable[[NDArray[np.float64]], float]
+
+CHOICE_EPISODES = 50  # of the validation split, by which a policy of a front is chosen for a preference
+TAIL = 0.1  # share of the worst episodes in CVaR10
+SCORE, CVAR, WORST, CONTROLLABILITY = "score", "cvar10", "worst_partner", "controllability"
+
+
+class Conditioned(Protocol):
+    """One policy for every preference."""
+
+    def for_preference(self, weights: NDArray[np.float64]) -> Single:
+        """The policy under weights (d,), which sum to 1, of returns divided by the objectives' nominal scales."""
+
+
+@dataclass(frozen=True)
+class Drives:
+    """Where, and how, a policy is driven to be scored.
+
+    Attributes:
+        task: the task.
+        env: its environment, perhaps perturbed.
+        seed: of the first episode.
+        episodes: E.
+        greedy: of agents, take the most likely (or mean) action instead of sampling.
+    """
+
+    task: Task
+    env: VectorEnv
+    seed: int
+    episodes: int
+    greedy: bool
+
+    def evaluate(self, policy: Single, partner: str | None = None) -> Evaluation:
+        """The episodes of a policy, perhaps with a partner of the task."""
+        adapter = EnvAdapter(self.env)
+        actor = as_policy(policy, adapter)
+        greedy = self.greedy or isinstance(actor, FunctionPolicy)
+        if partner is not None:
+            actor = Team(self._members(actor, partner, adapter))
+        return evaluate(actor, self.env, seed=self.seed, episodes=self.episodes, greedy=greedy, gamma=1.0)
+
+    def _members(self, actor: Policy, partner: str, adapter: EnvAdapter) -> list[Policy]:
+        """The scored driver and its partner, by the vehicles that they drive."""
+        settings = self.task.partners
+        assert settings is not None
+        driver = import_named("partners.made_by", settings.made_by)(partner, self.task.config().action_type)
+
+        def drive(observations: NDArray[Any], *_: Any) -> NDArray[Any]:
+            own = driver(observations[:, settings.vehicle])
+            return np.stack([own] * adapter.vehicles, axis=1)
+
+        members = [actor] * adapter.vehicles
+        members[settings.vehicle] = FunctionPolicy(drive, adapter)
+        return members
+
+
+def policies_of(policy: Any) -> Callable[[NDArray[np.float64]], Single] | list[Single]:
+    """What a preference picks from: a function of the weights if the policy is told them, or else all policies.
+
+    Args:
+        policy: an agent or function, a list of them, an object with ``for_preference``, or a function of four
+            arguments, which is told the weights last.
+    """
+    if hasattr(policy, "for_preference"):
+        return policy.for_preference  # type: ignore[no-any-return]
+    if isinstance(policy, (list, tuple)):
+        return list(policy)
+    if not hasattr(policy, "act") and callable(policy) and _arguments(policy) == 4:
+        return lambda weights: lambda *seen: policy(*seen, weights)
+    return [policy]
+
+
+def _arguments(function: Any) -> int:
+    """How many positional arguments a function needs."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):  # of a function without a signature, as some that are compiled
+        return 3
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return sum(each.kind in positional and each.default is each.empty for each in parameters)
+
+
+def single(policy: Any) -> Single:
+    """The policy of a task with a known utility.
+
+    Raises:
+        ValueError: if it is a front, or is to be told weights.
+    """
+    found = policies_of(policy)
+    if not isinstance(found, list) or len(found) != 1:
+        raise ValueError("a front, or a policy that is told weights, cannot be scored where the utility is known")
+    return found[0]
+
+
+# ------------------------------------------------------------------------------------------------------------- samples
+
+
+def utilities(drives: Drives, policy: Any) -> NDArray[np.float64]:
+    """(E,) the utility of every episode."""
+    return np.asarray(drives.task.make_utility()(returns(drives, policy)))
+
+
+def returns(drives: Drives, policy: Any) -> NDArray[np.float64]:
+    """(E, d) the undiscounted return of every episode."""
+    return drives.evaluate(single(policy)).returns[:, drives.task.vehicle]
+
+
+def returns_of_front(drives: Drives, policy: Any) -> NDArray[np.float64]:
+    """(E, K, d) the undiscounted returns of K policies.
+
+    Raises:
+        ValueError: if the policy is told weights but has no front of its own.
+    """
+    policies = policies_of(policy)
+    if not isinstance(policies, list):
+        policies = list(getattr(policy, "front", ()))
+        if not policies:
+            raise ValueError("the hypervolume needs a list of policies; a policy that is told weights is not one")
+    return np.stack([drives.evaluate(each).returns[:, 0] for each in policies], axis=1)
+
+
+def returns_by_preference(drives: Drives, policy: Any) -> NDArray[np.float64]:
+    """(E, P, d) the undiscounted returns under P preferences, of a policy that is told them, or of a front's best."""
+    task, policies = drives.task, policies_of(policy)
+    assert task.preferences is not None
+    if not isinstance(policies, list):
+        told = [policies(weights) for weights in task.preferences.weights(task.objectives())]
+        return np.stack([drives.evaluate(each).returns[:, 0] for each in told], axis=1)
+    chosen = np.zeros(task.preferences.count, dtype=np.int64)
+    if len(policies) > 1:
+        validation = replace(drives, seed=SPLITS["validation"].start, episodes=CHOICE_EPISODES)
+        means = np.stack([validation.evaluate(each).returns[:, 0].mean(axis=0) for each in policies])
+        chosen = (task.hidden_weights() @ means.T).argmax(axis=1)
+    driven = {k: drives.evaluate(policies[k]).returns[:, 0] for k in np.unique(chosen).tolist()}
+    return np.stack([driven[k] for k in chosen.tolist()], axis=1)
+
+
+def utilities_by_partner(drives: Drives, policy: Any) -> NDArray[np.float64]:
+    """(E, S) the utility of every episode with each of S partners."""
+    task = drives.task
+    assert task.partners is not None
+    driver, utility = single(policy), task.make_utility()
+    met = [drives.evaluate(driver, partner).returns[:, task.vehicle] for partner in task.partners.names]
+    return np.asarray(utility(np.stack(met, axis=1)))
+
+
+# ------------------------------------------------------------------------------------------------------------- numbers
+# Each makes, of a task, what makes the number of samples.
+
+
+def mean(_task: Task) -> Statistic:
+    """The mean of all samples."""
+    return lambda samples: float(samples.mean())
+
+
+def utility_of_mean(task: Task) -> Statistic:
+    """The utility of the mean return (SER)."""
+    utility = task.make_utility()
+    return lambda samples: float(utility(samples.mean(axis=0)))
+
+
+def certainty_equivalent(task: Task) -> Statistic:
+    """The certain value that is worth as much as these episodes."""
+    risk = _risk_aversion(task)
+    return lambda samples: float(risk.certainty_equivalent(samples.mean()))
+
+
+def conditional_value_at_risk(task: Task) -> Statistic:
+    """The mean value of the worst tenth of the episodes (CVaR10)."""
+    risk = _risk_aversion(task)
+
+    def worst_tenth(samples: NDArray[np.float64]) -> float:
+        values = np.sort(risk.certainty_equivalent(samples))
+        return float(values[: max(1, round(TAIL * len(values)))].mean())
+
+    return worst_tenth
+
+
+def _risk_aversion(task: Task) -> RiskAversion:
+    assert task.utility is not None
+    return RISK_AVERSE[task.utility.name]
+
+
+def dominated_volume(task: Task) -> Statistic:
+    """The hypervolume of the mean returns of a front."""
+    config = task.config()
+    corner = reference_point(config.scenario, config.action_type, 1.0, task.objectives()).values
+
+    def volume(samples: NDArray[np.float64]) -> float:
+        points = samples.mean(axis=0)
+        return float(hypervolume(points, corner)) if (points > corner).all(axis=1).any() else 0.0
+
+    return volume
+
+
+def mean_over_preferences(task: Task) -> Statistic:
+    """The mean weighted return over the preferences."""
+    weights = task.hidden_weights()
+    return lambda samples: float((samples.mean(axis=0) * weights).sum(axis=1).mean())
+
+
+def worst_partner(_task: Task) -> Statistic:
+    """The mean utility with the partner with whom it is least."""
+    return lambda samples: float(samples.mean(axis=0).min())
+
+
+def controllability(task: Task, samples: NDArray[np.float64]) -> dict[str, float]:
+    """Spearman's correlation of weight and mean return over the preferences, of each objective, and their mean.
+
+    It is 0 where the return is always the same.
+    """
+    weights, achieved = task.hidden_weights(), samples.mean(axis=0)
+    found = {
+        f"{CONTROLLABILITY}/{name}": float(scipy.stats.spearmanr(w, r).statistic) if np.ptp(r) > 0.0 else 0.0
+        for name, w, r in zip(task.objectives(), weights.T, achieved.T, strict=True)
+    }
+    return {CONTROLLABILITY: float(np.mean(list(found.values()))), **found}
+
+
+@dataclass(frozen=True)
+class Scorer:
+    """How a task is scored.
+
+    Attributes:
+        collect: drives a policy; samples (E, ...), one row per scenario.
+        numbers: by column; "score" is the one that is normalised.
+        details: further columns, which have no intervals; None for none.
+    """
+
+    collect: Callable[[Drives, Any], NDArray[np.float64]]
+    numbers: Mapping[str, Callable[[Task], Statistic]]
+    details: Callable[[Task, NDArray[np.float64]], dict[str, float]] | None = None
+
+
+SCORERS: dict[str, Scorer] = {
+    "mean_utility": Scorer(utilities, {SCORE: mean}),
+    "utility_of_mean": Scorer(returns, {SCORE: utility_of_mean}),
+    "certainty_equivalent": Scorer(utilities, {SCORE: certainty_equivalent, CVAR: conditional_value_at_risk}),
+    "hypervolume": Scorer(returns_of_front, {SCORE: dominated_volume}),
+    "mean_over_preferences": Scorer(returns_by_preference, {SCORE: mean_over_preferences}, controllability),
+    "mean_over_partners": Scorer(utilities_by_partner, {SCORE: mean, WORST: worst_partner}),
+}
+
+
+def make_drives(task: Task, arguments: Mapping[str, Any], seed: int, episodes: int, *, greedy: bool) -> Drives:
+    """Where a policy is driven; the caller closes the environment.
+
+    Args:
+        task: the task.
+        arguments: of the environment, besides the task's own.
+        seed: of the first episode.
+        episodes: E.
+        greedy: as of :class:`Drives`.
+    """
+    env = make_env(task.environment.id, min(episodes, OUR_ENVS), {**task.environment.arguments, **arguments})
+    return Drives(task, env, seed, episodes, greedy)

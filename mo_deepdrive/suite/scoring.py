@@ -1,0 +1,214 @@
+"""Scores of policies on the tasks of the suite, as rows of one tidy table."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.env_adapter import EnvAdapter
+from mo_deepdrive.evaluation.episodes import as_policy
+from mo_deepdrive.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation.splits import SPLITS, first_seed
+from mo_deepdrive.evaluation.statistics import Estimate, resample
+from mo_deepdrive.suite.scorers import SCORE, SCORERS, Scorer, make_drives, policies_of
+from mo_deepdrive.suite.tasks import load
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mo_deepdrive.suite.scorers import Drives
+    from mo_deepdrive.suite.tasks import Task
+
+GREEDY, STOCHASTIC = "greedy", "stochastic"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of a scored run.
+
+    Attributes:
+        task: the id of the task.
+        learner: what was trained.
+        seed: by which it was trained.
+        policy: "greedy" or "stochastic".
+        column: "score", a perturbation of the suite, or what a scorer gives beside the score.
+        value: the number, not normalised.
+        low, high: ends of its 95% bootstrap interval over the scenarios; None where it has none.
+        source: the run or policy that was scored.
+        state: of the training.
+        cpu_seconds: of the training; None where it is not known.
+        version: of the suite.
+    """
+
+    task: str
+    learner: str
+    seed: int
+    policy: str
+    column: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+    source: str = ""
+    state: str = "finished"
+    cpu_seconds: float | None = None
+    version: int = 0
+
+    @property
+    def normalised(self) -> float | None:
+        """With the floor as 0 and the ceiling as 1; None for what is not on the scale of the score."""
+        suite = load()
+        if self.column != SCORE and self.column not in suite.perturbations:
+            return None
+        return float(suite.task(self.task).normalised(self.value))
+
+
+def score(
+    policy: Any,
+    task_id: str,
+    *,
+    learner: str = "policy",
+    seed: int = 0,
+    episodes: int | None = None,
+    first_episode: int | None = None,
+    perturbed: bool = True,
+) -> list[Row]:
+    """Score a policy on a task.
+
+    Args:
+        policy: an agent, or a function ``policy(observations, accrued, discounts) -> actions``, as
+            :func:`mo_deepdrive.evaluation.evaluate` takes them; at the intersection it returns actions of both
+            vehicles, of which those of the task's vehicle count. Where the utility is not known, also a list of them (a
+            front, of which the best on the validation split is taken for each preference), a function of four
+            arguments, the last of which are the weights (d,) of the preference, which sum to 1, of returns divided by
+            the nominal scales of the objectives; or an object whose ``for_preference(weights)`` gives such a policy.
+        task_id: of the task.
+        learner: label of the rows.
+        seed: by which the policy was trained, for the rows.
+        episodes: E; the task's by default.
+        first_episode: seed of the first episode; that of the test split by default.
+        perturbed: also score it under the perturbations of the task.
+
+    Returns:
+        The rows: of the policy that is ranked (an agent's greedy or stochastic one, as the task declares) and, for
+        agents, the score of the other one.
+
+    Raises:
+        TypeError: for what cannot be called as a policy.
+        ValueError: for an unknown task, or a policy that does not drive in the task's environment.
+    """
+    suite = load()
+    task = suite.task(task_id)
+    check_policy(policy, task_id)
+    episodes = task.episodes if episodes is None else episodes
+    start = first_seed("test" if first_episode is None else None, first_episode, episodes)
+    scorer = SCORERS[task.score]
+    kinds = [task.policy, *({GREEDY, STOCHASTIC} - {task.policy} if _is_agent(policy) else ())]
+    rows = []
+    for kind in kinds:
+        ranked = kind == task.policy
+        settings: dict[str, dict[str, Any]] = {SCORE: {}}
+        if ranked and perturbed:
+            settings |= {name: suite.perturbations[name] for name in task.columns}
+        for name, arguments in settings.items():
+            drives = make_drives(task, arguments, start, episodes, greedy=kind == GREEDY)
+            try:
+                for column, found in _numbers(scorer, drives, policy, everything=name == SCORE and ranked):
+                    shown, numbers = name if column == SCORE else column, (found.value, found.low, found.high)
+                    rows.append(Row(task_id, learner, seed, kind, shown, *numbers, version=suite.version))
+            finally:
+                drives.env.close()
+    return rows
+
+
+def _numbers(scorer: Scorer, drives: Drives, policy: Any, *, everything: bool) -> Iterator[tuple[str, Estimate]]:
+    """The columns of a scorer, or its score alone."""
+    samples = scorer.collect(drives, policy)
+    for column, number in scorer.numbers.items():
+        if column == SCORE or everything:
+            yield column, resample(samples, number(drives.task))
+    if scorer.details is not None and everything:
+        for column, value in scorer.details(drives.task, samples).items():
+            yield column, Estimate(value)
+
+
+def _members(policy: Any, task: Task) -> list[Any]:
+    """Policies that stand for a policy: those of a front, or that under the first preference."""
+    found = policies_of(policy)
+    if isinstance(found, list):
+        return found
+    d = len(task.objectives())
+    return [found(np.full(d, 1.0 / d))]
+
+
+def _is_agent(policy: Any) -> bool:
+    """Whether a policy can act greedily or by sampling, as it is asked to."""
+    if hasattr(policy, "for_preference"):
+        return bool(getattr(policy, "samples", False))
+    first = policy[0] if isinstance(policy, (list, tuple)) and policy else policy
+    return isinstance(getattr(first, "env", None), EnvAdapter)
+
+
+def check_policy(policy: Any, task_id: str) -> None:
+    """Refuse a policy that cannot drive in a task, by one decision in two scenarios.
+
+    Raises:
+        TypeError: for what cannot be called as a policy.
+        ValueError: naming the task, for an agent of another one, a front where the utility is known, or actions of the
+            wrong shape, type or range.
+    """
+    task = load().task(task_id)
+    drives = make_drives(task, {}, SPLITS["validation"].start, 2, greedy=True)
+    try:
+        members = _members(policy, task)
+        if not members:
+            raise ValueError("the front has no policy")
+        if task.utility is not None and (len(members) > 1 or hasattr(policy, "for_preference")):
+            raise ValueError("a front, or a policy that is told weights, has no place where the utility is known")
+        adapter = EnvAdapter(drives.env)
+        observations = adapter.reset([drives.seed, drives.seed + 1])
+        nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
+        for member in members:
+            actor = as_policy(member, adapter)
+            if isinstance(actor, FunctionPolicy):
+                actor.act(observations, nothing, None)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"task {task_id}: {error}") from None
+    finally:
+        drives.env.close()
+
+
+def write_rows(path: str | Path, rows: Sequence[Row]) -> None:
+    """Write rows as CSV, a column for each attribute.
+
+    Raises:
+        OSError: if the file cannot be written; it is complete or unchanged.
+    """
+    names = [field.name for field in fields(Row)]
+    body = [["" if value is None else value for value in astuple(row)] for row in rows]
+    atomic_write(Path(path), csv_bytes([names, *body]))
+
+
+def read_rows(path: str | Path) -> list[Row]:
+    """The rows that :func:`write_rows` wrote.
+
+    Raises:
+        ValueError: if it is another file.
+    """
+    numbers = {"value": float, "low": float, "high": float, "cpu_seconds": float, "seed": int, "version": int}
+
+    def cell(name: str, text: str) -> Any:
+        return numbers.get(name, str)(text) if text or name not in numbers else None
+
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            return [Row(**{name: cell(name, text) for name, text in each.items()}) for each in csv.DictReader(file)]
+    except FileNotFoundError:
+        raise ValueError(f"{str(path)!r} does not exist") from None
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(path)!r} is no table of scores: {type(error).__name__}: {error}") from None

@@ -1,0 +1,235 @@
+"""Studies: what is trained, in which order, by which settings, and the tables that are written."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import re
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from algorithms.commands.study import main
+from algorithms.studies.plan import StudyPlan
+from algorithms.studies.results import read_results
+from algorithms.studies.runner import StudyRunner
+from algorithms.studies.settings import load_study, select
+from algorithms.sweeps.manifest import read_manifest
+from algorithms.sweeps.runner import Backend
+from tests.helpers.short_runs import VALUES, quiet
+from tests.helpers.sweep_files import broken_utility, forked_workers, status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from algorithms.experiments.dashboard import Dashboard
+    from algorithms.experiments.jobs import Job
+
+RATE = "algorithm.learning_rate"
+
+
+def write_study(folder: Path, **changes: Any) -> Path:
+    """A study of two learners on one task, with two points of tuning each."""
+    (folder / "base.yaml").write_text(yaml.safe_dump({"algorithm": VALUES["algorithm"], "training": {"num_envs": 4}}))
+    study = {
+        "tasks": {"short": {key: VALUES[key] for key in ("environment", "utility")} | {"steps": 960}},
+        "learners": {
+            "mo": {"config": "base.yaml"},
+            "plain": {"config": "base.yaml", "overrides": {"algorithm.name": "a2c"}},
+        },
+        "tuning": {"values": {RATE: [0.001, 0.003]}},
+        "metric": "stochastic/utility_esr",
+        "seeds": 2,
+        "overrides": {"evaluation": VALUES["evaluation"], "logging": VALUES["logging"]},
+        **changes,
+    }
+    path = folder / "short.yaml"
+    path.write_text(yaml.safe_dump(study))
+    return path
+
+
+class MadeUpRuns(StudyRunner):
+    """A runner whose runs end at once: with their learning rate as score, or failed if ``fails`` says so."""
+
+    fails: Callable[[dict[str, Any]], bool] = staticmethod(lambda _config: False)
+    batches: Sequence[int] = ()
+
+    def _train_batch(self, jobs: Sequence[Job], monitor: Dashboard, stop: Callable[[], bool]) -> dict[Job, str]:
+        failed = {}
+        open_jobs = [job for job in jobs if not job.done]
+        self.batches = [*self.batches, len(open_jobs)]
+        for job in open_jobs:
+            config = job.experiment.to_dict()
+            job.path.mkdir(parents=True, exist_ok=True)
+            state: dict[str, Any] = {"state": "finished", "cpu_seconds": 60.0}
+            if self.fails(config):
+                failed[job] = "made to fail"
+                state = {"state": "failed", "reason": failed[job]}
+            score = {"utility_esr": {"value": config["algorithm"]["learning_rate"]}}
+            (job.path / "status.json").write_text(json.dumps(state))
+            (job.path / "evaluation.json").write_text(json.dumps({"policies": {"stochastic": score}}))
+        return failed
+
+
+def made_up(folder: Path, file: Path, fails: Callable[[dict[str, Any]], bool] = lambda _config: False) -> MadeUpRuns:
+    runner = MadeUpRuns(StudyPlan(load_study(file)), folder / "study", Backend(), quiet())
+    runner.fails = fails
+    return runner
+
+
+def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_with_the_seeds_that_count(
+    tmp_path: Path,
+) -> None:
+    runner = made_up(tmp_path, write_study(tmp_path))
+    assert runner.run() == 0
+    assert runner.batches == [4, 4]
+    rows = read_manifest(tmp_path / "study")
+    for row in rows:
+        tuned = row.trial is not None
+        assert row.config["evaluation"]["split"] == ("validation" if tuned else "test")
+        assert row.seed in ([100] if tuned else [0, 1])
+        assert tuned or row.config["algorithm"]["learning_rate"] == 0.003
+    results = read_results(tmp_path / "study" / "results.csv")
+    assert [(each.learner, each.seed, each.value) for each in results] == [
+        (learner, seed, 0.003) for learner in ("mo", "plain") for seed in (0, 1)
+    ]
+    with (tmp_path / "study" / "tuning.csv").open() as file:
+        assert [line["chosen"] for line in csv.DictReader(file)] == ["0", "1", "0", "1"]
+    again = made_up(tmp_path, tmp_path / "short.yaml")
+    assert again.run() == 0
+    assert again.batches == ()
+
+
+def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_chosen(tmp_path: Path) -> None:
+    file = write_study(tmp_path)
+
+    def fails(config: dict[str, Any]) -> bool:
+        """The better rate of MO-A2C, one of its seeds that count, and everything of A2C."""
+        settings, seed = config["algorithm"], config["training"]["seed"]
+        return settings["name"] == "a2c" or (seed == 100 and settings["learning_rate"] == 0.003) or seed == 1
+
+    runner = made_up(tmp_path, file, fails)
+    assert runner.run() == 1
+    assert runner.batches == [4, 2]
+    states = [
+        (each.learner, each.seed, each.value, each.state) for each in read_results(tmp_path / "study/results.csv")
+    ]
+    assert states == [
+        ("mo", 0, 0.001, "finished"),
+        ("mo", 1, None, "failed"),
+        ("plain", 0, None, "failed"),
+        ("plain", 1, None, "failed"),
+    ]
+    assert "2 (1 failed)" in (tmp_path / "study" / "results.md").read_text()
+    again = made_up(tmp_path, file)
+    assert again.run() == 1, "the failed rate stays failed, or other settings would be the best"
+    # MO-A2C: the seed that failed. A2C, of which nothing was chosen: its tuning, then its seeds.
+    assert again.batches == [3, 2]
+
+
+def test_settings_come_from_the_task_the_help_the_learner_and_its_task_in_this_order(tmp_path: Path) -> None:
+    file = write_study(
+        tmp_path,
+        tuning=None,
+        help={RATE: 0.1, "algorithm.gamma": 0.9, "algorithm.accrued_gamma": 1.0},
+        tasks={
+            "short": {
+                **{key: VALUES[key] for key in ("environment", "utility")},
+                "steps": 480,
+                "help": {"algorithm.gamma": 0.8},
+                "learners": {"mo": {"overrides": {RATE: 0.3}}},
+            }
+        },
+    )
+    mo, plain = (arm.values["algorithm"] for arm in StudyPlan(load_study(file)).arms)
+    assert (mo["learning_rate"], mo["gamma"], mo["accrued_gamma"]) == (0.3, 0.8, 1.0)
+    assert (plain["learning_rate"], plain["gamma"], "accrued_gamma" in plain) == (0.1, 0.8, False)
+
+
+def test_a_task_of_the_suite_brings_all_but_the_learner_which_may_train_for_another_utility(tmp_path: Path) -> None:
+    file = write_study(
+        tmp_path,
+        tasks=["K1", "U2"],
+        metric=None,
+        tuning={"values": {"utility.name": ["linear"]}, "share": 0.5},
+        learners={"mo": {"config": "base.yaml", "overrides": {"utility.arguments.weights": {"distance": 1}}}},
+    )
+    plan = StudyPlan(load_study(file))
+    (arm,) = plan.arms
+    assert arm.metric == "stochastic/suite/score", "a learner for a known utility has no place in U2"
+    (row,) = plan.rows({})
+    assert row.config["evaluation"]["task"] == "K1"
+    assert row.config["utility"]["name"] == "linear"
+    assert row.config["training"]["total_timesteps"] == 1_500_000
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seeds": [0, 100]}, "seeds has 100, a seed of the tuning"),
+        ({"seeds": [1, 1]}, r"seeds = \[1, 1\] has a duplicate seed"),
+        ({"tuning": {"values": {RATE: [0.1] * 13}}}, "13 tuning runs of a learner; at most 12"),
+        ({"learners": {"a": {"tuning": {RATE: [0.1]}}, "b": {}}}, "the same number of tuning runs, not a 1, b 2"),
+        ({"tuning": {}}, "tuning without values"),
+        ({"learners": {}}, "task 'short' has no learners"),
+        ({"learners": {"a": {}}}, "learner 'a' on task 'short' has no algorithm"),
+        ({"learners": {"a": {"config": "nowhere"}}}, "config file 'nowhere' does not exist"),
+        ({"tasks": ["K9"]}, "task 'K9' is unknown"),
+        ({"metric": None}, "task 'short' has no metric"),
+        ({"metric": "utility_esr"}, "metric = 'utility_esr' must begin with a policy"),
+        ({"help": {"algorithm.gama": 0.9}}, "no learner has the setting 'algorithm.gama'"),
+        ({"overrides": {"algorithm.gama": 0.9}}, "gama"),
+        ({"ray": {"asha": {"metric": "greedy/utility_esr", "grace_period": 1}}}, "prune runs that count"),
+        ({"task": {}}, "'task'"),
+    ],
+)
+def test_an_invalid_study_is_refused_before_anything_is_trained(
+    changes: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--config", str(write_study(tmp_path, **changes)), "--output", str(tmp_path / "study")]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert not (tmp_path / "study").exists()
+
+
+def test_a_part_of_a_study_can_be_selected(tmp_path: Path) -> None:
+    study = load_study(write_study(tmp_path))
+    (arm,) = StudyPlan(select(study, ["short"], ["mo"])).arms
+    assert arm.key == ("short", "mo")
+    with pytest.raises(ValueError, match="--learners nobody: unknown"):
+        select(study, None, ["nobody"])
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_an_interrupted_study_resumes_and_the_runs_that_failed_are_in_its_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("BREAK", "1")
+    task = {"environment": VALUES["environment"], "steps": 960}
+    tasks = {
+        "short": {**task, "utility": VALUES["utility"]},
+        "broken": {**task, "utility": {"name": broken_utility(tmp_path, "BREAK")}},
+    }
+    file, study = write_study(tmp_path, tasks=tasks), tmp_path / "study"
+    with forked_workers():
+        assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 1
+        results = read_results(study / "results.csv")
+        assert {each.state for each in results if each.task == "broken"} == {"failed"}
+        finished = [each for each in results if each.task == "short"]
+        assert {(each.learner, each.seed) for each in finished} == {
+            (learner, seed) for learner in ("mo", "plain") for seed in (0, 1)
+        }
+        assert all(each.value is not None and each.cpu_seconds for each in finished)
+        shutil.rmtree(next(study / row.directory for row in read_manifest(study) if row.trial is None))
+        monkeypatch.delenv("BREAK")
+        assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 0
+    again = read_results(study / "results.csv")
+    values = [dataclasses.replace(each, cpu_seconds=None) for each in finished]
+    assert [dataclasses.replace(each, cpu_seconds=None) for each in again if each.task == "short"] == values
+    assert {each.state for each in again} == {"finished"}
+    assert all(status(study / row.directory)["state"] == "finished" for row in read_manifest(study))
