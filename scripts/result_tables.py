@@ -268,12 +268,10 @@ def refresh(document: str, database: sqlite3.Connection) -> str:
 
 
 def documents() -> list[Path]:
-    """The documents that may have marked tables; the lab's are records."""
+    """The documents that may have marked tables; not the lab's, which are records, nor what the build of the site writes."""
     docs = REPOSITORY / "docs"
-    return [
-        REPOSITORY / "README.md",
-        *sorted(path for path in docs.rglob("*.md") if docs / "lab" not in path.parents and path.name[0] != "_"),
-    ]
+    pages = [path for path in docs.rglob("*.md") if docs / "lab" not in path.parents and path.name != "_readme.md"]
+    return [REPOSITORY / "README.md", *sorted(pages)]
 
 
 def main(arguments: list[str] | None = None) -> int:
