@@ -66,6 +66,9 @@ nitpick_ignore_regex = [
     (r"py:attr", r".*"),
 ]
 
+# Names in a section "Attributes" are cross-references of which many classes have a target.
+suppress_warnings = ["ref.python"]
+
 # The look
 html_theme = "furo"
 html_title = "MO-DeepDrive"

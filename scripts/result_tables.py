@@ -15,8 +15,8 @@ replace those of its cell, with as many decimals as are there; the words of the 
 replaces the whole cell; an empty cell stays empty.
 
 A table after ``<!-- table: SELECT ... -->`` is made whole: its header has the names of the columns of the query, its
-rows are the results. The tasks of the suite are the table ``suite_tasks``; the views of
-``docs/results/views.sql`` are tables, too.
+rows are the results. The tasks of the suite are the table ``suite_tasks``, what ``suite table`` prints of them
+``suite_board``; the views of ``docs/results/views.sql`` are tables, too.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from paired_benchmark import REPOSITORY
 
 import mo_deepdrive
 from algorithms.experiments.cli import make_parser
+from algorithms.studies.suite_tables import Scoreboard
 from mo_deepdrive import suite
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.pareto import hypervolume
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 # No result are the layers of a network, 64-32, and the second number of "9 of 10".
 NUMBER = re.compile(r"(?<![\w.,])(?<!\d-)(?<! of )-?\d+(?:,\d{3})*(?:\.\d+)?(?:e-\d+)?(?!\w|-\d)")
 MARKED = re.compile(r"<!-- numbers:(?P<query>.*?)-->\n\n(?P<table>(?:\|[^\n]*\n)+)", re.DOTALL)
-MADE = re.compile(r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)(?P<table>(?:\|[^\n]*\n)*)", re.DOTALL)
+MADE = re.compile(r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)(?:\|[^\n]*\n)*\n?", re.DOTALL)
 TITLES = {scenario.title: scenario for scenario in SCENARIOS.values()}
 
 
@@ -152,6 +153,8 @@ def open_results() -> sqlite3.Connection:
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
     fill(database, "suite_tasks", *suite_tasks())
+    header, *rows = Scoreboard(suite.read_rows(folder / "suite.csv"), suite.load()).task_table()
+    fill(database, "suite_board", header, rows)
     functions: dict[str, Callable[..., Any]] = {
         "id": lambda title: TITLES[title].id,
         "scenario": lambda title: TITLES[title].name,
@@ -259,15 +262,16 @@ def refresh(document: str, database: sqlite3.Connection) -> str:
         header = [name for name, *_ in cursor.description]
         lines = [header, ["---"] * len(header), *rows]
         made = ["| " + " | ".join("" if cell is None else str(cell) for cell in line) + " |\n" for line in lines]
-        return match["comment"] + "".join(made)
+        return match["comment"] + "".join(made) + "\n"
 
     return MADE.sub(whole_table, MARKED.sub(table, document))
 
 
 def documents() -> list[Path]:
-    """The documents that may have marked tables; the lab's are records."""
+    """The documents that may have marked tables; not the lab's, which are records, nor what the build of the site writes."""
     docs = REPOSITORY / "docs"
-    return [REPOSITORY / "README.md", *sorted(path for path in docs.rglob("*.md") if docs / "lab" not in path.parents)]
+    pages = [path for path in docs.rglob("*.md") if docs / "lab" not in path.parents and path.name != "_readme.md"]
+    return [REPOSITORY / "README.md", *sorted(pages)]
 
 
 def main(arguments: list[str] | None = None) -> int:

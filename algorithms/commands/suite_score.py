@@ -105,6 +105,7 @@ def score_table(rows: list[Row], title: str) -> Table:
 
     table = Table("column", "policy", "value, 95% interval", "normalised", title=title, title_justify="left")
     for row in rows:
+        assert row.value is not None
         shown = "" if row.normalised is None else f"{row.normalised:.3f}"
         interval = Estimate(row.value, row.low, row.high).text().replace("[", r"\[")
         table.add_row(row.column, row.policy, interval, shown)

@@ -183,13 +183,20 @@ def recorded_rows(entry: str) -> list[Row]:
         ValueError: if there are none, or they are of another version of the suite.
     """
     path = Path(entry)
-    rows = _rows_of_run(path) if path.is_dir() else suite.read_rows(path)
+    rows = _rows_of_run(path) if path.is_dir() else [_found_from(path, row) for row in suite.read_rows(path)]
+    rows = [row for row in rows if row.value is not None]
     version = suite.load().version
     if others := sorted({row.version for row in rows} - {version}):
         raise ValueError(f"{entry!r} has scores of version {others[0]} of the suite; this is version {version}")
     if not rows:
         raise ValueError(f"{entry!r} has no scores")
     return rows
+
+
+def _found_from(table: Path, row: Row) -> Row:
+    """A row whose source, if it is beside the table, is found from the working directory."""
+    beside = table.parent / row.source
+    return replace(row, source=str(beside)) if row.source and beside.exists() else row
 
 
 def _rows_of_run(path: Path) -> list[Row]:
@@ -233,6 +240,8 @@ def fresh_seed(number: int, episodes: int) -> int:
 
 def agrees(recorded: Row, found: Row) -> str:
     """Whether a score that was found agrees with the recorded one: "reproduced", "within the interval" or "differs"."""
+    assert recorded.value is not None
+    assert found.value is not None
     if abs(recorded.value - found.value) <= 1e-6 * max(1.0, abs(recorded.value)):
         return "reproduced"
     ends: Sequence[float | None] = (recorded.low, recorded.high, found.low, found.high)

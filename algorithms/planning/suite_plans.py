@@ -14,8 +14,9 @@ from algorithms.planning.best_first_search import LETTERS
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.solvability import solve_scenario
 from algorithms.planning.utility_search import UtilitySearch, as_continuous
-from mo_deepdrive.action_sequences import encode
+from mo_deepdrive.action_sequences import decode, encode
 from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.reference_fronts import shipped
 from mo_deepdrive.suite.plans import planned_actions
 
 if TYPE_CHECKING:
@@ -42,15 +43,16 @@ class ScenarioPlanner:
     Args:
         task: with a utility or preferences.
         generations: of every search.
+        horizon: seconds by which a drive arrives.
     """
 
-    def __init__(self, task: Task, generations: int):
+    def __init__(self, task: Task, generations: int, horizon: float):
         config = task.config()
         self.task = task
         self.generations = generations
         self.env: Any = gymnasium.make(task.environment.id, disable_env_checker=True, **task.environment.arguments)
-        self.evaluator = PlanEvaluator(config.scenario, config.action_type, HORIZON)
-        self.discrete = PlanEvaluator(config.scenario, "discrete", HORIZON)
+        self.evaluator = PlanEvaluator(config.scenario, config.action_type, horizon)
+        self.discrete = PlanEvaluator(config.scenario, "discrete", horizon)
         self._values = self._value_function(task)
         self._time_limit = config.time_limit
 
@@ -79,6 +81,9 @@ class ScenarioPlanner:
     def _first_drives(self, start: NDArray[Any], known: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """Drives from which the search starts, besides those of rules: past the bicycle, if there is one."""
         found = [actions for actions in known if len(actions)]
+        if self.task.config().fixed_destination:
+            name, action_type = self.evaluator.batch.scenario.name, self.discrete.batch.config.action_type
+            found += [decode(each.actions, action_type) for each in shipped(name, action_type)]
         if not found and self.evaluator.batch.scenario.obstacles:
             actions = solve_scenario(start, BEAM).actions
             found = [np.array([LETTERS.index(letter) for letter in actions], dtype=np.int64)] if actions else []
@@ -111,7 +116,7 @@ def worth_driving(task: Task, best: NDArray[np.float64]) -> tuple[NDArray[np.int
 
 
 def plan_task(
-    task: Task, seeds: Iterable[int], generations: int, known: str | None = None
+    task: Task, seeds: Iterable[int], generations: int, horizon: float, known: str | None = None
 ) -> tuple[list[list[str]], NDArray[np.float64]]:
     """The texts of the best drives by scenario and utility, and their utilities (scenarios, P).
 
@@ -119,9 +124,10 @@ def plan_task(
         task: on an open road.
         seeds: of the scenarios, the first ones of the test split.
         generations: of every search.
+        horizon: seconds by which a drive arrives.
         known: the id of a task with discrete actions and the same scenarios, from whose plans the search starts.
     """
-    planner = ScenarioPlanner(task, generations)
+    planner = ScenarioPlanner(task, generations, horizon)
     drives, values = [], []
     for i, seed in enumerate(seeds):
         found, worth = planner.plan(seed, planned_actions(known, i) if known else ())

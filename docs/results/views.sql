@@ -19,8 +19,9 @@ SELECT learner,
 FROM cells GROUP BY learner
 ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
-CREATE VIEW suite_list AS -- README and scoreboard: what the tasks are
-SELECT '`' || task || '`' AS task, title, tests AS "what it tests", printf('%g M', steps / 1e6) AS steps, track, core
+CREATE VIEW suite_list AS -- scoreboard: what the tasks are
+SELECT '`' || task || '`' AS task, CASE core WHEN 1 THEN 'core' ELSE '' END AS " ", title, tests AS "what it tests",
+  printf('%g M', steps / 1e6) AS steps, track
 FROM suite_tasks WHERE counted;
 
 CREATE VIEW suite_bounds AS -- scoreboard: floors, ceilings and the best learner of each task
@@ -28,14 +29,15 @@ WITH means AS (
   SELECT task, learner, interquartile_mean(score) AS score, count(*) AS seeds, avg(cpu_seconds) / 60 AS minutes
   FROM suite_normalised GROUP BY task, learner),
 best AS (SELECT task, learner, max(score) AS score, seeds, minutes FROM means GROUP BY task)
-SELECT '`' || task || '`' AS task, printf('%.4g', floor) AS floor, floor_by AS "by", printf('%.4g', ceiling) AS ceiling, kind,
-  ceiling_by AS "by ", learner AS "best learner", decimals(best.score, 2) AS "its score", seeds,
-  decimals(minutes, 0) AS "CPU minutes a run"
-FROM suite_tasks LEFT JOIN best USING (task) WHERE counted;
+SELECT '`' || task || '`' AS task, printf('%.4g', t.floor) || ' (' || floor_by || ')' AS floor,
+  printf('%.4g', t.ceiling) || ' (' || kind || ')' AS ceiling, best.learner AS "best learner",
+  decimals(best.score, 2) AS "its score", CASE WHEN best.learner IS NULL THEN NULL WHEN board."clearly best" = '' THEN 'no'
+    ELSE 'yes' END AS "clearly best", seeds, decimals(minutes, 0) AS "CPU minutes a run"
+FROM suite_tasks AS t LEFT JOIN best USING (task) LEFT JOIN suite_board AS board USING (task) WHERE counted;
 
 CREATE VIEW suite_core AS -- README: the tasks to begin with
-SELECT list.task, list.title, "what it tests", steps, "best learner", "its score"
-FROM suite_list AS list JOIN suite_bounds USING (task) WHERE core;
+SELECT list.task, title, "what it tests", steps, "best learner", "its score"
+FROM suite_list AS list JOIN suite_bounds USING (task) WHERE " " = 'core';
 
 CREATE VIEW suite_scores AS -- scoreboard: learners by tasks
 WITH cells AS (

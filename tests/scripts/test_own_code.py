@@ -75,7 +75,7 @@ def documented_commands(document: str) -> list[list[str]]:
 def test_examples_are_as_short_as_the_documentation_says() -> None:
     for name in ("reinforce.py", "plain_ppo.py"):
         lines = [line for line in (EXAMPLES / name).read_text().splitlines() if line.strip()]
-        assert 40 <= len(lines) <= 75
+        assert 40 <= len(lines) <= 80
     for document, example in (("own_algorithm", "reinforce"), ("own_environment", "commute")):
         text = (REPOSITORY / "docs" / f"{document}.md").read_text()
         shown = yaml.safe_load(re.findall(r"^```yaml\n(environment:.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)[0])
@@ -88,9 +88,9 @@ def test_ppo_in_plain_pytorch_trains_and_returns_a_policy(monkeypatch: pytest.Mo
     monkeypatch.setattr(plain_ppo, "ENVS", 8)
 
     def returns(seed: int) -> Any:
-        policy = plain_ppo.train(total_timesteps=2 * 8 * plain_ppo.STEPS, seed=seed)
+        policy = plain_ppo.Policy("K5", seed, total_timesteps=2 * 8 * plain_ppo.STEPS)
         torch.manual_seed(0)
-        return evaluate(policy, plain_ppo.ENV_ID, episodes=2).returns
+        return evaluate(policy, "mo-deepdrive-left-turn-v1", episodes=2).returns
 
     assert np.array_equal(returns(0), returns(0))
     assert not np.array_equal(returns(0), returns(1))

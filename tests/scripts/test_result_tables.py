@@ -66,9 +66,9 @@ def test_a_query_that_does_not_fit_is_refused_with_its_row(script: ModuleType, t
 
 
 def test_a_table_is_made_whole_from_a_query(script: ModuleType) -> None:
-    text = "<!-- table: SELECT 'x' AS a, NULL AS b -->\n\n{}\nafter\n"
+    text = "<!-- table: SELECT 'x' AS a, NULL AS b -->\n\n{}after\n"
     database = script.sqlite3.connect(":memory:")
-    made = text.format("| a | b |\n| --- | --- |\n| x |  |\n")
+    made = text.format("| a | b |\n| --- | --- |\n| x |  |\n\n")
     assert script.refresh(text.format("| old |\n|---|\n| 1 |\n"), database) == made
     assert script.refresh(made, database) == made
     with pytest.raises(ValueError, match="no such column: x"):
