@@ -30,7 +30,8 @@ WITH means AS (
   FROM suite_normalised GROUP BY task, learner),
 best AS (SELECT task, learner, max(score) AS score, seeds, minutes FROM means GROUP BY task)
 SELECT '`' || task || '`' AS task, printf('%.4g', t.floor) || ' (' || floor_by || ')' AS floor,
-  printf('%.4g', t.ceiling) || ' (' || CASE kind WHEN 'best known' THEN ceiling_by ELSE kind END || ')' AS ceiling, best.learner AS "best learner",
+  printf('%.4g', t.ceiling) || ' (' || CASE kind WHEN 'best known' THEN ceiling_by ELSE kind END || ')' AS ceiling,
+  best.learner AS "best learner",
   decimals(best.score, 2) AS "its score", CASE WHEN best.learner IS NULL THEN NULL WHEN board."clearly best" = '' THEN 'no'
     ELSE 'yes' END AS "clearly best", seeds, decimals(minutes, 0) AS "CPU minutes a run"
 FROM suite_tasks AS t LEFT JOIN best USING (task) LEFT JOIN suite_board AS board USING (task) WHERE counted;
@@ -52,12 +53,15 @@ FROM cells GROUP BY learner
 ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores where no learner has trained
+WITH scored AS (
+  SELECT task, learner, suite."column" AS setting, max(-1.0, (value - floor) / (ceiling - floor)) AS score
+  FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted)
 SELECT '`' || task || '`' AS task, learner,
-  decimals(interquartile_mean(CASE suite."column" WHEN 'score' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "as trained",
-  decimals(interquartile_mean(CASE suite."column" WHEN 'yaw_friction' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "less grip",
-  decimals(interquartile_mean(CASE suite."column" WHEN 'action_delay' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "delayed actions",
-  decimals(interquartile_mean(CASE suite."column" WHEN 'hidden_car' THEN max(-1, (value - floor) / (ceiling - floor)) END), 2) AS "a hidden car"
-FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted GROUP BY task, learner;
+  decimals(interquartile_mean(CASE setting WHEN 'score' THEN score END), 2) AS "as trained",
+  decimals(interquartile_mean(CASE setting WHEN 'yaw_friction' THEN score END), 2) AS "less grip",
+  decimals(interquartile_mean(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
+  decimals(interquartile_mean(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
+FROM scored GROUP BY task, learner;
 
 CREATE VIEW speed AS -- README
 SELECT CASE WHEN measurement LIKE '%make_vec%'
@@ -66,5 +70,5 @@ SELECT CASE WHEN measurement LIKE '%make_vec%'
   ELSE 'training with MO-PPO, 256 environments of OneWaypoint' END AS what,
   printf('%,d', 1000 * cast(round(value / 1000.0) AS INTEGER)) AS "steps/s"
 FROM benchmark
-WHERE measurement LIKE '%make_vec, N = 1024, 1 thread' OR measurement = 'OneWaypoint, mo_gymnasium.make'
-  OR measurement = 'mo_ppo training, 256 x 16, 1 thread';
+WHERE measurement IN ('OneWaypoint, make_vec, N = 1024, 1 thread', 'LeftTurn, make_vec, N = 1024, 1 thread',
+  'OneWaypoint, mo_gymnasium.make', 'mo_ppo training, 256 x 16, 1 thread');
