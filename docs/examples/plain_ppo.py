@@ -12,8 +12,8 @@ ENVS, STEPS, EPOCHS, MINIBATCHES, CLIP = 512, 32, 4, 4, 0.2
 GAMMA, LAMBDA = 0.9995, 0.98  # an episode lasts hundreds of decisions
 ENTROPY = 0.03, 0.0003  # its coefficient at the start and at the end
 RETURN_SCALE = 10.0  # a nominal return, in units of which the critic learns
-# Of the rewards. The task is averse to risk, so a collision counts more than an arrival.
-WEIGHTS = {"distance": 0.3, "destination": 10, "collision": 20, "g_force": 0.03, "jerk": 0.0006, "time": 0.5}
+# Of the rewards: prices of the task, which is averse to risk, so that a collision costs twice what an arrival gives.
+WEIGHTS = {"distance": 0.3, "destination": 10, "collision": 20, "g_force": 0.03, "jerk": 0.0006, "time": 1.0}
 
 
 def network(inputs, outputs):
