@@ -268,7 +268,7 @@ def refresh(document: str, database: sqlite3.Connection) -> str:
 
 
 def documents() -> list[Path]:
-    """The documents that may have marked tables; not the lab's, which are records, nor what the build of the site writes."""
+    """The documents that may have marked tables; the lab's are records, and the site's build writes the copy."""
     docs = REPOSITORY / "docs"
     pages = [path for path in docs.rglob("*.md") if docs / "lab" not in path.parents and path.name != "_readme.md"]
     return [REPOSITORY / "README.md", *sorted(pages)]
