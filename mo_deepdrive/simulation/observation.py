@@ -8,7 +8,7 @@ from mo_deepdrive.simulation import geometry, traffic
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import in_lanes
-from mo_deepdrive.simulation.state import MAX_WAYPOINTS, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import MAX_WAYPOINTS, NEAREST_CARS, RUNNING, Record, Records
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 # A vehicle that has left the road is observed straight ahead, at rest, at this distance (m).
 ABSENT_DISTANCE = 100.0
 
-# There is room for so many oncoming cars: the next ones that have not passed the crossing, from this distance to it on
-# (m).
-NEAREST_CARS = 2
+# Oncoming cars are observed from this distance to the crossing on (m).
 SIGHT_DISTANCE = 100.0
 
 # Where the vehicles in the lanes look from, at which points, and what they see.
@@ -45,11 +43,12 @@ def write_oncoming(worlds: Records, i: int, v: int, position: int, params: Recor
         out[i, v, column] = SIGHT_DISTANCE
         out[i, v, column + 1] = 0.0
     column = position
+    last = position + 2 * params.observed_cars
     for k in range(len(worlds[i, v].cars)):
         car = worlds[i, v].cars[k]
         distance = traffic.distance_to_crossing(car)
         seen = car.present and not traffic.has_passed(car) and distance <= SIGHT_DISTANCE
-        if seen and column < position + 2 * params.observed_cars:
+        if seen and column < last:
             out[i, v, column] = distance
             out[i, v, column + 1] = car.speed
             column += 2
