@@ -179,5 +179,5 @@ linkcheck: $(DOCS_READY)
 
 clean:
 	rm -rf $(VENV) $(RAY_VENV) $(PEERS_VENV) $(INTEGRATIONS_VENV) $(MUTANTS_VENV) $(DOCS_VENV) $(LOWEST_VENV) \
-		docs/_build docs/_pictures docs/_static/explore_*.html \
+		docs/_build docs/_static/explore_*.html \
 		.mypy_cache .ruff_cache .pytest_cache

@@ -45,7 +45,7 @@ both clipped; for linear utilities there is none, because the past does not matt
 With ``switching`` the preference also changes within episodes. From then on eq. 5 is that of the new preference; the
 sum of eq. 8 ends with the last decision under the old one, which bootstraps with V(S_{t+1}) under the old one. Cars
 that are under way by one preference then learn under another what moving on is worth; a network that stands still under
-costly preferences seldom finds out by itself (docs/results/conditioned.md has measurements).
+costly preferences seldom finds out by itself (docs/lab/conditioned.md has measurements).
 
 In the first part of the training, ``cost_growth`` of it, the weights of costs grow, so that cars drive before they
 learn what that costs. Let w be the weights that are drawn, and w' those of the gains among them, divided by their sum.

@@ -35,7 +35,7 @@ and ``utility_scale`` takes the place of the scales in eq. 6. With g = gamma the
 c < 1 they sum to E[u(R_tau)] - u(0), where the episode ends after every decision with probability 1 - c, or else at T:
 the increase of decision t counts if the episode gets there, with probability c^t. That is still the expected utility
 of a return, though of one that is cut short; it tends to u(R_T) as c tends to 1, and learns more easily (measured in
-docs/results/nonlinear_utilities.md). With the true v, E[U_t | S_t] under the policy is 0, so that every term beyond U_t
+docs/lab/nonlinear_utilities.md). With the true v, E[U_t | S_t] under the policy is 0, so that every term beyond U_t
 only adds noise: E[A_t | S_t, a_t] is the advantage at any lambda, as for a scalar reward (Schulman et al. 2016; the
 reward is that of a Markov decision process over S_t, Hayes et al. 2022, section 4.3). What a truncated episode would
 still have gained is v of its true final state. S_t must have R_t and, where g < 1, g^t.

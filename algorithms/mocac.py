@@ -31,9 +31,9 @@ which is Y_t projected onto the grid by multilinear interpolation (Bellemare et 
 
 Bias: returns outside [v_min, v_max] are clipped, and the projection keeps the mean of others, but adds up to a quarter
 of the squared spacing to the variance of an objective each time that a target passes through the critic. A^d is limited
-to 4096. ``particles``, for more objectives (docs/learning.md compares the two): K equally likely returns x_i, and D is
-the energy distance (Székely and Rizzo 2013) between returns divided by their nominal scales, up to a term without x.
-Zhang et al. (2021) learn joint returns by particles too, with the maximum mean discrepancy.
+to 4096. ``particles``, for more objectives: K equally likely returns x_i, and D is the energy distance (Székely and
+Rizzo 2013) between returns divided by their nominal scales, up to a term without x. Zhang et al. (2021) learn joint
+returns by particles too, with the maximum mean discrepancy.
 
     D(Y, Z) = 2 E|x - y| - E|x - x'|                                                                   (8)
 

@@ -33,7 +33,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "_fragments", "examples", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_readme.md", "examples", "**.ipynb_checkpoints"]
 
 # Markdown and notebooks
 myst_enable_extensions = ["colon_fence"]
@@ -65,6 +65,9 @@ nitpick_ignore_regex = [
     # Attributes are listed by their classes, and are not targets.
     (r"py:attr", r".*"),
 ]
+
+# Names in a section "Attributes" are cross-references of which many classes have a target.
+suppress_warnings = ["ref.python"]
 
 # The look
 html_theme = "furo"

@@ -1,8 +1,7 @@
 """Reference points, from which hypervolumes are measured.
 
 A reference point is part of a published result: hypervolumes that were measured from different points cannot be
-compared. The points are in ``data/reference_points.yaml``; ``docs/fronts.md`` has the measurements behind them. A
-registered objective or scenario gives its own.
+compared. The points are in ``data/reference_points.yaml``. A registered objective or scenario gives its own.
 """
 
 from __future__ import annotations

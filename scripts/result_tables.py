@@ -13,6 +13,10 @@ row above; ``docs/results/runs.csv`` is the table ``runs``, ``cross_play/cross_p
 and what follows an empty line in ``scores.csv`` is ``scores_1``. The numbers that the query returns for a column
 replace those of its cell, with as many decimals as are there; the words of the cell remain. A result without numbers
 replaces the whole cell; an empty cell stays empty.
+
+A table after ``<!-- table: SELECT ... -->`` is made whole: its header has the names of the columns of the query, its
+rows are the results. The tasks of the suite are the table ``suite_tasks``, what ``suite table`` prints of them
+``suite_board``; the views of ``docs/results/views.sql`` are tables, too.
 """
 
 from __future__ import annotations
@@ -30,9 +34,11 @@ from paired_benchmark import REPOSITORY
 
 import mo_deepdrive
 from algorithms.experiments.cli import make_parser
+from algorithms.studies.suite_tables import Scoreboard
+from mo_deepdrive import suite
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.pareto import hypervolume
-from mo_deepdrive.evaluation.statistics import mean
+from mo_deepdrive.evaluation.statistics import interquartile_mean, mean
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -42,6 +48,7 @@ if TYPE_CHECKING:
 # No result are the layers of a network, 64-32, and the second number of "9 of 10".
 NUMBER = re.compile(r"(?<![\w.,])(?<!\d-)(?<! of )-?\d+(?:,\d{3})*(?:\.\d+)?(?:e-\d+)?(?!\w|-\d)")
 MARKED = re.compile(r"<!-- numbers:(?P<query>.*?)-->\n\n(?P<table>(?:\|[^\n]*\n)+)", re.DOTALL)
+MADE = re.compile(r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)(?:\|[^\n]*\n)*\n?", re.DOTALL)
 TITLES = {scenario.title: scenario for scenario in SCENARIOS.values()}
 
 
@@ -88,6 +95,14 @@ class MedianAndRange(Column):
         return joined(float(np.median(self.values)), min(self.values), max(self.values))
 
 
+class InterquartileMean(Column):
+    """The mean of the middle half."""
+
+    def finalize(self) -> float | None:
+        """The number."""
+        return float(interquartile_mean(np.array(self.values))) if self.values else None
+
+
 class Hypervolume:
     """The hypervolume of undiscounted returns above the reference point of a scenario: its name, then the returns."""
 
@@ -115,8 +130,10 @@ def numbers(text: str) -> list[float]:
     return [float(number.replace(",", "")) for number in NUMBER.findall(text)]
 
 
-def typed(text: str) -> Any:
+def typed(text: Any) -> Any:
     """A cell as a number, if it is one."""
+    if not isinstance(text, str):
+        return text
     for kind in (int, float):
         try:
             return kind(text)
@@ -135,6 +152,9 @@ def open_results() -> sqlite3.Connection:
         for k, part in enumerate(path.read_text(encoding="utf-8").split("\n\n")):
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
+    fill(database, "suite_tasks", *suite_tasks())
+    header, *rows = Scoreboard(suite.read_rows(folder / "suite.csv"), suite.load()).task_table()
+    fill(database, "suite_board", header, rows)
     functions: dict[str, Callable[..., Any]] = {
         "id": lambda title: TITLES[title].id,
         "scenario": lambda title: TITLES[title].name,
@@ -143,18 +163,31 @@ def open_results() -> sqlite3.Connection:
         "number": lambda text: numbers(str(text))[0],
         "times": lambda factor, text: joined(*(factor * number for number in numbers(str(text)))),
         "significant": lambda value, digits: float(f"{value:.{digits}g}"),
+        "decimals": lambda value, places: None if value is None else f"{value:.{places}f}",
         "joined": joined,
     }
     for name, function in functions.items():
         database.create_function(name, -1, function, deterministic=True)
     aggregates: dict[str, Any] = {"list": ListOf, "interval": Interval, "mean_and_range": MeanAndRange}
     aggregates |= {"median_and_range": MedianAndRange, "hypervolume": Hypervolume}
+    aggregates |= {"interquartile_mean": InterquartileMean}
     for name, aggregate in aggregates.items():
         database.create_aggregate(name, -1, aggregate)
+    database.executescript((folder / "views.sql").read_text(encoding="utf-8"))
     return database
 
 
-def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def suite_tasks() -> tuple[list[str], list[list[Any]]]:
+    """Columns and rows of the table of the suite's tasks, in order."""
+    fields = ["title", "tests", "track", "core", "counted", "steps", "score", "policy"]
+    rows = []
+    for name, task in suite.load().tasks.items():
+        bounds = [task.floor.value, task.floor.by, task.ceiling.value, task.ceiling.by, task.ceiling.kind]
+        rows.append([name, *(getattr(task, field) for field in fields), *bounds])
+    return ["task", *fields, "floor", "floor_by", "ceiling", "ceiling_by", "kind"], rows
+
+
+def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Make a table of a database, in place of one with this name."""
     database.execute(f'DROP TABLE IF EXISTS "{table}"')
     columns = ", ".join(f'"{name}"' for name in header)
@@ -220,12 +253,25 @@ def refresh(document: str, database: sqlite3.Connection) -> str:
             found.append(line if shown == cells_of(line) else f"| {' | '.join(shown)} |")
         return match.group()[: match.start("table") - match.start()] + "\n".join(found) + "\n"
 
-    return MARKED.sub(table, document)
+    def whole_table(match: re.Match[str]) -> str:
+        try:
+            cursor = database.execute(match["query"])
+            rows = cursor.fetchall()
+        except sqlite3.Error as error:
+            raise ValueError(f"{type(error).__name__}: {error}\n  by {match['query']}") from None
+        header = [name for name, *_ in cursor.description]
+        lines = [header, ["---"] * len(header), *rows]
+        made = ["| " + " | ".join("" if cell is None else str(cell) for cell in line) + " |\n" for line in lines]
+        return match["comment"] + "".join(made) + "\n"
+
+    return MADE.sub(whole_table, MARKED.sub(table, document))
 
 
 def documents() -> list[Path]:
-    """The documents that may have marked tables."""
-    return [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+    """The documents that may have marked tables; the lab's are records, and the site's build writes the copy."""
+    docs = REPOSITORY / "docs"
+    pages = [path for path in docs.rglob("*.md") if docs / "lab" not in path.parents and path.name != "_readme.md"]
+    return [REPOSITORY / "README.md", *sorted(pages)]
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -32,7 +32,7 @@ INITIAL_LOG_STD = -0.5  # of Gaussian policies
 LOWEST_LOG_STD, HIGHEST_LOG_STD = -5.0, 1.0  # where it depends on the state
 # By which an output that depends on the state is multiplied. Adam moves all weights of a layer at once, so an output
 # moves faster than a parameter of its own would; with 1, more runs stopped exploring too early (measured in
-# docs/results/conditioned.md).
+# docs/lab/conditioned.md).
 LOG_STD_GAIN = 0.3
 
 # exp(x) = 2^k exp(r), with k the integer nearest to x / log(2), so that r is at most log(2) / 2 from 0.

@@ -34,7 +34,6 @@ from mo_deepdrive.evaluation.metrics import (
     CARDINALITY,
     COLLISION,
     FRONT,
-    GREEDY,
     HIGHEST_DISTANCE,
     HYPERVOLUME,
     LOWEST_DISTANCE,
@@ -160,8 +159,8 @@ def verdict_table(plan: Plan, results: ReproductionResults, *, quick: bool = Fal
     """
     rows = [["claim", *VERDICT_COLUMNS]]
     for claim in CLAIMS:
-        for *row, conclusion in _verdict_rows(claim, plan, results, quick=quick):
-            name = f"{claim.number}. {claim.statement}" if conclusion else ""
+        for i, (*row, conclusion) in enumerate(_verdict_rows(claim, plan, results, quick=quick)):
+            name = f"{claim.number}. {claim.statement}" if i == 0 else ""
             bold = f"**{conclusion}**" if conclusion and not quick else conclusion
             rows.append([name, *row, bold])
     return markdown_table(rows)
@@ -221,25 +220,23 @@ def _check_table(plan: Plan, claim: Claim, results: ReproductionResults) -> str:
 
 
 def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
-    """The scores of a task: a row per protocol, variant and policy."""
+    """The scores of a task: a row per protocol and variant, of the policy that samples its actions."""
     if task == FRONT_TASK:
         return _front_score_table(plan, results)
     vehicles = 2 if task.startswith("intersection") else 1
     score, progress = utility_metric(task), vehicle_prefix(0, vehicles) + return_of("distance")
     measures = ["utility (ESR)", "± of one run", "success rate", "collisions", "progress (m)"]
-    rows = [["protocol", "algorithm", "policy", "seeds", "steps", *measures]]
+    rows = [["protocol", "algorithm", "seeds", "steps", *measures]]
     for protocol in results.protocols(task):
         for variant, label in results.variants(task, protocol).items():
-            for policy in (STOCHASTIC, GREEDY):
-                values = partial(results.values, task, protocol, variant, policy=policy)
-                width = partial(results.episodes_width, task, protocol, variant, policy=policy)
-                seeds = str(len(values(SUCCESS)))
-                about = [plan.tasks[task].protocols[protocol].title, label, policy, seeds]
-                rates = [percent(iqm(values(metric)), width(metric)) for metric in (SUCCESS, end_by(COLLISION))]
-                utility, distance = (iqm(values(metric)).text(width(metric)) for metric in (score, progress))
-                half_width = f"{width(score) / 2:.2g}" if width(score) else ""
-                steps = _steps(results, task, protocol, variant)
-                rows.append([*about, steps, utility, half_width, *rates, distance])
+            values = partial(results.values, task, protocol, variant, policy=STOCHASTIC)
+            width = partial(results.episodes_width, task, protocol, variant, policy=STOCHASTIC)
+            about = [plan.tasks[task].protocols[protocol].title, label, str(len(values(SUCCESS)))]
+            rates = [percent(iqm(values(metric)), width(metric)) for metric in (SUCCESS, end_by(COLLISION))]
+            utility, distance = (iqm(values(metric)).text(width(metric)) for metric in (score, progress))
+            half_width = f"{width(score) / 2:.2g}" if width(score) else ""
+            steps = _steps(results, task, protocol, variant)
+            rows.append([*about, steps, utility, half_width, *rates, distance])
     return markdown_table(rows)
 
 
@@ -306,15 +303,12 @@ def _document(
         "# Reproduction of the paper's figures and claims",
         f"Written by `{how}`: {len(runs)} runs, {sum(runs.values()) / 3600:.1f} hours on one core, seeds {seeds[0]} to "
         f"{seeds[-1]}. For background and discussion see [reproduction](../reproduction.md).",
-        "Scores are interquartile means over seeds of the utility (ESR) of the stochastic policy; at the intersection, "
-        f"of the sum of both vehicles' utilities. {_episodes_sentence(plan, results)}",
-        "Intervals (95%, bootstrap) are over seeds. They do not include the sampling of episodes, which *± of one run* "
-        "gives for the utility: half the width of the interval over the episodes of one run, at the intersection at "
-        "most. Scores have the digits that the wider of the two supports. Runs that are compared have the same "
-        "episodes.",
-        "P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than a run of A2C. A run of PCN has "
-        f"collapsed if its hypervolume is below {COLLAPSED:.0%} of the median. Protocols: *as printed* uses the "
-        "paper's hyperparameters, *best effort* tuned ones.",
+        "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
+        "intersection, of the sum of both vehicles' utilities. "
+        f"{_episodes_sentence(plan, results)} Greedy policies are in reproduction_scores.csv.",
+        "Intervals (95%, bootstrap) are over seeds; *± of one run* is half the width of the interval over the episodes "
+        "of one run. P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than one of A2C. A run of "
+        f"PCN has collapsed if its hypervolume is below {COLLAPSED:.0%} of the median.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
         verdict_table(plan, results, quick=quick),

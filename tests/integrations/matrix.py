@@ -156,11 +156,8 @@ def tables() -> str:
         version = library.version() if library.module else ""
         title = f"{library.name} {version}".strip()
         overview.append(_line(f"[{library.name}](#{_anchor(title)})", version, library.how))
-        sections += [f"## {title}", "", _line("what runs", "how", "test"), "|---|---|---|"]
-        for each in rows:
-            links = ", ".join(f"[`{test}`](../{each.file})" for test in each.tests)
-            sections.append(_line(each.what, each.how or "-", links))
-        sections.append("")
+        sections += [f"## {title}", "", _line(f"what runs ([tests](../{rows[0].file}))", "how"), "|---|---|"]
+        sections += [_line(each.what, each.how) for each in rows] + [""]
     return "\n".join([*overview, "", *sections])
 
 

@@ -114,7 +114,7 @@ def drive(env: Any, shape: tuple[int, ...]) -> int:
     return ends
 
 
-@row("`check_env`", how="its one warning is that the reward is no float")
+@row("`check_env`", how="its one warning is that the reward is not a float")
 def test_the_checker_warns_of_the_vector_reward_alone() -> None:
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")

@@ -23,7 +23,7 @@ LIBRARY = Library(
     "morl-baselines",
     "morl-baselines",
     "morl_baselines",
-    "`PCN(mo_gymnasium.make(id), ...)`; evaluated like our own algorithms by [`scripts/peers.py`](peers.md)",
+    "`PCN(mo_gymnasium.make(id), ...)`; or by name: [peers](peers.md)",
 )
 
 pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.slow]

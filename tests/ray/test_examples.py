@@ -1,4 +1,4 @@
-"""The example of docs/results/rllib.md: its runner, what its learners are given, a short run, and its curve."""
+"""The example of docs/lab/rllib.md: its runner, what its learners are given, a short run, and its curve."""
 
 from __future__ import annotations
 

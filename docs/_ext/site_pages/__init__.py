@@ -1,8 +1,7 @@
 """A Sphinx extension that writes the pages that code knows, before Sphinx reads the others.
 
-Environments, algorithms, the API reference, the changelog, the contributing guide and the citation are written into
-``docs``, where git ignores them. A page is written only if its text has changed, and a picture only if it is absent, so
-that a second build is short.
+The API reference, the changelog, the contributing guide and the citation are written into ``docs``, where git ignores
+them. A page is written only if its text has changed, so that a second build is short.
 """
 
 from __future__ import annotations
@@ -11,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[2]
-FOLDERS = ("environments", "algorithms", "reference")  # which hold nothing but written pages
+FOLDER = "reference"  # which holds nothing but written pages
 
 
 def all_pages() -> dict[str, str]:
     """The text of every page that is written, by its path in docs."""
-    from site_pages import algorithms, environments, reference, repository
+    from site_pages import reference, repository
 
-    return {**environments.pages(), **algorithms.pages(), **reference.pages(), **repository.pages()}
+    return {**reference.pages(), **repository.pages()}
 
 
 def write_pages() -> None:
@@ -29,25 +28,9 @@ def write_pages() -> None:
         path.parent.mkdir(exist_ok=True)
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
-    for folder in FOLDERS:
-        for path in (DOCS / folder).glob("*.md"):
-            if path.relative_to(DOCS).as_posix() not in found:
-                path.unlink()
-
-
-def write_pictures(folder: Path) -> None:
-    """Write the pictures of the environments that are absent."""
-    from mo_deepdrive.scenarios import SCENARIOS
-    from site_pages.environments import fronts
-    from site_pages.films import write_film, write_front
-
-    folder.mkdir(exist_ok=True)
-    for name, scenario in SCENARIOS.items():
-        if not (folder / f"{name}.gif").is_file():
-            write_film(scenario, folder / f"{name}.gif")
-        for kind in fronts(scenario)[:1]:
-            if not (folder / f"{name}_front.png").is_file():
-                write_front(scenario, kind, folder / f"{name}_front.png")
+    for path in (DOCS / FOLDER).glob("*.md"):
+        if path.relative_to(DOCS).as_posix() not in found:
+            path.unlink()
 
 
 def _on_start(app: Any) -> None:
@@ -55,7 +38,6 @@ def _on_start(app: Any) -> None:
 
     del app
     write_pages()
-    write_pictures(DOCS / "_pictures")
     write_examples(DOCS / "_static")
 
 

@@ -1,10 +1,9 @@
-"""Small pieces of Markdown, and what is taken from docstrings."""
+"""Small pieces of Markdown."""
 
 from __future__ import annotations
 
-import inspect
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -16,24 +15,6 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table; bars in cells are escaped."""
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
-
-
-def number(value: float) -> str:
-    """A number with up to six significant digits."""
-    return f"{float(value):.6g}"
-
-
-def source_link(path: str) -> str:
-    """A link to a file of the repository."""
-    return f"[`{path}`]({REPOSITORY_URL}{path})"
-
-
-def sections(owner: Any) -> dict[str, str]:
-    """The sections of a docstring in Gymnasium's form by their titles; what is above the first one is under ""."""
-    parts = re.split(r"^## (.+)$", inspect.cleandoc(owner.__doc__ or ""), flags=re.MULTILINE)
-    found = {"": parts[0].strip()}
-    found |= {title: text.strip() for title, text in zip(parts[1::2], parts[2::2], strict=True)}
-    return {title: as_markdown(text) for title, text in found.items()}
 
 
 def as_markdown(text: str) -> str:

@@ -11,7 +11,8 @@ import yaml
 from site_pages.markdown import REPOSITORY_URL
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-FILES = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+# The home page includes the first.
+FILES = {"_readme.md": "README.md", "changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
 
 
 def pages() -> dict[str, str]:

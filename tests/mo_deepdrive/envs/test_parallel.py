@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-import re
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,6 @@ from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 AGENTS = ["vehicle_0", "vehicle_1"]
 EVERY = [
@@ -356,22 +354,3 @@ def test_the_environments_render() -> None:
         env.close()
         env.close()
         assert make().render() is None
-
-
-def examples(repository: Path) -> list[tuple[str, str]]:
-    """The Python blocks of docs/interfaces.md, each with its heading."""
-    text = (repository / "docs" / "interfaces.md").read_text(encoding="utf-8")
-    found = re.findall(r"^## ([^\n]+)$|^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
-    heading, blocks = "", []
-    for title, code in found:
-        heading = title or heading
-        if code:
-            blocks.append((heading, code))
-    return blocks
-
-
-def test_the_examples_of_the_documentation_run(repository: Path) -> None:
-    blocks = [(heading, code) for heading, code in examples(repository) if heading not in ("RLlib", "TorchRL")]
-    assert len(blocks) >= 6
-    for heading, code in blocks:
-        exec(compile(code, heading, "exec"), {})
