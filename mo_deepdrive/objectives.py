@@ -77,7 +77,16 @@ OBJECTIVES: list[Objective] = [
     Objective("collision", "1", -1, 1.0, "1 on the decision that collides", bound=1.0),
     Objective("jerk", "m/s^3", -1, 500.0, "jerk at the end of the decision", bound="m/s^3"),
     Objective("lane_violation", "m", -1, 10.0, "metres outside the lane at the end of the decision", "lane_violation"),
-    Objective("time", "s", -1, 30.0, "duration of the decision", bound="time", measure=_seconds, reference=-60.0),
+    Objective(
+        "time",
+        "s",
+        -1,
+        30.0,
+        "duration of the decision; under charge_remaining_time also what an early end leaves of the time limit",
+        bound="time",
+        measure=_seconds,
+        reference=-60.0,
+    ),
     Objective(
         "near_miss",
         "1",

@@ -20,7 +20,7 @@ from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.params import chosen_objectives
-from mo_deepdrive.reference_points import select_objectives
+from mo_deepdrive.reference_points import default_discount, select_objectives
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 GAMMA = 0.99  # the discount factor, besides 1.0, for which fronts are searched
 TIME = "time"  # an objective that fronts have besides the scenario's own
 DATA = resources.files("mo_deepdrive") / "data"
-# The settings that the stored fronts do not depend on: they hold all objectives, maximised.
-_SELECTION = ("objectives", "cost_sign")
+# The settings that the stored fronts do not depend on: they hold all objectives, maximised, and are replayed.
+_SELECTION = ("objectives", "cost_sign", "charge_remaining_time")
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,19 @@ class KnownPolicy:
 def reference_front(
     scenario: str = "one_waypoint",
     action_type: str = "discrete",
-    gamma: float = 0.99,
+    gamma: float | None = None,
     objectives: Sequence[str] | None = None,
+    charge_remaining_time: bool = False,
 ) -> NDArray[np.float64]:
     """The best-known front of a scenario that is the same in every episode (see :func:`front_config`).
 
     Args:
         scenario: "one_waypoint" or "static_obstacle".
         action_type: "discrete", "discrete-16" or "continuous".
-        gamma: discount factor in [0, 1]; the fronts are searched for 0.99, for 1.0, and for 1.0 with the time.
+        gamma: discount factor in [0, 1]; the fronts are searched for 0.99, for 1.0, and for 1.0 with the time. None for
+            :func:`mo_deepdrive.reference_points.default_discount`.
         objectives: names, to select and order; "time" may be among them. None for all of the scenario's.
+        charge_remaining_time: the environment's setting.
 
     Returns:
         (K, d) returns of the non-dominated policies, discounted with ``gamma`` and maximised.
@@ -75,9 +78,10 @@ def reference_front(
         ValueError: for an unknown name, a gamma out of range, or a scenario without a best-known front.
     """
     names = select_objectives(scenario, action_type, objectives)
+    gamma = default_discount(names) if gamma is None else gamma
     if not 0.0 <= gamma <= 1.0:
         raise ValueError(f"gamma = {gamma!r} must lie in [0, 1]")
-    rewards = _rewards(scenario, action_type)
+    rewards = _rewards(scenario, action_type, charge_remaining_time)
     known = (*SCENARIOS[scenario].objectives, TIME)
     if absent := [name for name in names if name not in known]:
         raise ValueError(f"the best-known front has no {absent[0]!r}; {nearest(absent[0], known)}")
@@ -110,7 +114,7 @@ def pareto_front(config: EnvConfig, gamma: float) -> list[NDArray[np.float64]]:
         if differing:
             raise ValueError(f"the best-known front requires {', '.join(differing)}")
     names = chosen_objectives(config)
-    returns = reference_front(config.scenario, config.action_type, gamma, names)
+    returns = reference_front(config.scenario, config.action_type, gamma, names, config.charge_remaining_time)
     if config.cost_sign == "paper":
         # Adding zero turns a cost of -0.0 into 0.0.
         returns = returns * signs(names) + 0.0
@@ -178,8 +182,11 @@ def write(scenario: str, action_type: str, policies: Sequence[KnownPolicy]) -> s
 
 
 @functools.cache
-def _rewards(scenario: str, action_type: str) -> NDArray[np.float32]:
+def _rewards(scenario: str, action_type: str, charge_remaining_time: bool) -> NDArray[np.float32]:
     policies = shipped(scenario, action_type)
-    timed = {"objectives": (*SCENARIOS[scenario].objectives, TIME)}
+    timed = {
+        "objectives": (*SCENARIOS[scenario].objectives, TIME),
+        "charge_remaining_time": charge_remaining_time,
+    }
     config = front_config(scenario, action_type).model_copy(update=timed)
     return replay(config, [decode(policy.actions, action_type) for policy in policies])

@@ -47,10 +47,19 @@ class ReferencePoint:
     reason: str
 
 
+def default_discount(objectives: Sequence[str]) -> float:
+    """The discount factor of fronts, unless another one is asked for: 1 where time is an objective, else 0.99.
+
+    Without a price of its own, time counts by the discount alone. With one, a discount would count it twice, and put
+    policies on the front that wait so that costs come later.
+    """
+    return 1.0 if "time" in objectives else 0.99
+
+
 def reference_point(
     scenario: str = "one_waypoint",
     action_type: str = "discrete",
-    gamma: float = 0.99,
+    gamma: float | None = None,
     objectives: Sequence[str] | None = None,
 ) -> ReferencePoint:
     """The agreed reference point for hypervolumes.
@@ -59,7 +68,8 @@ def reference_point(
         scenario: "one_waypoint", "static_obstacle", "intersection", "left_turn" or a registered one; it holds for each
             vehicle.
         action_type: "discrete", "discrete-16" or "continuous".
-        gamma: discount factor of the returns: 0.99 or 1.0; any for a registered scenario.
+        gamma: discount factor of the returns: 0.99 or 1.0; any for a registered scenario; None for
+            :func:`default_discount`.
         objectives: names, to select and order; None for all of the scenario's.
 
     Raises:
@@ -67,6 +77,7 @@ def reference_point(
             objective that is registered without a reference value.
     """
     names = select_objectives(scenario, action_type, objectives)
+    gamma = default_discount(names) if gamma is None else gamma
     table = _table()
     values, reasons = dict(SCENARIOS[scenario].reference), dict.fromkeys(names, "as registered")
     known = [

@@ -79,8 +79,15 @@ class Scenario:
 
     @property
     def id(self) -> str:
-        """The id of the environment."""
-        return f"mo-deepdrive-{self.name.replace('_', '-')}-v0"
+        """The id of the environment as it was first published."""
+        return next(iter(self.ids))
+
+    @property
+    def ids(self) -> dict[str, Mapping[str, Any]]:
+        """The arguments that each id sets, the first version first."""
+        name = self.name.replace("_", "-")
+        versions = VERSIONS.get(self.name, {"v0": {}})
+        return {f"mo-deepdrive-{name}-{version}": arguments for version, arguments in versions.items()}
 
     @property
     def vehicles(self) -> int:
@@ -188,9 +195,9 @@ VERSIONS: dict[str, dict[str, dict[str, Any]]] = {
 def register_id(scenario: Scenario) -> None:
     """Register the environments of a scenario with Gymnasium, for ``make`` and ``make_vec``, in every version."""
     alone = scenario.vehicles == 1
-    for version, arguments in VERSIONS.get(scenario.name, {"v0": {}}).items():
+    for env_id, arguments in scenario.ids.items():
         gymnasium.register(
-            scenario.id.removesuffix("v0") + version,
+            env_id,
             entry_point="mo_deepdrive.envs.single:DrivingEnv" if alone else "mo_deepdrive.envs.turn_based:TurnBasedEnv",
             vector_entry_point="mo_deepdrive.envs.vector:DrivingVectorEnv",
             kwargs={"scenario": scenario.name, **arguments},

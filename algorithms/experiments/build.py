@@ -152,8 +152,8 @@ def open_driver(
         ValueError: if there is none, it drives another vehicle or in another environment, or it is a front.
     """
     if name.startswith(PREFIX):
-        if env.name != SCENARIO.id:
-            raise ValueError(f"{name!r} drives in {SCENARIO.id}, not in {env.name}")
+        if env.name not in SCENARIO.ids:
+            raise ValueError(f"{name!r} drives in {' and '.join(SCENARIO.ids)}, not in {env.name}")
         driver = make_rule(name, action_type)
         if driver.vehicle != vehicle:
             raise ValueError(f"{name!r} drives {vehicle_name(driver.vehicle)}, not {vehicle_name(vehicle)}")

@@ -21,6 +21,8 @@ from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.names import nearest
+from mo_deepdrive.params import chosen_objectives
+from mo_deepdrive.reference_points import default_discount
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -91,7 +93,8 @@ class EvaluationSettings(Settings):
     """The split of scenario seeds (:mod:`mo_deepdrive.evaluation.splits`) of the evaluation at the end; "validation"
     for runs that are compared in order to choose one."""
     gamma: float = Field(default=0.99, ge=0.0, le=1.0)
-    """Discount of the reported discounted returns."""
+    """Discount of the reported discounted returns. If it is not given, a front of one of this package's environments
+    with time among its objectives is undiscounted."""
     reference_point: list[float] | None = None
     """Reference point of a front's hypervolume, one number per objective; None for the default of this package's
     environments, and for no hypervolume on others."""
@@ -229,9 +232,9 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     attempt(lambda: _check_task(experiment))
     if algorithm:
         attempt(lambda: _check_utility(experiment))
-    reference: dict[str, Any] = {}
+    front: dict[str, Any] = {}
     if algorithm and arguments is not None and not experiment.known_utility:
-        reference = attempt(lambda: _reference_point(experiment, arguments)) or {}
+        front = attempt(lambda: _front_evaluation(experiment, arguments)) or {}
     if problems:
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     default = a_twentieth(experiment.training.total_timesteps)
@@ -239,7 +242,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     return experiment.model_copy(
         update={
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
-            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **reference}),
+            "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **front}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),
         }
     )
@@ -364,8 +367,8 @@ def _check_utility(experiment: Experiment) -> None:
         )
 
 
-def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The reference point of a front's hypervolume: the given one, or the default of this package's environments.
+def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The discount and the reference point of a front: the given ones, or the defaults of this package's environments.
 
     The front of two vehicles has none by default: the hypervolume of 64 of its policies would take hours.
     """
@@ -376,15 +379,16 @@ def _reference_point(experiment: Experiment, arguments: Mapping[str, Any]) -> di
     config = parse(EnvConfig, {**spec.kwargs, **arguments}, "environment arguments")
     if config.cost_sign != "maximise":
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
+    gamma = experiment.evaluation.gamma
+    if "gamma" not in experiment.evaluation.model_fields_set:
+        gamma = default_discount(chosen_objectives(config))
     if given is not None or SCENARIOS[config.scenario].vehicles > 1:
-        return {"reference_point": given}
+        return {"gamma": gamma, "reference_point": given}
     try:
-        point = mo_deepdrive.reference_point(
-            config.scenario, config.action_type, experiment.evaluation.gamma, config.objectives
-        )
+        point = mo_deepdrive.reference_point(config.scenario, config.action_type, gamma, config.objectives)
     except ValueError as error:
         raise ValueError(f"evaluation.reference_point must be given: {error}") from None
-    return {"reference_point": point.values.tolist()}
+    return {"gamma": gamma, "reference_point": point.values.tolist()}
 
 
 def _check_episodes(settings: EvaluationSettings) -> None:

@@ -46,7 +46,8 @@ class DrivingParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  #
 
     ## Version History
 
-    As of the Gymnasium environments; the version is in ``metadata["name"]``.
+    As of the Gymnasium environments. Without arguments it is v0; those of v1 are
+    ``gymnasium.spec("mo-deepdrive-intersection-v1").kwargs``.
 
     Args:
         scenario: "intersection", or any other scenario.

@@ -68,13 +68,13 @@ class DrivingEnv(WorldEnv):
 
     | objective | reward per decision | scenario |
     |---|---|---|
-    | distance | route distance gained (m); in LeftTurn negative in the crossing while a car approaches | all |
+    | distance | route distance gained (m); in LeftTurn-v0 negative in the crossing while a car approaches | all |
     | destination | 1 on the decision that arrives | all |
     | g_force | minus the g-force at the end of the decision (g) | all |
     | collision | -1 on the decision that collides | StaticObstacle, LeftTurn |
     | jerk | minus the jerk at the end of the decision (m/s^3) | all |
     | lane_violation | minus the distance outside the lane at the end of the decision (m) | LeftTurn |
-    | time | minus the duration of the decision (s) | LeftTurn; by ``objectives`` all |
+    | time | minus the duration of the decision (s), in v1 with what an early end leaves | v1; in v0 LeftTurn |
     | near_miss | -1 on a decision after which the time to collision is below 1.5 s | by ``objectives`` LeftTurn |
 
     ## Starting State
@@ -101,12 +101,16 @@ class DrivingEnv(WorldEnv):
     ``scenario`` is set by the id. Every other field of :class:`mo_deepdrive.config.EnvConfig` is a keyword argument:
     ``action_type``, ``fixed_destination``, ``fixed_obstacle`` (StaticObstacle), ``time_limit``, ``objectives``,
     ``cost_sign``, ``simulation_frequency``, ``decision_frequency``, ``constrain_controls``, ``ignore_brake``,
-    ``harmful_g_force``, ``harmful_jerk``; for LeftTurn ``traffic`` ("none", "light", "default" or "dense"),
-    ``yield_to_oncoming``, ``lane_margin`` and ``end_on_lane_violation``. ``render_mode`` is None, "rgb_array" or
-    "human". Unknown arguments raise TypeError, invalid values ValueError.
+    ``harmful_g_force``, ``harmful_jerk``, ``charge_remaining_time``; for LeftTurn ``traffic`` ("none", "light",
+    "default" or "dense"), ``yield_to_oncoming``, ``lane_margin`` and ``end_on_lane_violation``. ``yaw_friction``,
+    ``action_delay`` and, in LeftTurn, ``observed_cars`` change the world that a policy was trained in, to test how it
+    generalises. ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise TypeError, invalid values
+    ValueError.
 
     ## Version History
 
+    - v1: v0 with ``time`` as the last objective and ``charge_remaining_time=True``, so that ending early saves no time;
+      LeftTurn with ``yield_to_oncoming=False``, so that distance is what was driven.
     - v0: initial release. ``docs/simulator.md`` lists the departures from the published code.
 
     The version is raised by every change of what an agent experiences: dynamics, rewards, observations, spaces and

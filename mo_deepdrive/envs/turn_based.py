@@ -88,6 +88,7 @@ class TurnBasedEnv(WorldEnv):
     | collision | -1 on the decision that collides, for both vehicles |
     | jerk | minus the jerk at the end of the decision (m/s^3) |
     | lane_violation | minus the distance outside the lane at the end of the decision (m) |
+    | time | in v1: minus the duration of the decision, and the time that an early end leaves (s) |
 
     ## Starting State
 
@@ -108,11 +109,13 @@ class TurnBasedEnv(WorldEnv):
     ``scenario`` is set by the id. Every other field of :class:`mo_deepdrive.config.EnvConfig` is a keyword argument:
     ``action_type``, ``time_limit``, ``objectives``, ``cost_sign``, ``simulation_frequency``, ``decision_frequency``,
     ``constrain_controls``, ``ignore_brake``, ``harmful_g_force``, ``harmful_jerk``, ``lane_margin``,
-    ``end_on_lane_violation``, ``yield_to_oncoming``, ``end_together``. ``render_mode`` is None, "rgb_array" or
-    "human". Unknown arguments raise TypeError. (Gymnasium's ``max_episode_steps`` counts turns.)
+    ``end_on_lane_violation``, ``yield_to_oncoming``, ``end_together``, ``charge_remaining_time``, ``yaw_friction``,
+    ``action_delay``. ``render_mode`` is None, "rgb_array" or "human". Unknown arguments raise TypeError. (Gymnasium's
+    ``max_episode_steps`` counts turns.)
 
     ## Version History
 
+    - v1: v0 with ``time`` as the last objective and ``charge_remaining_time=True``, so that ending early saves no time.
     - v0: initial release. ``docs/simulator.md`` lists the departures from the published code.
 
     The version is raised by every change of what an agent experiences: dynamics, rewards, observations, spaces and

@@ -18,7 +18,7 @@ import numpy as np
 import mo_deepdrive
 from mo_deepdrive.actions import CONTINUOUS, DISCRETE, SPEED_CHANGES
 from mo_deepdrive.observation import layout
-from mo_deepdrive.scenarios import SCENARIOS
+from mo_deepdrive.scenarios import SCENARIOS, VERSIONS
 from mo_deepdrive.simulation.observation import ABSENT_DISTANCE
 from mo_deepdrive.simulation.state import STEER_RANGE
 
@@ -158,10 +158,14 @@ PLANS: dict[str, EpisodePlan] = {
 }
 
 
+# Version 1 of the ids, and actions that arrive late.
+LATE_V1 = {**VERSIONS["intersection"]["v1"], "action_delay": 2}
+
+
 @functools.cache
-def record(action_type: str, end_together: bool) -> RecordedEpisodes:
+def record(action_type: str, end_together: bool, late_v1: bool = False) -> RecordedEpisodes:
     """Drive an episode of every plan through the vector interface; cached."""
-    arguments = {"action_type": action_type, "end_together": end_together}
+    arguments = {"action_type": action_type, "end_together": end_together, **(LATE_V1 if late_v1 else {})}
     env = make_vector(1, arguments)
     actions = []
     for number, plan in enumerate(PLANS.values()):

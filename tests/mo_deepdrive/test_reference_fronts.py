@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import moocore
 import numpy as np
 import pytest
@@ -144,6 +145,22 @@ def test_a_front_for_another_gamma_is_discounted_with_it(gamma: float) -> None:
     for point in front:
         assert np.isclose(returns, point, rtol=1e-9, atol=1e-12).all(axis=1).any()
         assert not any(dominates(other, point) for other in front)
+
+
+@pytest.mark.parametrize("scenario", ["one_waypoint", "static_obstacle"])
+def test_the_front_of_version_1_is_undiscounted_and_ending_early_saves_no_time(scenario: str) -> None:
+    env: Any = gymnasium.make(f"mo-deepdrive-{scenario.replace('_', '-')}-v1", **fixed(scenario)).unwrapped
+    front = np.array(env.pareto_front(1.0))
+    np.testing.assert_array_equal(
+        front, mo_deepdrive.reference_front(scenario, objectives=env.objectives, charge_remaining_time=True)
+    )
+    arriving = front[:, 1] > 0.0
+    np.testing.assert_allclose(front[~arriving, -1], -60.0, rtol=1e-6)
+    uncharged = mo_deepdrive.reference_front(scenario, objectives=env.objectives)
+    assert {*map(tuple, uncharged[uncharged[:, 1] > 0.0])} <= {*map(tuple, front)}
+    corner = mo_deepdrive.reference_point(scenario, objectives=env.objectives)
+    assert corner.values[-1] == -60.0
+    assert (front[arriving] > corner.values).all()
 
 
 def test_a_front_of_fewer_objectives_is_non_dominated_in_them() -> None:

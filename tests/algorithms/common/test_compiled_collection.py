@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from algorithms.actor_critic import ActorCritic
 
 SHORT = {"time_limit": 0.5}  # episodes of five decisions, so that random numbers run out again and again
+CHARGED = SHORT | {"action_delay": 2, "charge_remaining_time": True, "harmful_g_force": 0.05}
 CASES: dict[str, tuple[type[ActorCritic], str, dict[str, Any]]] = {
     "softmax": (A2C, ONE_WAYPOINT, {"num_envs": 300, "env": SHORT, "steps": 40}),
     "Gaussian": (MOA2C, ONE_WAYPOINT, {"num_envs": 20, "env": CONTINUOUS | SHORT, "cost_growth": 0.5}),
@@ -48,6 +49,8 @@ CASES: dict[str, tuple[type[ActorCritic], str, dict[str, Any]]] = {
     "two vehicles": (MOA2C, INTERSECTION, {"num_envs": 30, "centralised_critic": True}),
     "a team": (MAPPO, INTERSECTION, {"num_envs": 12, "env": SHORT}),
     "measured objectives": (MOA2C, LEFT_TURN, {"num_envs": 12, "env": SHORT}),
+    "late actions, ends that are charged": (MOA2C, LEFT_TURN, {"num_envs": 12, "env": CHARGED}),
+    "late controls, ends that are charged": (MOA2C, LEFT_TURN, {"num_envs": 12, "env": CONTINUOUS | CHARGED}),
     "distributions": (MOCAC, ONE_WAYPOINT, {"num_envs": 12}),
 }
 

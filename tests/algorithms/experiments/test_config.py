@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -259,6 +260,18 @@ def test_our_environments_have_a_default_reference_point(
     agreed = mo_deepdrive.reference_point(scenario, action_type, gamma)
     assert found == agreed.values.tolist()
     assert len(agreed.objectives) == len(found)
+
+
+def test_a_front_with_time_is_undiscounted_unless_its_discount_is_given(write: Write) -> None:
+    v1 = "--environment.id=mo-deepdrive-static-obstacle-v1"
+    evaluation = load_experiment(write(FRONT), [v1]).evaluation
+    names = gymnasium.spec("mo-deepdrive-static-obstacle-v1").kwargs["objectives"]
+    expected = mo_deepdrive.reference_point("static_obstacle", objectives=names)
+    assert (evaluation.gamma, evaluation.reference_point) == (1.0, expected.values.tolist())
+    given = load_experiment(write(FRONT), [v1, "--evaluation.gamma=0.99"])
+    assert given.evaluation.gamma == 0.99
+    assert make_experiment(given.to_dict()) == given
+    assert load_experiment(write(FRONT)).evaluation.gamma == 0.99
 
 
 def test_the_front_of_two_vehicles_has_a_reference_point_only_if_it_is_given(write: Write) -> None:

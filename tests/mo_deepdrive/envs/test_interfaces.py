@@ -38,6 +38,22 @@ def test_every_interface_gives_the_trajectories_of_the_vector_interface(
     assert_same(INTERFACES[interface](recording), replay_vector(recording))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("end_together", [False, True])
+def test_every_interface_delays_actions_and_charges_the_time_that_remains(end_together: bool) -> None:
+    recording = record("discrete", end_together, late_v1=True)
+    episodes = replay_vector(recording)
+    for interface in INTERFACES.values():
+        assert_same(interface(recording), episodes)
+    ends = set()
+    for reports in (reports for episode in episodes for reports in episode):
+        charged = -sum(float(report.reward[-1]) for report in reports)
+        driven = 0.1 * (len(reports) - 1)
+        assert charged == pytest.approx(driven if reports[-1].end == "arrived" else 60.0, rel=1e-5)
+        ends.add(reports[-1].end)
+    assert ends >= {"arrived", "collision", "other_vehicle" if end_together else "time_limit"}
+
+
 def test_the_trajectories_vary() -> None:
     episodes = replay_vector(record("continuous", False))
     for episode in episodes[:-1]:
