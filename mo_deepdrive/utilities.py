@@ -206,6 +206,17 @@ LINEAR: dict[str, dict[str, float]] = {
         "jerk": -0.0006,
         "lane_violation": -0.06,
     },
+    # A second costs a tenth of an arrival: where time is free, a driver who waits until everybody must have gone is the
+    # best, and needs to see nobody.
+    "intersection_hurried": {
+        "distance": 0.5,
+        "destination": 10.0,
+        "collision": -4.0,
+        "g_force": -0.03,
+        "jerk": -0.0006,
+        "lane_violation": -0.06,
+        "time": -1.0,
+    },
     # Those of the intersection, but for two. A collision costs as much as an arrival gives, so that it is worse than
     # never arriving. A second costs 0.1: waiting for one more gap (4.5 s in the mean) is worth two collisions in a
     # hundred episodes (2% of 10 for the collision and of 10 for the arrival forgone), and even the 60 s of the time
@@ -221,13 +232,14 @@ LINEAR: dict[str, dict[str, float]] = {
     },
 }
 
-# The tolerance is what an arrival gives: from an early collision to an arrival a unit's worth falls about twentyfold
-# (e^3). In the second a second costs a tenth of an arrival, so that how wide a gap is waited for is a matter of risk, not
-# of the mean; prices of comfort and lanes are those of left_turn_linear.
+# The first tolerance is what an arrival gives: from an early collision to an arrival a unit's worth falls about
+# twentyfold (e^3). In the second a second costs a tenth of an arrival, and a collision, which is charged all the time
+# that is left, loses nearly 70: with twice the tolerance one in a thousand episodes weighs about as much as a second.
+# Its prices of comfort and lanes are those of left_turn_linear.
 RISK_AVERSE: dict[str, RiskAversion] = {
     "left_turn_risk_averse": RiskAversion(LINEAR["left_turn_linear"], tolerance=10.0),
     "left_turn_hurried_risk_averse": RiskAversion(
-        {**LINEAR["left_turn_linear"], "distance": 0.3, "time": -1.0}, tolerance=10.0
+        {**LINEAR["left_turn_linear"], "distance": 0.3, "time": -1.0}, tolerance=20.0
     ),
 }
 

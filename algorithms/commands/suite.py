@@ -1,6 +1,8 @@
 """The suite: tasks with a floor and a ceiling, and what a policy scores on them.
 
 mo-deepdrive suite list
+mo-deepdrive suite score policy.py --tasks K1 K5 --output scores.csv
+mo-deepdrive suite verify scores.csv --scenarios 20260101        # again, and on scenarios that follow from a number
 mo-deepdrive suite run --learner suite/ppo                       # train a learner on the core tasks
 mo-deepdrive suite run --learner my_package.my_module:MyAgent --tasks K1 K3 --seeds 5
 mo-deepdrive suite table                                         # the reference results
@@ -12,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from algorithms.commands.suite_results import add_suite_run, add_suite_table, suite_run, suite_table
+from algorithms.commands.suite_score import add_suite_score, add_suite_verify, suite_score, suite_verify
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
 
@@ -35,6 +38,8 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
         return action
 
     add("list", "the tasks, with what each tests, its floor and its ceiling", _list)
+    add_suite_score(add("score", "score policies, trained here or by any library", suite_score))
+    add_suite_verify(add("verify", "score an entry again, and compare", suite_verify))
     add_suite_run(add("run", "train learners on tasks of the suite, with the help that all learners get", suite_run))
     add_suite_table(add("table", "normalised scores per task and learner, and per track", suite_table))
     return parser.parse_args(arguments)

@@ -104,7 +104,6 @@ def suite_table(options: Namespace) -> int:
     from algorithms.experiments.console import make_console, print_line
     from algorithms.reporting.table_files import markdown
     from algorithms.reporting.wide_tables import print_rows
-    from algorithms.studies.results import read_results
     from algorithms.studies.suite_tables import NOTE, Scoreboard
     from mo_deepdrive import suite
     from mo_deepdrive.atomic_io import atomic_write
@@ -114,7 +113,7 @@ def suite_table(options: Namespace) -> int:
     path = options.results or PUBLISHED
     if not path.is_file():
         raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
-    console, board = make_console(), Scoreboard(read_results(path), suite.load())
+    console, board = make_console(), Scoreboard(suite.read_rows(path), suite.load())
     tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
     tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
     for title, rows in tables:

@@ -14,12 +14,13 @@ from algorithms.planning.best_first_search import LETTERS
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.solvability import solve_scenario
 from algorithms.planning.utility_search import UtilitySearch, as_continuous
-from mo_deepdrive.action_sequences import encode
-from mo_deepdrive.actions import CONTINUOUS
+from mo_deepdrive.action_sequences import decode, encode
 from mo_deepdrive.atomic_io import atomic_write
+from mo_deepdrive.reference_fronts import shipped
+from mo_deepdrive.suite.plans import planned_actions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,15 +43,16 @@ class ScenarioPlanner:
     Args:
         task: with a utility or preferences.
         generations: of every search.
+        horizon: seconds by which a drive arrives.
     """
 
-    def __init__(self, task: Task, generations: int):
+    def __init__(self, task: Task, generations: int, horizon: float):
         config = task.config()
         self.task = task
         self.generations = generations
         self.env: Any = gymnasium.make(task.environment.id, disable_env_checker=True, **task.environment.arguments)
-        self.evaluator = PlanEvaluator(config.scenario, config.action_type, HORIZON)
-        self.discrete = PlanEvaluator(config.scenario, "discrete", HORIZON)
+        self.evaluator = PlanEvaluator(config.scenario, config.action_type, horizon)
+        self.discrete = PlanEvaluator(config.scenario, "discrete", horizon)
         self._values = self._value_function(task)
         self._time_limit = config.time_limit
 
@@ -63,25 +65,30 @@ class ScenarioPlanner:
         utility = task.make_utility()
         return lambda returns: np.asarray(utility(returns))[:, None]
 
-    def plan(self, seed: int) -> tuple[list[NDArray[Any]], NDArray[np.float64]]:
-        """The best drives found in the scenario of ``seed``, one per utility, and their utilities."""
+    def plan(self, seed: int, known: Sequence[NDArray[Any]] = ()) -> tuple[list[NDArray[Any]], NDArray[np.float64]]:
+        """The best drives found in the scenario of ``seed``, one per utility, and their utilities.
+
+        Args:
+            seed: by which the environment is reset.
+            known: drives of discrete actions from which the search starts, in place of one that it looks for.
+        """
         self.env.reset(seed=seed)
         start = self.env.unwrapped.batch.state[0].copy()
         search = UtilitySearch(self.evaluator, self._values, self._time_limit, seed)
-        best, values = search.best(start, self._first_drives(start), self.generations)
+        best, values = search.best(start, self._first_drives(start, known), self.generations)
         return [self.evaluator.format.to_sequence(plan) for plan in best.plans], values
 
-    def _first_drives(self, start: NDArray[Any]) -> list[NDArray[Any]]:
+    def _first_drives(self, start: NDArray[Any], known: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """Drives from which the search starts, besides those of rules: past the bicycle, if there is one."""
-        found: list[NDArray[Any]] = []
-        if self.evaluator.batch.scenario.obstacles:
+        found = [actions for actions in known if len(actions)]
+        if self.task.config().fixed_destination:
+            name, action_type = self.evaluator.batch.scenario.name, self.discrete.batch.config.action_type
+            found += [decode(each.actions, action_type) for each in shipped(name, action_type)]
+        if not found and self.evaluator.batch.scenario.obstacles:
             actions = solve_scenario(start, BEAM).actions
             found = [np.array([LETTERS.index(letter) for letter in actions], dtype=np.int64)] if actions else []
-        if self.evaluator.format.continuous and found:
-            calm = UtilitySearch(self.discrete, self._values, self._time_limit, 0)
-            best, _ = calm.best(start, found, self.generations // 2)
-            found += [self.discrete.format.to_sequence(plan) for plan in best.plans]
-            found = [as_continuous(self.discrete, start, actions) for actions in found if len(actions)]
+        if self.evaluator.format.continuous:
+            return [as_continuous(self.discrete, start, actions) for actions in found]
         return found
 
 
@@ -108,15 +115,29 @@ def worth_driving(task: Task, best: NDArray[np.float64]) -> tuple[NDArray[np.int
     return kept, sorted(set(range(int(kept[-1]))) - set(kept.tolist()))
 
 
-def plan_task(task: Task, seeds: Iterable[int], generations: int) -> tuple[list[list[str]], NDArray[np.float64]]:
-    """The texts of the best drives by scenario and utility, and their utilities (scenarios, P)."""
-    planner = ScenarioPlanner(task, generations)
-    drives, values = zip(*(planner.plan(seed) for seed in seeds), strict=True)
-    return [[encode(actions) for actions in each] for each in drives], np.array(values)
+def plan_task(
+    task: Task, seeds: Iterable[int], generations: int, horizon: float, known: str | None = None
+) -> tuple[list[list[str]], NDArray[np.float64]]:
+    """The texts of the best drives by scenario and utility, and their utilities (scenarios, P).
+
+    Args:
+        task: on an open road.
+        seeds: of the scenarios, the first ones of the test split.
+        generations: of every search.
+        horizon: seconds by which a drive arrives.
+        known: the id of a task with discrete actions and the same scenarios, from whose plans the search starts.
+    """
+    planner = ScenarioPlanner(task, generations, horizon)
+    drives, values = [], []
+    for i, seed in enumerate(seeds):
+        found, worth = planner.plan(seed, planned_actions(known, i) if known else ())
+        drives.append([encode(actions) for actions in found])
+        values.append(worth)
+    return drives, np.array(values)
 
 
 def write_plans(file: Path, task: Task, texts: list[list[str]]) -> None:
     """Write the plans of a task: JSON, a scenario a line."""
-    head = json.dumps({"action_type": task.config().action_type or CONTINUOUS})[:-1]
+    head = json.dumps({"action_type": task.config().action_type})[:-1]
     lines = ",\n".join(json.dumps(each) for each in texts)
     atomic_write(file, f'{head}, "actions": [\n{lines}\n]}}\n'.encode())

@@ -29,6 +29,7 @@ POPULATION = 1024  # plans of each later one
 TAKEOVER_RATE = 0.05  # share of the offspring that a rule takes over
 KEPT = 96  # best plans, divided among the utilities; at least LEAST_KEPT of each
 LEAST_KEPT = 2
+BLIND_POPULATION, BLIND_KEPT, BLIND_GENERATIONS = 256, 48, 25
 UNDISCOUNTED = CRITERIA.index(Criterion(1.0, timed=True))
 
 
@@ -139,3 +140,43 @@ def as_continuous(evaluator: PlanEvaluator, start: NDArray[Any], actions: NDArra
         found.append((steer / STEER_RANGE, throttle / MAX_ACCELERATION, 2.0 * brake / MAX_ACCELERATION - 1.0))
         batch.step(np.full((1, 1), action))
     return np.clip(np.array(found), -1.0, 1.0)
+
+
+def blind_plan(
+    evaluator: PlanEvaluator,
+    values: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    unfinished: float,
+    starts: Sequence[NDArray[Any]],
+    held: Sequence[NDArray[Any]],
+) -> tuple[NDArray[Any], float]:
+    """The sequence of actions that is worth most in the mean over scenarios: the best policy that sees the time alone.
+
+    Args:
+        evaluator: as of :class:`UtilitySearch`.
+        values: from returns (n, d) to utilities (n,).
+        unfinished: as of :class:`UtilitySearch`.
+        starts: each (1,) of VEHICLE, the states in which the scenarios begin.
+        held: sequences of environment actions, from which the search starts.
+
+    Returns:
+        The environment actions, and what they are worth.
+    """
+    search = UtilitySearch(evaluator, values, unfinished, 0)
+    plan_format, rng = evaluator.format, np.random.default_rng(0)
+    plans = plan_format.from_sequences(held)
+    kept, worth = plans[:0], np.zeros(0)
+    for generation in range(BLIND_GENERATIONS + 1):
+        if generation:
+            parents, mates = rng.integers(len(kept), size=(2, BLIND_POPULATION))
+            lengths = np.full(BLIND_POPULATION, plan_format.decisions)
+            plans = plan_format.idle_plans(BLIND_POPULATION)
+            n_actions, idle = len(plan_format.table), plan_format.idle
+            make_offspring(kept[parents], lengths, kept[mates], lengths, plans, n_actions, idle, rng)
+        total = np.zeros(len(plans))
+        for start in starts:
+            evaluator.batch.state[0] = start
+            total += search.values(evaluator.evaluate(plans.copy(), 0))
+        kept, worth = np.concatenate([kept, plans]), np.concatenate([worth, total / len(starts)])
+        _, rows = np.unique(-worth, return_index=True)
+        kept, worth = kept[rows[:BLIND_KEPT]], worth[rows[:BLIND_KEPT]]
+    return plan_format.to_sequence(kept[0]), float(worth[0])

@@ -135,11 +135,16 @@ class EstimateRecord(Recorded):
 
 
 class FinalEvaluation(Recorded):
-    """What an evaluation.json says: the estimates by policy and metric, and the episodes from the first seed on."""
+    """What an evaluation.json says.
+
+    It has the estimates by policy and metric, the episodes from the first seed on, and the version of the suite by
+    which the policy was scored.
+    """
 
     policies: dict[str, dict[str, EstimateRecord]]
     episodes: int | None = None
     seed: int | None = None
+    suite_version: int | None = None
 
     @property
     def scores(self) -> dict[str, Estimate]:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from algorithms.experiments.run_directory import read_status
-from algorithms.reporting.run_records import final_scores
+from algorithms.reporting.run_records import read_evaluation
 from algorithms.reporting.table_files import markdown
 from algorithms.sweeps.manifest import label
+from mo_deepdrive import suite
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.statistics import mean
+from mo_deepdrive.suite import Row, write_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -36,35 +35,7 @@ NOTE = (
 )
 
 
-@dataclass(frozen=True)
-class Result:
-    """A score of a run that counts; a run without scores has one row, in which those fields are empty.
-
-    Attributes:
-        task, learner: names of the arm.
-        seed: of the run.
-        policy: "greedy", "stochastic" or "front".
-        column: what was measured: "score" and so on for a task of the suite, else a metric of the final evaluation.
-        value, low, high: the score with its 95% interval over episodes.
-        state: of the run: "finished", "failed", "running", "waiting" and so on.
-        cpu_seconds: of its training.
-    """
-
-    __pydantic_config__ = ConfigDict(extra="forbid")
-
-    task: str
-    learner: str
-    seed: int
-    policy: str
-    column: str
-    value: float | None
-    low: float | None
-    high: float | None
-    state: str
-    cpu_seconds: float | None
-
-
-def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Result]:
+def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Row]:
     """The results of the runs that count, in the order of the study.
 
     Args:
@@ -78,26 +49,44 @@ def results_of(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> lis
     return [result for arm in runs for seed in arm.arm.seeds for result in _results_of(plan, arm, seed, directory)]
 
 
-def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> list[Result]:
+def _results_of(plan: StudyPlan, arm: ArmRuns, seed: int, directory: Path) -> list[Row]:
     """The results of one seed of an arm; an arm whose tuning failed has failed for every seed."""
     task, learner = arm.arm.key
     row = next((row for row in arm.final if row.seed == seed), None)
     if row is None:
         state = FAILED if arm.given_up else WAITING
-        return [Result(task, learner, seed, "", "", None, None, None, state, None)]
-    status = read_status(directory / row.directory)
-    state, seconds = str(status.get("state", WAITING)), status.get("cpu_seconds")
-    scores = final_scores(directory / row.directory) if state == FINISHED else {}
-    found = []
-    for name, score in scores.items():
-        if (column := _column(plan, arm, name)) is not None:
-            policy = split_name(name).policy
-            found.append(
-                Result(task, learner, seed, policy, column, score.value, score.low, score.high, state, seconds)
-            )
-    if state == FINISHED and arm.arm.metric not in scores:
-        raise ValueError(f"run {str(directory / row.directory)!r} has no {arm.arm.metric!r} in its final evaluation")
-    return found or [Result(task, learner, seed, "", "", None, None, None, state, seconds)]
+        return [Row(task, learner, seed, "", "", None, state=state)]
+    path = directory / row.directory
+    status = read_status(path)
+    state = str(status.get("state", WAITING))
+    about: dict[str, Any] = {"state": state, "cpu_seconds": status.get("cpu_seconds"), "source": row.directory}
+    evaluation = read_evaluation(path) if state == FINISHED else None
+    if evaluation is None:
+        return [Row(task, learner, seed, "", "", None, **about)]
+    if arm.arm.metric not in evaluation.scores:
+        raise ValueError(f"run {str(path)!r} has no {arm.arm.metric!r} in its final evaluation")
+    version = evaluation.suite_version
+    if version not in (None, suite.load().version):
+        raise ValueError(
+            f"run {str(path)!r} was scored as version {version} of the suite, which is now {suite.load().version}; "
+            f"delete its {EVALUATION_FILE}, and --remake scores it again"
+        )
+    return [
+        Row(
+            task,
+            learner,
+            seed,
+            split_name(name).policy,
+            column,
+            each.value,
+            each.low,
+            each.high,
+            version=version or 0,
+            **about,
+        )
+        for name, each in evaluation.scores.items()
+        if (column := _column(plan, arm, name)) is not None
+    ]
 
 
 def _column(plan: StudyPlan, arm: ArmRuns, name: str) -> str | None:
@@ -109,7 +98,7 @@ def _column(plan: StudyPlan, arm: ArmRuns, name: str) -> str | None:
     return rest if rest in (metric, *plan.study.columns) else None
 
 
-def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Result]:
+def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> list[Row]:
     """Write the tables of a study into its directory; returns the results.
 
     Raises:
@@ -117,7 +106,7 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
         OSError: if a file cannot be written; it is then unchanged.
     """
     results = results_of(plan, runs, directory)
-    atomic_write(directory / RESULTS_FILE, results_csv(results))
+    write_rows(directory / RESULTS_FILE, results)
     if plan.study.tuning is not None:
         atomic_write(directory / TUNING_FILE, csv_bytes(tuning_rows(runs, directory)))
     parts = [f"# {plan.study.title or directory.name}"]
@@ -125,40 +114,6 @@ def write_results(plan: StudyPlan, runs: Sequence[ArmRuns], directory: Path) -> 
         parts.append(f"## {title}\n\n{markdown(rows, 1, NOTE)}")
     atomic_write(directory / TABLES_FILE, ("\n\n".join(parts)).encode())
     return results
-
-
-def results_csv(results: Iterable[Result]) -> bytes:
-    """Results as a tidy CSV, numbers with seven significant digits."""
-    rows = [
-        ["" if each is None else f"{each:.7g}" if isinstance(each, float) else each for each in asdict(result).values()]
-        for result in results
-    ]
-    return csv_bytes([[field.name for field in fields(Result)], *rows])
-
-
-def read_results(path: Path) -> list[Result]:
-    """The results in a CSV that :func:`results_csv` wrote.
-
-    Raises:
-        ValueError: naming the line and the column that is invalid.
-        OSError: if it cannot be read.
-    """
-    found, rows = [], TypeAdapter(Result)
-    for number, row in enumerate(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))), 2):
-        text = ("task", "learner", "policy", "column", "state")
-        try:
-            found.append(
-                rows.validate_python({name: value if name in text else value or None for name, value in row.items()})
-            )
-        except ValidationError as error:
-            problem = error.errors(include_url=False)[0]
-            where = ".".join(map(str, problem["loc"]))
-            raise ValueError(
-                f"{str(path)!r} is not a table of results: line {number}, {where}: {problem['msg']}"
-            ) from None
-    if not found:
-        raise ValueError(f"{str(path)!r} has no results")
-    return found
 
 
 def tuning_rows(runs: Sequence[ArmRuns], directory: Path) -> list[list[Any]]:
@@ -180,7 +135,7 @@ def _state(row: ManifestRow, directory: Path) -> str:
     return str(read_status(directory / row.directory).get("state", WAITING))
 
 
-def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Result]) -> list[tuple[str, Rows]]:
+def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row]) -> list[tuple[str, Rows]]:
     """The tables of a study, one per task with its title: a row per learner, the best first.
 
     Args:
@@ -211,7 +166,7 @@ def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Res
     return found
 
 
-def score_of(results: Iterable[Result], policy: str, column: str) -> Estimate | None:
+def score_of(results: Iterable[Row], policy: str, column: str) -> Estimate | None:
     """The mean over seeds of a column of one policy; None if no run has it."""
     values = [
         each.value for each in results if (each.policy, each.column) == (policy, column) and each.value is not None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from algorithms.studies.results import FAILED, FINISHED, Result
+from algorithms.studies.results import FAILED, FINISHED
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.statistics import Estimate, improvement_over_tasks, iqm, iqm_over_tasks
 from mo_deepdrive.names import nearest
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.reporting.wide_tables import Rows
-    from mo_deepdrive.suite import Suite, Task
+    from mo_deepdrive.suite import Row, Suite, Task
 
 SCORE = "score"  # the column of the results with the raw score
 BASELINE = "lintune"  # which others are compared with, if there are results of it
@@ -67,12 +67,17 @@ class Scoreboard:
         learners: in the order of the results.
 
     Raises:
-        ValueError: if a task is unknown.
+        ValueError: if a task is unknown, or a result is of another version.
     """
 
-    def __init__(self, results: Sequence[Result], suite: Suite):
+    def __init__(self, results: Sequence[Row], suite: Suite):
         for result in results:
             suite.task(result.task)
+            if result.version not in (suite.version, 0):
+                raise ValueError(
+                    f"the results of {result.learner} on {result.task} are of version {result.version} of the suite; "
+                    f"its version is {suite.version}, by which their runs must be scored again"
+                )
         self.suite = suite
         self.tasks: dict[str, Task] = {
             name: task for name, task in suite.tasks.items() if any(result.task == name for result in results)

@@ -61,6 +61,16 @@ def planned_scenarios(task_id: str) -> int:
     return len(_sequences(task_id)[1])
 
 
+def planned_actions(task_id: str, scenario: int) -> list[NDArray[Any]]:
+    """The planned actions of a task in a scenario, counted from the first of the test split; one drive per preference.
+
+    Raises:
+        ValueError: if the task has no plans.
+    """
+    action_type, texts = _sequences(task_id)
+    return [decode(text, action_type) for text in texts[scenario]]
+
+
 def planned(task_id: str, preference: int = 0) -> Playback:
     """The policy that replays the plans of a task in the first scenarios of the test split.
 

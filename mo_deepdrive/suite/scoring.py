@@ -30,15 +30,15 @@ GREEDY, STOCHASTIC = "greedy", "stochastic"
 
 @dataclass(frozen=True)
 class Row:
-    """One number of a scored run.
+    """One number of a scored run; a run that has none, since it failed or has not ended, has one row that says so.
 
     Attributes:
         task: the id of the task.
         learner: what was trained.
         seed: by which it was trained.
         policy: "greedy" or "stochastic".
-        column: "score", a perturbation of the suite, or what a scorer gives beside the score.
-        value: the number, not normalised.
+        column: "score", a perturbation of the suite, or what a scorer gives beside the score; "" without a value.
+        value: the number, not normalised; None where there is none.
         low, high: ends of its 95% bootstrap interval over the scenarios; None where it has none.
         source: the run or policy that was scored.
         state: of the training.
@@ -51,7 +51,7 @@ class Row:
     seed: int
     policy: str
     column: str
-    value: float
+    value: float | None
     low: float | None = None
     high: float | None = None
     source: str = ""
@@ -63,7 +63,7 @@ class Row:
     def normalised(self) -> float | None:
         """With the floor as 0 and the ceiling as 1; None for what is not on the scale of the score."""
         suite = load()
-        if self.column != SCORE and self.column not in suite.perturbations:
+        if self.value is None or (self.column != SCORE and self.column not in suite.perturbations):
             return None
         return float(suite.task(self.task).normalised(self.value))
 

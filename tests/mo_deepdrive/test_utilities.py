@@ -94,6 +94,28 @@ def left_turn_comfort_budget(d: float, r: float, g: float, c: float, j: float, l
     return 0.1 * d + 10 * r - price - 2 * max(0.0, g - 13.0) - 0.05 * max(0.0, j - 185.0)
 
 
+def static_obstacle_tight_budget(d: float, r: float, g: float, c: float, j: float, t: float) -> float:
+    return 0.1 * d + 10 * r - 10 * c - 0.2 * t - 5 * max(0.0, g - 5.0) - 0.2 * max(0.0, j - 60.0)
+
+
+def intersection_hurried(d: float, r: float, g: float, c: float, j: float, lane: float, t: float) -> float:
+    return intersection_linear(d, r, g, c, j, lane) - t
+
+
+def left_turn_hurried_risk_averse(d: float, r: float, g: float, c: float, j: float, lane: float, t: float) -> float:
+    value = 0.3 * d + 10 * r - 10 * c - 0.03 * g - 0.0006 * j - 0.06 * lane - t
+    return 20.0 * (1.0 - math.exp(-value / 20.0))
+
+
+def one_waypoint_satisficing(r: float, g: float, j: float, t: float) -> float:
+    beyond = 2 * max(0.0, g - 4.0) + max(0.0, j - 30.0) / 5 + max(0.0, t - 12.0)
+    return r * (2 + 8 * (1 - min(1.0, beyond)))
+
+
+def one_waypoint_calm_arrival(r: float, j: float) -> float:
+    return min(r, 1 - j / 60)
+
+
 # Those of this package.
 OWN: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "left_turn_linear": (LEFT_TURN, left_turn_linear),
@@ -101,10 +123,15 @@ OWN: dict[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "one_waypoint_comfort_budget": (ONE_WAYPOINT, one_waypoint_comfort_budget),
     "static_obstacle_comfort_budget": (STATIC_OBSTACLE, static_obstacle_comfort_budget),
     "left_turn_comfort_budget": (LEFT_TURN, left_turn_comfort_budget),
+    "static_obstacle_tight_budget": ((*STATIC_OBSTACLE, "time"), static_obstacle_tight_budget),
+    "intersection_hurried": (LEFT_TURN, intersection_hurried),
+    "left_turn_hurried_risk_averse": (LEFT_TURN, left_turn_hurried_risk_averse),
+    "one_waypoint_satisficing": (("destination", "g_force", "jerk", "time"), one_waypoint_satisficing),
+    "one_waypoint_calm_arrival": (("destination", "jerk"), one_waypoint_calm_arrival),
 }
 NAMED = {**PAPER, **OWN}
 # Where a utility is not smooth, or steeper than finite differences can follow.
-KINKS = {"distance": (0.0, 2.0), "g_force": (5.0, 7.0, 13.0), "jerk": (40.0, 110.0, 185.0)}
+KINKS = {"distance": (0.0, 2.0), "g_force": (4.0, 5.0, 7.0, 13.0), "jerk": (30.0, 40.0, 60.0, 110.0, 185.0)}
 
 # Computed by hand: utility, magnitudes in the order of its objectives above, value.
 BY_HAND = [
@@ -129,6 +156,14 @@ BY_HAND = [
     ("one_waypoint_comfort_budget", (20.0, 1.0, 6.5, 60.0), 8.0),
     ("static_obstacle_comfort_budget", (20.0, 0.0, 7.0, 1.0, 130.0), -9.0),
     ("left_turn_comfort_budget", (30.0, 1.0, 14.0, 0.0, 195.0, 5.0, 20.0), 8.2),
+    ("static_obstacle_tight_budget", (20.0, 1.0, 6.0, 0.0, 70.0, 10.0), 3.0),
+    ("intersection_hurried", (30.0, 1.0, 10.0, 1.0, 200.0, 2.0, 15.0), 5.46),
+    ("left_turn_hurried_risk_averse", (20.0, 1.0, 0.0, 0.0, 0.0, 0.0, 16.0), 0.0),
+    ("one_waypoint_satisficing", (1.0, 4.0, 30.0, 12.0), 10.0),
+    ("one_waypoint_satisficing", (1.0, 4.25, 31.0, 12.125), 3.4),
+    ("one_waypoint_satisficing", (1.0, 4.0, 40.0, 12.0), 2.0),
+    ("one_waypoint_calm_arrival", (1.0, 24.0), 0.6),
+    ("one_waypoint_calm_arrival", (0.0, 24.0), 0.0),
 ]
 
 RANGES = {
@@ -237,7 +272,11 @@ def test_gradients_of_a_named_utility_equal_finite_differences_where_it_is_smoot
     name: str, cost_sign: str, data: st.DataObject
 ) -> None:
     magnitudes, order, _ = data.draw(situations(name))
-    assume(all(abs(magnitudes[name] - at) > 0.1 for name in magnitudes for at in KINKS.get(name, ())))
+    assume(all(abs(magnitudes[each] - at) > 0.1 for each in magnitudes for at in KINKS.get(each, ())))
+    if name == "one_waypoint_calm_arrival":
+        assume(abs(magnitudes["destination"] + magnitudes["jerk"] / 60.0 - 1.0) > 0.01)
+    if name == "one_waypoint_satisficing" and magnitudes["destination"] > 0.0:  # where the last shortfall begins
+        assume(abs(literal(name, magnitudes) - 2.0 * magnitudes["destination"]) > 0.1)
     utility = make_utility(name, order, cost_sign=cost_sign)
     point = torch.tensor(oriented(magnitudes, order, cost_sign), requires_grad=True)
     (gradient,) = torch.autograd.grad(utility(point), point)

@@ -14,11 +14,11 @@ import yaml
 
 from algorithms.commands.study import main
 from algorithms.studies.plan import StudyPlan
-from algorithms.studies.results import read_results
 from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study, select
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.runner import Backend
+from mo_deepdrive.suite import read_rows
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import broken_utility, forked_workers, status
 
@@ -93,7 +93,7 @@ def test_the_tuning_is_scored_on_validation_and_the_best_settings_are_trained_wi
         assert row.config["evaluation"]["split"] == ("validation" if tuned else "test")
         assert row.seed in ([100] if tuned else [0, 1])
         assert tuned or row.config["algorithm"]["learning_rate"] == 0.003
-    results = read_results(tmp_path / "study" / "results.csv")
+    results = read_rows(tmp_path / "study" / "results.csv")
     assert [(each.learner, each.seed, each.value) for each in results] == [
         (learner, seed, 0.003) for learner in ("mo", "plain") for seed in (0, 1)
     ]
@@ -115,9 +115,7 @@ def test_failures_are_counted_and_neither_chosen_nor_repeated_once_others_were_c
     runner = made_up(tmp_path, file, fails)
     assert runner.run() == 1
     assert runner.batches == [4, 2]
-    states = [
-        (each.learner, each.seed, each.value, each.state) for each in read_results(tmp_path / "study/results.csv")
-    ]
+    states = [(each.learner, each.seed, each.value, each.state) for each in read_rows(tmp_path / "study/results.csv")]
     assert states == [
         ("mo", 0, 0.001, "finished"),
         ("mo", 1, None, "failed"),
@@ -218,7 +216,7 @@ def test_an_interrupted_study_resumes_and_the_runs_that_failed_are_in_its_tables
     file, study = write_study(tmp_path, tasks=tasks), tmp_path / "study"
     with forked_workers():
         assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 1
-        results = read_results(study / "results.csv")
+        results = read_rows(study / "results.csv")
         assert {each.state for each in results if each.task == "broken"} == {"failed"}
         finished = [each for each in results if each.task == "short"]
         assert {(each.learner, each.seed) for each in finished} == {
@@ -228,7 +226,7 @@ def test_an_interrupted_study_resumes_and_the_runs_that_failed_are_in_its_tables
         shutil.rmtree(next(study / row.directory for row in read_manifest(study) if row.trial is None))
         monkeypatch.delenv("BREAK")
         assert main(["--config", str(file), "--output", str(study), "--workers", "1"]) == 0
-    again = read_results(study / "results.csv")
+    again = read_rows(study / "results.csv")
     values = [dataclasses.replace(each, cpu_seconds=None) for each in finished]
     assert [dataclasses.replace(each, cpu_seconds=None) for each in again if each.task == "short"] == values
     assert {each.state for each in again} == {"finished"}

@@ -1,0 +1,152 @@
+"""The actions of the command suite that score policies: score and verify."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from algorithms.experiments.cli import add_trust_argument, check_file
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+    from rich.table import Table
+
+    from algorithms.experiments.suite_entries import Entry
+    from mo_deepdrive.suite import Row
+
+
+def add_suite_score(parser: ArgumentParser) -> None:
+    """The options of ``suite score``."""
+    parser.add_argument(
+        "policies",
+        nargs="+",
+        metavar="POLICY",
+        help="a run, a policy of the zoo, policy.py, policy.py:name or package.module:name; a class is made of the "
+        "id of a task",
+    )
+    parser.add_argument(
+        "--tasks", nargs="+", metavar="TASK", help="their ids (default: those of a run; all that count for others)"
+    )
+    parser.add_argument("--episodes", type=int, metavar="N", help="instead of those of a task")
+    parser.add_argument("--no-perturbations", action="store_true", help="leave out the columns of generalisation")
+    parser.add_argument("--output", metavar="CSV", help="also write the rows, from which suite verify reads them")
+    add_trust_argument(parser)
+
+
+def add_suite_verify(parser: ArgumentParser) -> None:
+    """The options of ``suite verify``."""
+    parser.add_argument("entry", metavar="ENTRY", help="a CSV of suite score, or a run that was scored as a task")
+    parser.add_argument("--tasks", nargs="+", metavar="TASK", help="verify these alone")
+    parser.add_argument(
+        "--scenarios", type=int, metavar="NUMBER", help="also on fresh scenarios, whose seeds follow from this number"
+    )
+    add_trust_argument(parser)
+
+
+def suite_score(options: Namespace) -> int:
+    """Score policies; returns the exit code."""
+    from algorithms.experiments.console import make_console
+    from algorithms.experiments.suite_entries import open_entry
+    from mo_deepdrive import suite
+
+    check_file("--output", options.output, ".csv")
+    if options.episodes is not None and options.episodes < 1:
+        raise ValueError(f"--episodes {options.episodes} must be at least 1")
+    for task_id in options.tasks or ():
+        suite.load().task(task_id)
+    entries = [open_entry(source, trust=options.trust) for source in options.policies]
+    found = [
+        (entry, task_id, checked_policy(entry, task_id)) for entry in entries for task_id in _tasks(entry, options)
+    ]
+    console, rows = make_console(), []
+    for entry, task_id, policy in found:
+        with console.status(f"{entry.source} on {task_id}"):
+            mine = entry.score(policy, task_id, episodes=options.episodes, perturbed=not options.no_perturbations)
+        console.print(score_table(mine, f"{task_id}: {suite.load().task(task_id).title}; {entry.source}"))
+        rows += mine
+        if options.output:
+            suite.write_rows(options.output, rows)
+    if options.output:
+        print(f"written: {options.output}")
+    return 0
+
+
+def _tasks(entry: Entry, options: Namespace) -> list[str]:
+    from mo_deepdrive import suite
+
+    if options.tasks:
+        return list(options.tasks)
+    if entry.tasks:
+        return list(entry.tasks)
+    return [task_id for task_id, task in suite.load().tasks.items() if task.counted]
+
+
+def checked_policy(entry: Entry, task_id: str) -> Any:
+    """The policy of an entry for a task, which can drive there.
+
+    Raises:
+        ValueError: if it cannot.
+    """
+    from mo_deepdrive import suite
+
+    policy = entry.policy(task_id)
+    try:
+        suite.check_policy(policy, task_id)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{entry.source!r} on {error}") from None
+    return policy
+
+
+def score_table(rows: list[Row], title: str) -> Table:
+    """The rows of one policy on one task."""
+    from rich.table import Table
+
+    from mo_deepdrive.evaluation.statistics import Estimate
+
+    table = Table("column", "policy", "value, 95% interval", "normalised", title=title, title_justify="left")
+    for row in rows:
+        assert row.value is not None
+        shown = "" if row.normalised is None else f"{row.normalised:.3f}"
+        interval = Estimate(row.value, row.low, row.high).text().replace("[", r"\[")
+        table.add_row(row.column, row.policy, interval, shown)
+    return table
+
+
+def suite_verify(options: Namespace) -> int:
+    """Score an entry again; 0 if everything agrees, else 1."""
+    from rich.table import Table
+
+    from algorithms.experiments.console import make_console
+    from algorithms.experiments.suite_entries import agrees, fresh_seed, open_entry, recorded_rows
+    from mo_deepdrive import suite
+
+    recorded = recorded_rows(options.entry)
+    for task_id in options.tasks or ():
+        suite.load().task(task_id)
+    pairs = dict.fromkeys((row.source, row.task) for row in recorded if not options.tasks or row.task in options.tasks)
+    if not pairs:
+        raise ValueError(f"{options.entry!r} has no scores of {', '.join(options.tasks)}")
+    if not all(source for source, _ in pairs):
+        raise ValueError(f"{options.entry!r} does not say which run or policy was scored")
+    opened = {source: open_entry(source, trust=options.trust) for source, _ in pairs}
+    policies = {(source, task_id): checked_policy(opened[source], task_id) for source, task_id in pairs}
+    console, agree = make_console(), True
+    table = Table("policy", "task", "column", "scenarios", "recorded", "found", "", title=f"{options.entry}")
+    for (source, task_id), policy in policies.items():
+        mine = {(row.policy, row.column): row for row in recorded if (row.source, row.task) == (source, task_id)}
+        episodes = suite.load().task(task_id).episodes
+        firsts: dict[str, int | None] = {"test split": None}
+        if options.scenarios is not None:
+            firsts[f"of {options.scenarios}"] = fresh_seed(options.scenarios, episodes)
+        for scenarios, first in firsts.items():
+            with console.status(f"{source} on {task_id}"):
+                again = opened[source].score(policy, task_id, first_episode=first)
+            for row in again:
+                if (before := mine.get((row.policy, row.column))) is None or row.low is None:
+                    continue
+                verdict = agrees(before, row)
+                agree &= verdict != "differs"
+                numbers = (f"{before.value:.4f}", f"{row.value:.4f}")
+                table.add_row(source, task_id, f"{row.column} ({row.policy})", scenarios, *numbers, verdict)
+    console.print(table)
+    return 0 if agree else 1

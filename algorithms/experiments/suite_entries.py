@@ -1,0 +1,249 @@
+"""What can be scored on the suite by name: runs, policies of the zoo, and a user's own functions and classes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mo_deepdrive import suite
+from mo_deepdrive.config import parse_arguments
+from mo_deepdrive.evaluation.env_adapter import find_spec
+from mo_deepdrive.evaluation.front import EVALUATION_FILE
+from mo_deepdrive.evaluation.metrics import SUITE
+from mo_deepdrive.evaluation.splits import SPLITS
+from mo_deepdrive.importing import import_named
+from mo_deepdrive.names import nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from algorithms.experiments.config import Experiment
+    from mo_deepdrive.suite import Row, Task
+
+OWN_NAMES = ("policy", "Policy")  # looked for in a file that is named without one
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A policy that is scored.
+
+    Attributes:
+        source: as the user names it.
+        learner: label of its rows.
+        seed: by which it was trained.
+        tasks: those that it is made for; none if that is not known.
+        policy: gives the policy for a task, or raises ValueError.
+        state: of its training.
+        cpu_seconds: of its training; None if it is not known.
+    """
+
+    source: str
+    learner: str
+    seed: int
+    tasks: tuple[str, ...]
+    policy: Callable[[str], Any]
+    state: str = "finished"
+    cpu_seconds: float | None = None
+
+    def score(self, policy: Any, task_id: str, **options: Any) -> list[Row]:
+        """The rows of its policy for a task; the options are those of :func:`mo_deepdrive.suite.score`."""
+        rows = suite.score(policy, task_id, learner=self.learner, seed=self.seed, **options)
+        return [replace(row, source=self.source, state=self.state, cpu_seconds=self.cpu_seconds) for row in rows]
+
+
+def open_entry(source: str, *, trust: bool = False) -> Entry:
+    """The entry that a user names.
+
+    Args:
+        source: a run's directory or a policy of the zoo; a file ``policy.py`` or ``policy.py:name``; or
+            ``package.module:name``. The object is a policy as of :func:`mo_deepdrive.suite.score`, or a class that is
+            made of a task's id and is one then.
+        trust: as for :meth:`algorithms.experiments.run_directory.Run.open`.
+
+    Raises:
+        ValueError: if there is none, or it cannot be read.
+    """
+    path, _, name = source.partition(":")
+    if path.endswith(".py"):
+        return _own(source, _of_file(source, Path(path), name))
+    if name:
+        return _own(source, import_named("policy", source))
+    return _of_run(source, trust=trust)
+
+
+def _own(source: str, policy: Any) -> Entry:
+    label = getattr(policy, "__name__", source)
+    return Entry(source, label, 0, (), policy if isinstance(policy, type) else lambda _: policy)
+
+
+def _of_file(source: str, path: Path, name: str) -> Any:
+    """The object of a user's file."""
+    if not path.is_file():
+        raise ValueError(f"policy file {str(path)!r} does not exist")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # a user's module may raise anything
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ValueError(f"policy {source!r} cannot be imported: {reason}") from error
+    found = [each for each in ([name] if name else OWN_NAMES) if hasattr(module, each)]
+    if not found:
+        own = [each for each, value in vars(module).items() if getattr(value, "__module__", None) == path.stem]
+        wanted = repr(name) if name else f"{OWN_NAMES[0]!r} or {OWN_NAMES[1]!r}"
+        raise ValueError(f"policy {source!r}: the file has no {wanted}; {nearest(name or OWN_NAMES[0], own)}")
+    return getattr(module, found[0])
+
+
+def _of_run(source: str, *, trust: bool) -> Entry:
+    """The entry of a run or of a policy of the zoo."""
+    from algorithms.experiments.build import load_policy
+    from algorithms.experiments.run_directory import Run
+    from algorithms.experiments.suite_scores import scorable
+
+    run = Run.open(source, device="cpu", trust=trust)
+    experiment, status = run.experiment, run.status
+    agents: list[Any] = []
+
+    def policy(task_id: str) -> Any:
+        check_experiment(experiment, task_id, source)
+        if not agents:
+            agents.append(load_policy(run, partners=False))
+        scored = experiment.evaluation.model_copy(update={"task": task_id})
+        return scorable(agents[0], experiment.model_copy(update={"evaluation": scored}))
+
+    return Entry(
+        source,
+        experiment.algorithm.name,
+        experiment.training.seed,
+        tuple(task_id for task_id, task in suite.load().tasks.items() if _is_of(experiment, task)),
+        policy,
+        str(status.get("state", "finished")),
+        status.get("cpu_seconds"),
+    )
+
+
+def _is_of(experiment: Experiment, task: Task) -> bool:
+    """Whether a run was trained for a task."""
+    same_utility = experiment.utility == task.utility or (
+        experiment.utility is not None and task.utility is not None and experiment.utility.name == task.utility.name
+    )
+    return same_utility and not _differences(experiment, task)
+
+
+def _differences(experiment: Experiment, task: Task) -> list[str]:
+    """How the environment of a run differs from that of a task."""
+    environment = experiment.environment
+    if environment.id != task.environment.id:
+        return [f"environment.id = {environment.id!r} (not {task.environment.id!r})"]
+    own = parse_arguments(find_spec(environment.id).kwargs["scenario"], environment.arguments)
+    wanted = task.config()
+    return [
+        f"{name} = {getattr(own, name)!r} (not {getattr(wanted, name)!r})"
+        for name in type(wanted).model_fields
+        if getattr(own, name) != getattr(wanted, name)
+    ]
+
+
+def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
+    """Refuse a run that cannot be an entry of a task, as far as its config says.
+
+    Raises:
+        ValueError: naming the run and the task, for a run of another version of the task, one that met the partners of
+            the test, or one that trained on the scenarios of the test split.
+    """
+    task, training = suite.load().task(task_id), experiment.training
+    if differences := _differences(experiment, task):
+        raise ValueError(f"{source!r} was trained on another version of task {task_id}: {', '.join(differences)}")
+    if training.seed in SPLITS["test"]:
+        raise ValueError(
+            f"{source!r} was trained on the test split: training.seed = {training.seed:,} is a seed of it; choose one "
+            f"outside of {SPLITS['test'].start:,} to {SPLITS['test'].stop - 1:,}"
+        )
+    if task.partners is not None:
+        trained = {name for names in training.partners.values() for name in names}
+        if met := sorted(trained & set(task.partners.names)):
+            raise ValueError(f"{source!r} met partners of task {task_id} in training: {', '.join(met)}")
+
+
+def recorded_rows(entry: str) -> list[Row]:
+    """The rows that an entry claims: of a table that ``suite score`` wrote, or of a run that was scored at its end.
+
+    Args:
+        entry: the CSV file, or the run's directory.
+
+    Raises:
+        ValueError: if there are none, or they are of another version of the suite.
+    """
+    path = Path(entry)
+    rows = _rows_of_run(path) if path.is_dir() else [_found_from(path, row) for row in suite.read_rows(path)]
+    rows = [row for row in rows if row.value is not None]
+    version = suite.load().version
+    if others := sorted({row.version for row in rows} - {version}):
+        raise ValueError(f"{entry!r} has scores of version {others[0]} of the suite; this is version {version}")
+    if not rows:
+        raise ValueError(f"{entry!r} has no scores")
+    return rows
+
+
+def _found_from(table: Path, row: Row) -> Row:
+    """A row whose source, if it is beside the table, is found from the working directory."""
+    beside = table.parent / row.source
+    return replace(row, source=str(beside)) if row.source and beside.exists() else row
+
+
+def _rows_of_run(path: Path) -> list[Row]:
+    entry = open_entry(str(path))
+    file = path / EVALUATION_FILE
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        task_id = values["task"] if "task" in values else _task_of_run(path)
+        return [
+            suite.Row(
+                task_id,
+                entry.learner,
+                entry.seed,
+                kind,
+                name.removeprefix(SUITE),
+                **{key: found[key] for key in ("value", "low", "high")},
+                source=str(path),
+                version=values["suite_version"],
+            )
+            for kind, metrics in values["policies"].items()
+            for name, found in metrics.items()
+            if name.startswith(SUITE)
+        ]
+    except FileNotFoundError:
+        raise ValueError(f"{str(path)!r} has no final evaluation: there is no {EVALUATION_FILE}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{str(file)!r} has no scores of the suite: {type(error).__name__}: {error}") from None
+
+
+def _task_of_run(path: Path) -> str:
+    from algorithms.experiments.run_directory import Run
+
+    return str(Run.open(path, device="cpu").experiment.evaluation.task)
+
+
+def fresh_seed(number: int, episodes: int) -> int:
+    """The seed of the first of ``episodes`` fresh scenarios, which follow from a number; no split has them."""
+    room = 2**30 - episodes
+    return 2**30 + int(np.random.default_rng(number).integers(room))
+
+
+def agrees(recorded: Row, found: Row) -> str:
+    """Whether a score that was found agrees with the recorded one: "reproduced", "within the interval" or "differs"."""
+    assert recorded.value is not None
+    assert found.value is not None
+    if abs(recorded.value - found.value) <= 1e-6 * max(1.0, abs(recorded.value)):
+        return "reproduced"
+    ends: Sequence[float | None] = (recorded.low, recorded.high, found.low, found.high)
+    low, high, other_low, other_high = (each if each is not None else float("nan") for each in ends)
+    return "within the interval" if low <= other_high and other_low <= high else "differs"
