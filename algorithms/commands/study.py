@@ -1,7 +1,7 @@
 """Train all runs of a study, and write its tables: on this machine, on Ray or on Slurm.
 
     mo-deepdrive study --config studies/suite                       # train what is missing, then write the tables
-    mo-deepdrive study --config studies/suite --tasks K1 K3         # some of its tasks; --learners ppo: some learners
+    mo-deepdrive study --config studies/suite --tasks K1 K3         # train on these tasks; --learners ppo: this learner
     mo-deepdrive study --config studies/suite --tables              # tables of what has finished by now
     mo-deepdrive study --config studies/suite --on slurm            # as Slurm job arrays
     mo-deepdrive study --config studies/suite --status              # show the progress
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.settings import Study
     from algorithms.sweeps.runner import Backend, Runner
 
 
@@ -41,8 +40,8 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     """The options."""
     parser = make_parser(__doc__, program, "study")
     parser.add_argument("--config", metavar="FILE", help="YAML file of the study, or the name of a shipped one")
-    parser.add_argument("--tasks", nargs="+", metavar="TASK", help="some of its tasks (default: all)")
-    parser.add_argument("--learners", nargs="+", metavar="NAME", help="some of its learners (default: all)")
+    parser.add_argument("--tasks", nargs="+", metavar="TASK", help="train on some of its tasks (default: all)")
+    parser.add_argument("--learners", nargs="+", metavar="NAME", help="train some of its learners (default: all)")
     add_study_arguments(parser)
     options = parser.parse_args(arguments)
     if options.config is None and not ((options.status or options.verify) and options.output):
@@ -50,37 +49,19 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     return options
 
 
-def make_runner(study: Study, options: Namespace, directory: Path, backend: Backend, console: Console) -> Runner:
-    """What trains a study.
-
-    Args:
-        study: its settings.
-        options: of the command.
-        directory: of the study.
-        backend: what trains the runs.
-        console: shows the progress.
-
-    Raises:
-        ValueError: naming what is invalid.
-    """
-    from algorithms.studies.plan import StudyPlan
-    from algorithms.studies.runner import StudyRunner
-
-    plan = StudyPlan(study)
-    if plan.idle and not (options.tasks or options.learners):
-        raise ValueError(f"invalid study: {'; '.join(plan.idle)}")
-    return StudyRunner(plan, directory, backend, console, train=not options.tables)
-
-
 def main(arguments: list[str], program: str = INSTALLED) -> int:
     """Run the command line ``arguments`` and return the exit code."""
     options = parse_arguments(arguments, program)
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        from algorithms.studies.settings import load_study, select
+        from algorithms.studies.plan import StudyPlan
+        from algorithms.studies.runner import StudyRunner
+        from algorithms.studies.settings import load_study
 
-        study = load_study(options.config)
-        return make_runner(select(study, options.tasks, options.learners), options, directory, backend, console)
+        plan = StudyPlan(load_study(options.config), options.tasks, options.learners)
+        if plan.idle:
+            raise ValueError(f"invalid study {options.config!r}: {'; '.join(plan.idle)}")
+        return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
     directory = options.output or Path("runs") / "studies" / Path(options.config).stem
     return run_command(options, program, directory, make)

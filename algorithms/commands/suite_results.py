@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from algorithms.commands.study import add_study_arguments, make_runner
+from algorithms.commands.study import add_study_arguments
 from algorithms.commands.sweep import run_command
 from algorithms.experiments.cli import check_file
 from algorithms.experiments.shipped import CONFIGS
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from algorithms.studies.settings import Study
+    from algorithms.studies.plan import StudyPlan
     from algorithms.sweeps.runner import Backend, Runner
 
 REFERENCE = "studies/suite"  # the study of the reference results
@@ -44,15 +44,16 @@ def suite_run(options: Namespace) -> int:
     """Train learners on tasks of the suite, and score them; returns the exit code."""
 
     def make(directory: Path, backend: Backend, console: Console) -> Runner:
-        return make_runner(
-            study_of(options.learner, options.tasks, options.seeds), options, directory, backend, console
-        )
+        from algorithms.studies.runner import StudyRunner
+
+        plan = plan_of(options.learner, options.tasks, options.seeds)
+        return StudyRunner(plan, directory, backend, console, train=not options.tables)
 
     name = "-".join(["suite", *(Path(each).stem.rpartition(":")[2] for each in options.learner)])
     return run_command(options, options.program, options.output or Path("runs") / "studies" / name, make)
 
 
-def study_of(learners: list[str], tasks: list[str], seeds: int) -> Study:
+def plan_of(learners: list[str], tasks: list[str], seeds: int) -> StudyPlan:
     """The study of some learners on tasks of the suite, with the help of the reference study.
 
     Args:
@@ -64,29 +65,32 @@ def study_of(learners: list[str], tasks: list[str], seeds: int) -> Study:
     Raises:
         ValueError: naming what is unknown.
     """
-    from algorithms.studies.settings import Learner, StudyTask, load_study, select
+    from algorithms.studies.plan import StudyPlan
+    from algorithms.studies.settings import Learner, StudyTask, load_study
     from mo_deepdrive import suite
 
     if seeds < 1:
         raise ValueError(f"--seeds {seeds} must be at least 1")
-    reference = load_study(REFERENCE)
     known = suite.load().tasks
     groups = {CORE: [key for key in known if known[key].core], ALL: [key for key in known if known[key].counted]}
     wanted = [key for name in tasks for key in groups.get(name, [name])]
     for key in wanted:
         suite.load().task(key)
+    reference = load_study(REFERENCE).model_copy(update={"seeds": list(range(seeds))})
     planned = {key for task in reference.tasks for key in reference.learners_of(task)}
     if set(learners) <= planned:
-        return select(reference, wanted, learners).model_copy(update={"seeds": list(range(seeds))})
+        return StudyPlan(reference, wanted, learners)
     found = {}
     for name in learners:
         if name in planned:
             raise ValueError(f"--learner {' '.join(learners)}: {name} is tuned, the others are not; run them apart")
         key = Path(name).stem.rpartition(":")[2]
         found[key] = Learner(overrides={"algorithm.name": name}) if ":" in name else Learner(config=name)
-    values = {key: reference.tasks.get(key, StudyTask(task=key)).model_copy(update={"learners": {}}) for key in wanted}
-    given = reference.model_copy(update={"tuning": None, "learners": found, "seeds": list(range(seeds))})
-    return given.model_copy(update={"tasks": values})
+    own = {
+        key: reference.tasks.get(key, StudyTask(task=key)).model_copy(update={"learners": {}, "title": task.title})
+        for key, task in known.items()
+    }
+    return StudyPlan(reference.model_copy(update={"tasks": own, "tuning": None, "learners": found}), wanted)
 
 
 def add_suite_table(parser: ArgumentParser) -> None:

@@ -13,6 +13,7 @@ from algorithms.experiments.shipped import find_config
 from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name
+from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -84,18 +85,34 @@ class StudyPlan:
 
     Args:
         study: its settings.
+        tasks: of the arms that are to be trained now; None for all.
+        learners: of these arms; None for all.
 
     Attributes:
         arms: learners on tasks.
+        selected: task and learner of those that are to be trained now.
         idle: what has no effect, one line each: a learner that fits no task, help that no learner has a setting for.
 
     Raises:
-        ValueError: naming the arm and what is invalid.
+        ValueError: naming the arm and what is invalid; for an unknown task or learner, or no arm that is to be trained.
     """
 
-    def __init__(self, study: Study):
+    def __init__(self, study: Study, tasks: Sequence[str] | None = None, learners: Sequence[str] | None = None):
         self.study = study
         self.arms, self.idle = _arms(study)
+        for option, given, i in (("--tasks", tasks, 0), ("--learners", learners, 1)):
+            known = dict.fromkeys(arm.key[i] for arm in self.arms)
+            for name in given or ():
+                if name not in known:
+                    raise ValueError(
+                        f"{option} {name}: no learner of the study has such an arm; {nearest(name, known)}"
+                    )
+        wanted = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
+        self.selected = {key for key in wanted if learners is None or key[1] in learners}
+        if not self.selected:
+            raise ValueError(
+                f"no learner of --learners {' '.join(learners or ())} fits --tasks {' '.join(tasks or ())}"
+            )
         self._rows: dict[tuple[str, str, int | None], tuple[ManifestRow, ...]] = {}
 
     def runs(self, scores: Scores) -> list[ArmRuns]:
@@ -144,7 +161,8 @@ class StudyPlan:
                 seeds = tuple(self.study.tuning.seeds)
                 if isinstance(steps := values.get("training", {}).get("total_timesteps"), (int, float)):
                     values["training"]["total_timesteps"] = max(1, round(self.study.tuning.share * steps))
-            self._rows[key] = tuple(cell_rows(cell, values, seeds, trial))
+            build_once = arm.key in self.selected  # others may need what is not installed here
+            self._rows[key] = tuple(cell_rows(cell, values, seeds, trial, build_once=build_once))
         return self._rows[key]
 
 

@@ -147,7 +147,8 @@ def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row
     for name, task in plan.study.tasks.items():
         mine = [result for result in results if result.task == name]
         columns = list(dict.fromkeys((result.policy, result.column) for result in mine if result.column))
-        arms = [arm for arm in runs if arm.arm.task == name]
+        if not (arms := [arm for arm in runs if arm.arm.task == name]):
+            continue
         rows = [["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]]
         for arm in arms:
             of_arm = [result for result in mine if result.learner == arm.arm.learner]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from algorithms.experiments.run_directory import is_run
 from algorithms.reporting.wide_tables import print_rows
 from algorithms.studies.plan import LEARNER, TASK, StudyPlan
 from algorithms.studies.results import NOTE, RESULTS_FILE, TABLES_FILE, study_tables, write_results
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from algorithms.studies.plan import ArmRuns
     from algorithms.sweeps.hyperparameter_search import Scores
     from algorithms.sweeps.manifest import ManifestRow
 
@@ -50,19 +52,35 @@ class StudyRunner(Runner):
         chosen = {_arm(row) for row in rows if row.trial is None}
         return [row for row in rows if row.trial is not None and _arm(row) in chosen]
 
+    def wanted(self, row: ManifestRow) -> bool:
+        """As of the base class."""
+        return _arm(row) in self._plan.selected
+
+    def train(self) -> int:
+        """Train as the base class does, with its exit codes and errors."""
+        return super().run()
+
     def run(self) -> int:
-        """Train as the base class does, with its exit codes and errors; then write and print the tables."""
+        """As :meth:`train`; then write and print the tables."""
         code = 0
         if self._train_missing:
-            code = super().run()
+            code = self.train()
         elif not is_sweep(self._directory):
             raise ValueError(f"there is no study in {str(self._directory)!r} yet; leave out --tables to train its runs")
         if self._backend.name != "manifest":
             self._write_tables()
         return code
 
-    def _write_tables(self) -> None:
+    def runs_of_arms(self) -> list[ArmRuns]:
+        """The runs of the arms that were selected, and of others that were begun before."""
         runs = self._plan.runs(self.scores())
+        return [arm for arm in runs if arm.arm.key in self._plan.selected or self._begun(arm)]
+
+    def _begun(self, arm: ArmRuns) -> bool:
+        return any(is_run(self._directory / row.directory) for row in arm.rows)
+
+    def _write_tables(self) -> None:
+        runs = self.runs_of_arms()
         results = write_results(self._plan, runs, self._directory)
         for title, rows in study_tables(self._plan, runs, results):
             print_rows(self._console, rows, title, 1)

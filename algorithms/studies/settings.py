@@ -12,10 +12,8 @@ from algorithms.experiments.config import Count, UtilitySettings
 from algorithms.experiments.shipped import find_config
 from algorithms.sweeps.sweep_settings import BackendSettings, Seeds
 from mo_deepdrive.config import EnvironmentSettings, Settings, parse
-from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 MAX_TUNING_RUNS = 12  # of an arm
@@ -128,31 +126,6 @@ class Study(BackendSettings):
         return (
             [dict(zip(values, combination, strict=True)) for combination in product(*values.values())] if values else []
         )
-
-
-def select(study: Study, tasks: Sequence[str] | None, learners: Sequence[str] | None) -> Study:
-    """The part of a study with some tasks and learners; None for all.
-
-    Raises:
-        ValueError: for unknown ones, with the nearest names.
-    """
-    known = {key for task in study.tasks for key in study.learners_of(task)}
-    for option, names, choices in (("--tasks", tasks, set(study.tasks)), ("--learners", learners, known)):
-        for name in names or ():
-            if name not in choices:
-                raise ValueError(f"{option} {name}: unknown; {nearest(name, choices)}")
-
-    def kept(given: dict[str, Learner]) -> dict[str, Learner]:
-        return {key: each for key, each in given.items() if learners is None or key in learners}
-
-    chosen = {
-        name: task.model_copy(update={"learners": kept(task.learners)})
-        for name, task in study.tasks.items()
-        if (tasks is None or name in tasks) and kept(study.learners_of(name))
-    }
-    if not chosen:
-        raise ValueError(f"none of the tasks has a learner of --learners {' '.join(learners or ())}")
-    return study.model_copy(update={"tasks": chosen, "learners": kept(study.learners)})
 
 
 def load_study(path: str | Path) -> Study:

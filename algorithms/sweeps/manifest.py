@@ -143,15 +143,21 @@ def _search_rows(
 
 
 def cell_rows(
-    cell: dict[str, Any], values: Mapping[str, Any], seeds: Sequence[int], trial: int | None = None
+    cell: dict[str, Any],
+    values: Mapping[str, Any],
+    seeds: Sequence[int],
+    trial: int | None = None,
+    *,
+    build_once: bool = True,
 ) -> list[ManifestRow]:
-    """The rows of one cell, one per seed; its agent is built once to check it.
+    """The rows of one cell, one per seed.
 
     Args:
         cell: the varied values, by key.
         values: the sections of the experiment.
         seeds: of the runs.
         trial: number of the settings that are tried, which must be scored on the validation split; None if none are.
+        build_once: build the agent, to check that it can be built.
 
     Raises:
         ValueError: naming the cell and its problem.
@@ -163,7 +169,8 @@ def cell_rows(
             f"{where}: evaluation.split = {experiment.evaluation.split!r}: settings are chosen by the final scores, "
             "which needs 'validation'"
         )
-    _check_buildable(experiment, where)
+    if build_once:
+        _check_buildable(experiment, where)
     resolved = _sorted(experiment.to_dict())
     rows: list[ManifestRow] = []
     for seed in seeds:

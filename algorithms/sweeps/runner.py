@@ -82,6 +82,11 @@ class Runner(ABC):
     def settled(self, rows: Sequence[ManifestRow]) -> list[ManifestRow]:
         """Those rows by which others of them were chosen: they are not retried if they failed."""
 
+    def wanted(self, row: ManifestRow) -> bool:
+        """Whether a run of the manifest is to be trained now."""
+        del row
+        return True
+
     def _listed(self) -> Iterator[ManifestRow]:
         """The rows of the manifest in the directory; none if it has no manifest yet."""
         return iterate_manifest(self._directory) if is_sweep(self._directory) else iter(())
@@ -131,7 +136,7 @@ class Runner(ABC):
         from algorithms.sweeps.slurm import array_tasks
         from algorithms.sweeps.slurm_script import MAX_ARRAY_TASKS, batch_script
 
-        jobs = [row.job(self._directory) for row in self._expand()]
+        jobs = [row.job(self._directory) for row in self._expand() if self.wanted(row)]
         missing = [job for job in jobs if not job.done]
         tasks = len(array_tasks(missing, self._settings))
         print(batch_script(tasks, self._settings, self._directory) if tasks else "all runs are done")
@@ -206,7 +211,7 @@ class Runner(ABC):
             rows = self._expand()
             self._report_removed_runs(rows)
             write_manifest(self._directory, rows)
-            jobs = [row.job(self._directory) for row in rows]
+            jobs = [row.job(self._directory) for row in rows if self.wanted(row)]
             open_jobs = [job for job in jobs if job not in self._failed and not job.done]
             if not open_jobs:
                 return jobs

@@ -15,7 +15,7 @@ import yaml
 from algorithms.commands.study import main
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.runner import StudyRunner
-from algorithms.studies.settings import load_study, select
+from algorithms.studies.settings import load_study
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.runner import Backend
 from mo_deepdrive.suite import read_rows
@@ -70,6 +70,7 @@ class MadeUpRuns(StudyRunner):
                 failed[job] = "made to fail"
                 state = {"state": "failed", "reason": failed[job]}
             score = {"utility_esr": {"value": config["algorithm"]["learning_rate"]}}
+            (job.path / "config.yaml").write_text("")
             (job.path / "status.json").write_text(json.dumps(state))
             (job.path / "evaluation.json").write_text(json.dumps({"policies": {"stochastic": score}}))
         return failed
@@ -193,12 +194,15 @@ def test_an_invalid_study_is_refused_before_anything_is_trained(
     assert not (tmp_path / "study").exists()
 
 
-def test_a_part_of_a_study_can_be_selected(tmp_path: Path) -> None:
+def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_path: Path) -> None:
     study = load_study(write_study(tmp_path))
-    (arm,) = StudyPlan(select(study, ["short"], ["mo"])).arms
-    assert arm.key == ("short", "mo")
-    with pytest.raises(ValueError, match="--learners nobody: unknown"):
-        select(study, None, ["nobody"])
+    for learner, trained in (("mo", {"mo"}), ("plain", {"mo", "plain"})):
+        runner = MadeUpRuns(StudyPlan(study, ["short"], [learner]), tmp_path / "study", Backend(), quiet())
+        assert runner.run() == 0
+        assert runner.batches == [2, 2]
+        assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
+    with pytest.raises(ValueError, match="--learners nobody: no learner"):
+        StudyPlan(study, None, ["nobody"])
 
 
 @pytest.mark.slow
