@@ -64,9 +64,10 @@ class Objective:
 
 def _seconds(vehicles: Any, v: int, params: Any) -> float:
     decisions = 1
-    end = vehicles[v].end
-    if params.charge_remaining_time and end != RUNNING and end != ARRIVED:
-        decisions += params.max_decisions - vehicles[v].decisions
+    if params.charge_remaining_time:
+        vehicle = vehicles[v]
+        if vehicle.end != RUNNING and vehicle.end != ARRIVED:
+            decisions += params.max_decisions - vehicle.decisions
     return float(params.dt * params.physics_steps * decisions)
 
 

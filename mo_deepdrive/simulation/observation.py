@@ -45,11 +45,12 @@ def write_oncoming(worlds: Records, i: int, v: int, position: int, params: Recor
         out[i, v, column] = SIGHT_DISTANCE
         out[i, v, column + 1] = 0.0
     column = position
+    last = position + 2 * params.observed_cars
     for k in range(len(worlds[i, v].cars)):
         car = worlds[i, v].cars[k]
         distance = traffic.distance_to_crossing(car)
         seen = car.present and not traffic.has_passed(car) and distance <= SIGHT_DISTANCE
-        if seen and column < position + 2 * params.observed_cars:
+        if seen and column < last:
             out[i, v, column] = distance
             out[i, v, column + 1] = car.speed
             column += 2

@@ -84,9 +84,10 @@ def assert_equal(first: Any, second: Any) -> None:
 def test_gymnasiums_checker_warns_of_the_vector_reward_alone(
     make_single: Make, scenario: str, action_type: str
 ) -> None:
+    env = make_single(scenario, action_type=action_type)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        check_env(make_single(scenario, action_type=action_type), skip_render_check=True)
+        check_env(env, skip_render_check=True)
     messages = [str(warning.message) for warning in found]
     assert [message for message in messages if "The reward returned by `step()` must be a float" not in message] == []
 
