@@ -11,8 +11,7 @@ from mo_deepdrive.names import nearest
 from mo_deepdrive.objectives import INDEX
 from mo_deepdrive.plain_values import plain
 from mo_deepdrive.scenarios import SCENARIOS
-from mo_deepdrive.simulation.observation import NEAREST_CARS
-from mo_deepdrive.simulation.state import YAW_FRICTION
+from mo_deepdrive.simulation.state import NEAREST_CARS, YAW_FRICTION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mo_deepdrive.simulation.observation import NEAREST_CARS, SIGHT_DISTANCE
-from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
+from mo_deepdrive.simulation.observation import SIGHT_DISTANCE
+from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH, NEAREST_CARS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -44,7 +44,9 @@ def parse_arguments(arguments: list[str], program: str) -> Namespace:
     parser.add_argument(
         "--workers", type=int, metavar="N", help="maximum number of concurrent runs (default: one per core)"
     )
-    parser.add_argument("--plan", default="reproduce", metavar="FILE", help="what to train (default: the shipped plan)")
+    parser.add_argument(
+        "--plan", default="studies/paper", metavar="FILE", help="the study to train (default: studies/paper)"
+    )
     return parser.parse_args(arguments)
 
 

@@ -11,20 +11,21 @@ mo-deepdrive suite table runs/studies/suite-ppo/results.csv --figure profile.png
 
 from __future__ import annotations
 
+from statistics import median
 from typing import TYPE_CHECKING
 
-from algorithms.commands.suite_results import add_suite_run, add_suite_table, suite_run, suite_table
+from algorithms.commands.suite_results import PUBLISHED, add_suite_run, add_suite_table, suite_run, suite_table
 from algorithms.commands.suite_score import add_suite_score, add_suite_verify, suite_score, suite_verify
 from algorithms.commands.sweep import ENVIRONMENT as ENVIRONMENT
 from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from rich.table import Table
 
-    from mo_deepdrive.suite import Suite
+    from mo_deepdrive.suite import Row, Suite
 
 
 def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
@@ -45,31 +46,43 @@ def parse_arguments(arguments: list[str], program: str) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def task_table(suite: Suite) -> Table:
-    """The tasks, one a row."""
+def minutes_per_run(rows: list[Row]) -> dict[str, float]:
+    """The median minutes of a core that a run takes, by task, of those for which they are known."""
+    seconds: dict[str, dict[tuple[str, int], float]] = {}
+    for row in rows:
+        if row.cpu_seconds is not None and row.state == "finished":
+            seconds.setdefault(row.task, {})[row.learner, row.seed] = row.cpu_seconds
+    return {task_id: median(runs.values()) / 60.0 for task_id, runs in seconds.items()}
+
+
+def task_table(suite: Suite, minutes: Mapping[str, float]) -> Table:
+    """The tasks, one a row, with the minutes that a run takes where they are known."""
     from rich.table import Table
 
-    table = Table("task", "track", "title", "steps", "floor", "ceiling", "", "what it tests", title="The suite")
+    columns = ("task", "track", "title", "steps", "minutes", "floor", "ceiling", "", "what it tests")
+    table = Table(*columns, title="The suite")
     for name, task in suite.tasks.items():
         table.add_row(
             f"{name}{' *' if task.core else ''}",
             task.track if task.counted else "(not counted)",
             task.title,
             f"{task.steps / 1e6:g} M",
+            f"{minutes[name]:.0f}" if name in minutes else "",
             f"{task.floor.value:.4g}",
             f"{task.ceiling.value:.4g}",
             task.ceiling.kind,
             task.tests,
         )
-    table.caption = f"version {suite.version}; * of the core subset"
+    table.caption = f"version {suite.version}; * of the core subset; minutes of one core, the median of published runs"
     return table
 
 
 def _list(_options: argparse.Namespace) -> int:
     from algorithms.experiments.console import make_console
-    from mo_deepdrive.suite import load
+    from mo_deepdrive.suite import load, read_rows
 
-    make_console().print(task_table(load()))
+    known = minutes_per_run(read_rows(PUBLISHED)) if PUBLISHED.is_file() else {}
+    make_console().print(task_table(load(), known))
     return 0
 
 

@@ -14,15 +14,12 @@ from algorithms.common.hyperparameters import GuideSettings, a_twentieth
 from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
-from mo_deepdrive import suite
 from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
 from mo_deepdrive.names import nearest
-from mo_deepdrive.params import chosen_objectives
-from mo_deepdrive.reference_points import default_discount
 from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -381,6 +378,10 @@ def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> d
         raise ValueError(f"environment.arguments.cost_sign = {config.cost_sign!r}: a front needs 'maximise'")
     gamma = experiment.evaluation.gamma
     if "gamma" not in experiment.evaluation.model_fields_set:
+        # As late as this, because they import the simulation.
+        from mo_deepdrive.params import chosen_objectives
+        from mo_deepdrive.reference_points import default_discount
+
         gamma = default_discount(chosen_objectives(config))
     if given is not None or SCENARIOS[config.scenario].vehicles > 1:
         return {"gamma": gamma, "reference_point": given}
@@ -400,6 +401,8 @@ def _check_task(experiment: Experiment) -> None:
     """Refuse to score as a task of the suite what is trained on another environment."""
     if experiment.evaluation.task is None:
         return
+    from mo_deepdrive import suite  # as late as this, because it imports the simulation
+
     try:
         wanted = suite.load().task(experiment.evaluation.task).environment
     except ValueError as error:

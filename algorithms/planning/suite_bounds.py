@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.suite import Task
 
 TRIED = 24  # episodes of the validation split by which candidates are compared
-TRIED_WITH_PARTNERS = 6  # of each partner
+TRIED_WITH_PARTNERS = 16  # of each partner
 TRIED_FOR_RISK = 600  # where a rare collision decides
 BLIND_SCENARIOS = 16  # of the validation split, in which the best open-loop policy is searched
 GAPS = (4.25, 4.5, 4.75, 5.0)  # s, of rules for the left turn
@@ -76,7 +76,9 @@ def floor(task_id: str) -> Found:
         return Found(score_of(list(candidates.values()), task_id), by)
     if not SCENARIOS[task.config().scenario].lanes and not task.config().fixed_destination:
         candidates["the best open-loop policy"] = _blind(task)
-    return best_of(candidates, task_id)
+    still = next(iter(candidates))  # which may be the best of the test split, if not of the other one
+    found = best_of(candidates, task_id)
+    return max(found, Found(score_of(candidates[still], task_id), still), key=lambda each: each.value)
 
 
 def _blind(task: Task) -> Playback:

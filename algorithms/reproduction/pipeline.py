@@ -8,11 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from algorithms.experiments.accessories import sole_purpose
-from algorithms.experiments.console import print_line
-from algorithms.experiments.dashboard import Dashboard
-from algorithms.experiments.interrupts import Interrupts
 from algorithms.experiments.shipped import CONFIGS
-from algorithms.experiments.worker_pool import perform_all
 from algorithms.reproduction import FIGURES
 from algorithms.reproduction.claims import CLAIMS, FRONT_TASK, LEARNED, SOLVED, utility_metric
 from algorithms.reproduction.plan import Plan, PlannedRun, planned_runs
@@ -25,6 +21,8 @@ from algorithms.reproduction.report import (
     write_report,
 )
 from algorithms.reproduction.results import ReproductionResults, gather
+from algorithms.studies.runner import StudyRunner
+from algorithms.sweeps.runner import Backend
 from algorithms.zoo.exporting import export
 from mo_deepdrive.evaluation.metrics import CARDINALITY, FRONT, HYPERVOLUME, STOCHASTIC, SUCCESS
 
@@ -115,28 +113,21 @@ def reproduce(plan: Plan, options: ReproductionOptions, console: Console) -> int
         results = ReproductionResults.read(options.output_folder)
         _write(plan, results, figures, options, console)
         return 0
-    runs = planned_runs(plan, tasks, options.run_folder, seeds=options.seeds, quick=options.quick)
-    jobs = [run.job for run in runs]
-    missing = sum(not job.done for job in jobs)
-    workers = options.workers
-    console.print(f"{len(jobs)} runs, {missing} of them to train, {workers} at a time, in {options.run_folder}")
-    with Interrupts() as interrupts, Dashboard(jobs, console) as monitor:
-        failed = perform_all(jobs, workers, monitor, stop=lambda: interrupts.received is not None)
-    if interrupts.received is not None:
-        print("interrupted; the runs in progress are saved: the same command resumes them", file=sys.stderr)
-        return 128 + interrupts.received
+    arms = plan.select(tasks, seeds=options.seeds, quick=options.quick)
+    runs = planned_runs(arms, options.run_folder)
+    code = StudyRunner(arms, options.run_folder, Backend(workers=options.workers), console).train()
+    if code > 1:  # it was interrupted
+        return code
     results = gather(runs, lambda line: print(line, file=sys.stderr))
     if not results.scores:
         raise ValueError("no run has finished and can be read")
     options.output_folder.mkdir(parents=True, exist_ok=True)
     keep_fronts(runs, results, options.output_folder)
     _write(plan, results, figures, options, console)
-    if published and not failed:
+    if published and code == 0:
         names = export_policies(runs, plan, results)
         console.print(f"updated the policies {', '.join(names)} in the zoo")
-    for job, error in failed.items():
-        print_line(console, f"FAILED {job.name}: {error}")
-    return 1 if failed else 0
+    return code
 
 
 def export_policies(runs: Sequence[PlannedRun], plan: Plan, results: ReproductionResults) -> list[str]:

@@ -1,79 +1,52 @@
-"""The plan of the reproduction: tasks, protocols and variants from a YAML file, and the runs that they need."""
+"""The plan of the reproduction: the study of the paper's tasks, and its runs.
+
+The name of a task of this study is ``TASK/PROTOCOL``, its title "task: protocol". A protocol is how a task is trained
+and evaluated; the learners of a protocol, here called variants, are compared with each other.
+"""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from pydantic import Field
-
-from algorithms.common.yaml_io import read_mapping
-from algorithms.experiments.config import Count, load_experiment
-from algorithms.experiments.jobs import Job
-from algorithms.experiments.shipped import find_config
-from mo_deepdrive.config import Settings, parse
+from algorithms.studies.plan import StudyPlan
+from algorithms.studies.settings import load_study
 from mo_deepdrive.names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-QUICK_EVALUATIONS = 5  # during training, in a quick reproduction
+    from algorithms.experiments.jobs import Job
+    from algorithms.studies.settings import Study
+
+STUDY = "studies/paper"
+# Environment steps of a quick reproduction by protocol; other protocols are left out.
+QUICK_STEPS = {"printed": 100_000, "best": 600_000}
+QUICK_STEPS_OF_TASKS = {
+    "one_waypoint_front": {"printed": 20_000, "best": 40_000},
+    "intersection_linear": {"printed": 50_000, "best": 300_000},
+    "intersection_nonlinear": {"printed": 50_000, "best": 300_000},
+    "one_waypoint_continuous": {},
+}
+QUICK_SEEDS, QUICK_EPISODES = 3, 200
+QUICK_EVALUATIONS = 5  # during training
 
 
-class Variant(Settings):
-    """One curve of a figure, one row of a table: an experiment's config with overrides."""
-
-    label: str
-    """Name in figures and tables."""
-    config: str
-    """YAML file of the experiment, or the name of a shipped one."""
-    overrides: dict[str, Any] = {}
-    """Values of keys of the experiment."""
-
-
-class Protocol(Settings):
-    """Variants that are trained under the same conditions and compared with each other."""
-
-    title: str
-    """The conditions in words."""
-    seeds: int | None = Field(default=None, ge=1)
-    """Number of runs of each variant; None for the plan's."""
-    first_seed: int | None = Field(default=None, ge=0)
-    """Seed of the first run; None for the plan's, a different one if settings were chosen on the plan's seeds."""
-    quick_timesteps: Count | None = None
-    """Environment steps in a quick reproduction; None to leave out the protocol there."""
-    overrides: dict[str, Any] = {}
-    """Changes of the config of every variant."""
-    variants: dict[str, Variant] = Field(min_length=1)
-    """Variants by key, which is also the name of the folder of their runs."""
-
-
-class PlannedTask(Settings):
-    """One scenario under one utility, or with an unknown utility."""
+@dataclass(frozen=True)
+class Protocol:
+    """Variants that are trained under the same conditions; their labels by key."""
 
     title: str
-    """Scenario and utility."""
-    protocols: dict[str, Protocol] = Field(min_length=1)
-    """By key."""
+    variants: dict[str, str]
 
 
-class Plan(Settings):
-    """The whole reproduction."""
+@dataclass(frozen=True)
+class PlannedTask:
+    """One scenario under one utility, or with an unknown utility, and its protocols by key."""
 
-    first_seed: Annotated[int, Field(ge=0)]
-    """Seed of the first run of each variant; the others follow."""
-    seeds: Annotated[int, Field(ge=1)]
-    """Number of runs of each variant."""
-    quick_seeds: Annotated[int, Field(ge=1)]
-    """The same in a quick reproduction."""
-    overrides: dict[str, Any] = {}
-    """Of every run."""
-    quick_overrides: dict[str, Any] = {}
-    """Of every run of a quick reproduction."""
-    tasks: dict[str, PlannedTask] = Field(min_length=1)
-    """By key."""
+    title: str
+    protocols: dict[str, Protocol] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -95,74 +68,85 @@ class PlannedRun:
     job: Job
 
 
+class Plan:
+    """The whole reproduction.
+
+    Args:
+        study: of the paper.
+
+    Attributes:
+        study: of the paper.
+        tasks: by key.
+
+    Raises:
+        ValueError: if the name or the title of a task is not of the form that this module describes.
+    """
+
+    def __init__(self, study: Study):
+        self.study = study
+        self.tasks: dict[str, PlannedTask] = {}
+        for key, each in study.tasks.items():
+            task, slash, protocol = key.partition("/")
+            title, colon, conditions = (each.title or "").partition(": ")
+            if not slash or not colon:
+                raise ValueError(f"task {key!r} must be named TASK/PROTOCOL, with a title 'task: protocol'")
+            labels = {name: learner.label or name for name, learner in study.learners_of(key).items()}
+            self.tasks.setdefault(task, PlannedTask(title)).protocols[protocol] = Protocol(conditions, labels)
+
+    def select(self, tasks: Sequence[str], *, seeds: int | None = None, quick: bool = False) -> StudyPlan:
+        """The arms to train for some tasks; every experiment of them is resolved and checked.
+
+        Args:
+            tasks: keys of the tasks.
+            seeds: number of runs of each variant, instead of the plan's; a task that names its seeds has at most these.
+            quick: fewer seeds and steps, without protocols that have no quick form.
+
+        Raises:
+            ValueError: for an unknown task, or naming the arm that is not valid.
+        """
+        for key in tasks:
+            if key not in self.tasks:
+                raise ValueError(f"task {key!r} is unknown; {nearest(key, self.tasks)}")
+        first, count = self.study.seeds[0], seeds or len(self.study.seeds[: QUICK_SEEDS if quick else None])
+        of_tasks = {}
+        for key, each in self.study.tasks.items():
+            mine = each.seeds if each.seeds is not None else list(range(first, first + count))
+            changes: dict[str, Any] = {"seeds": mine if seeds is None and not quick else mine[:count]}
+            if quick and (steps := _quick_steps(key)) is not None:
+                interval = {"evaluation.interval": steps // QUICK_EVALUATIONS}
+                shorter = {**each.overrides, **interval, "evaluation.final_episodes": QUICK_EPISODES}
+                changes |= {"steps": steps, "overrides": shorter}
+            if not quick or "steps" in changes:
+                of_tasks[key] = each.model_copy(update=changes)
+        study = self.study.model_copy(update={"tasks": of_tasks})
+        return StudyPlan(study, [key for key in of_tasks if key.partition("/")[0] in tasks])
+
+
+def _quick_steps(key: str) -> int | None:
+    """Environment steps of a task of the study in a quick reproduction; None to leave it out."""
+    task, _, protocol = key.partition("/")
+    return QUICK_STEPS_OF_TASKS.get(task, QUICK_STEPS).get(protocol)
+
+
 def load_plan(path: str | Path) -> Plan:
-    """Read a plan: a YAML file, or the name of a shipped one.
+    """Read a plan: the YAML file of a study, or the name of a shipped one.
 
     Raises:
         ValueError: naming the file and every invalid key.
     """
-    return parse(Plan, read_mapping(find_config(path)), f"plan {str(path)!r}")
+    return Plan(load_study(path))
 
 
-def planned_runs(
-    plan: Plan,
-    tasks: Sequence[str],
-    folder: Path,
-    *,
-    seeds: int | None = None,
-    quick: bool = False,
-) -> list[PlannedRun]:
-    """The runs of some tasks; every config is resolved and checked.
-
-    Args:
-        plan: the whole reproduction.
-        tasks: keys of the tasks.
-        folder: of the run directories.
-        seeds: number of runs of each variant, instead of the plan's; protocols with fewer keep their number.
-        quick: fewer seeds and steps, without protocols that have no ``quick_timesteps``.
+def planned_runs(arms: StudyPlan, folder: Path) -> list[PlannedRun]:
+    """The runs of the arms that were selected, which are in ``folder``.
 
     Raises:
-        ValueError: for an unknown task, or naming the task, protocol and variant with an invalid config.
+        ValueError: naming the task, protocol and variant with an invalid config.
     """
-    for key in tasks:
-        if key not in plan.tasks:
-            raise ValueError(f"task {key!r} is unknown; {nearest(key, plan.tasks)}")
-    return [
-        run
-        for key in tasks
-        for name, protocol in plan.tasks[key].protocols.items()
-        if not (quick and protocol.quick_timesteps is None)
-        for run in _protocol_runs(plan, key, name, folder, seeds, quick)
-    ]
-
-
-def _protocol_runs(
-    plan: Plan, task: str, protocol_key: str, folder: Path, seeds: int | None, quick: bool
-) -> Iterator[PlannedRun]:
-    protocol = plan.tasks[task].protocols[protocol_key]
-    count = min(protocol.seeds or plan.seeds, plan.quick_seeds if quick else protocol.seeds or plan.seeds)
-    if seeds is not None:
-        count = min(seeds, protocol.seeds) if protocol.seeds else seeds
-    first = plan.first_seed if protocol.first_seed is None else protocol.first_seed
-    shortened: dict[str, Any] = {}
-    if quick and protocol.quick_timesteps is not None:
-        shortened = {
-            "training.total_timesteps": protocol.quick_timesteps,
-            "evaluation.interval": max(1, protocol.quick_timesteps // QUICK_EVALUATIONS),
-            **plan.quick_overrides,
-        }
-    for key, variant in protocol.variants.items():
-        name = f"{task}/{protocol_key}/{key}"
-        for seed in range(first, first + count):
-            values = {**plan.overrides, **protocol.overrides, **variant.overrides, **shortened, "training.seed": seed}
-            try:
-                experiment = load_experiment(variant.config, _as_overrides(values))
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}") from None
-            job = Job(f"{name}, seed {seed}", experiment, folder / task / protocol_key / key / f"seed{seed}")
-            yield PlannedRun(task, protocol_key, key, variant.label, seed, job)
-
-
-def _as_overrides(values: Mapping[str, Any]) -> list[str]:
-    """Command-line overrides of an experiment."""
-    return [f"--{key}={json.dumps(value)}" for key, value in values.items()]
+    runs = []
+    for each in arms.runs({}):
+        if each.arm.key in arms.selected:
+            task, _, protocol = each.arm.task.partition("/")
+            about = (task, protocol, each.arm.learner, each.arm.label)
+            runs += [PlannedRun(*about, row.seed, row.job(folder)) for row in each.final]
+    return runs

@@ -146,7 +146,9 @@ def study_tables(plan: StudyPlan, runs: Sequence[ArmRuns], results: Sequence[Row
     found = []
     for name, task in plan.study.tasks.items():
         mine = [result for result in results if result.task == name]
-        columns = list(dict.fromkeys((result.policy, result.column) for result in mine if result.column))
+        # The details of a scorer are in the tidy table alone.
+        shown = [result for result in mine if result.column and not (task.task and "/" in result.column)]
+        columns = list(dict.fromkeys((result.policy, result.column) for result in shown))
         if not (arms := [arm for arm in runs if arm.arm.task == name]):
             continue
         rows = [["learner", "seeds", "CPU minutes", *(f"{column} ({policy})" for policy, column in columns), "chosen"]]

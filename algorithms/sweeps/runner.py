@@ -156,7 +156,7 @@ class Runner(ABC):
             ValueError: for an invalid sweep, or the directory of a run or of another sweep.
         """
         if is_run(self._directory):
-            raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another --output")
+            raise ValueError(f"{str(self._directory)!r} is the directory of a run; choose another directory")
         expanded = self.expand(self.scores())
         self._refuse_other_sweep(expanded)
         return expanded
@@ -189,7 +189,7 @@ class Runner(ABC):
         if before and before.keys().isdisjoint(row.id for row in rows):
             raise ValueError(
                 f"{str(self._directory)!r} has another sweep: none of its {len(before)} runs, such as "
-                f"{next(iter(before.values()))}, is in this one; choose another --output, or delete that sweep"
+                f"{next(iter(before.values()))}, is in this one; choose another directory, or delete that sweep"
             )
 
     def _check_manifest(self) -> None:
@@ -202,7 +202,7 @@ class Runner(ABC):
                 if name not in known:
                     raise ValueError(
                         f"the manifest of {str(self._directory)!r} has {key} = {name!r}, code that this sweep does not "
-                        "name; choose another --output, or delete that sweep"
+                        "name; choose another directory, or delete that sweep"
                     )
 
     def _train(self, stop: Callable[[], bool]) -> list[Job]:

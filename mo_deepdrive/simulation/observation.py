@@ -8,7 +8,7 @@ from mo_deepdrive.simulation import geometry, traffic
 from mo_deepdrive.simulation.geometry import HALF_LENGTH, HALF_WIDTH
 from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.lanes import in_lanes
-from mo_deepdrive.simulation.state import MAX_WAYPOINTS, RUNNING, Record, Records
+from mo_deepdrive.simulation.state import MAX_WAYPOINTS, NEAREST_CARS, RUNNING, Record, Records
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 # A vehicle that has left the road is observed straight ahead, at rest, at this distance (m).
 ABSENT_DISTANCE = 100.0
 
-# There is room for so many oncoming cars: the next ones that have not passed the crossing, from this distance to it on
-# (m).
-NEAREST_CARS = 2
+# Oncoming cars are observed from this distance to the crossing on (m).
 SIGHT_DISTANCE = 100.0
 
 # Where the vehicles in the lanes look from, at which points, and what they see.

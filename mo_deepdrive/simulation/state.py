@@ -21,6 +21,7 @@ KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane
 
 MAX_VEHICLES = 2
 MAX_WAYPOINTS = 3
+NEAREST_CARS = 2  # oncoming cars that an observation has room for: the next ones that have not passed the crossing
 
 # Vehicle constants of DeepDrive Zero (m, m/s^2). The wheelbase is split over the *width*, as in the original.
 WIDTH = 2.300675555555556

@@ -8,34 +8,28 @@ from algorithms.reproduction.claims import CLAIMS, Claim
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.paths import REPOSITORY
 
-PLAN = REPOSITORY / "configs" / "reproduce.yaml"
+PLAN = REPOSITORY / "configs" / "studies" / "paper.yaml"
 PUBLISHED = REPOSITORY / "docs" / "results"
 SEEDS = 5
 TINY = """
-first_seed: 3
-seeds: 2
-quick_seeds: 1
-overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false}
+metric: stochastic/utility_esr
+seeds: [3, 4]
+overrides: {evaluation.final_episodes: 4, evaluation.episodes: 4, logging.save_figures: false, algorithm.hidden: [8],
+  training.num_envs: 4, algorithm.steps: 10, environment.arguments.time_limit: 2}
 tasks:
-  one_waypoint_linear:
-    title: OneWaypoint, linear utility
-    protocols:
-      best:
-        title: best effort
-        quick_timesteps: 400
-        overrides: {algorithm.hidden: [8], training.total_timesteps: 800, training.num_envs: 4, algorithm.steps: 10,
-          environment.arguments.time_limit: 2}
-        variants:
-          a2c: {label: A2C, config: configs/one_waypoint/a2c_linear.yaml}
-          mo_a2c: {label: MO-A2C, config: configs/one_waypoint/mo_a2c_linear.yaml}
-      ablation:
-        title: one change
-        seeds: 1
-        overrides: {algorithm.hidden: [8], training.total_timesteps: 400, training.num_envs: 4, algorithm.steps: 10}
-        variants:
-          all: {label: nothing changed, config: configs/one_waypoint/mo_a2c_linear.yaml}
-          gamma: {label: no discount, config: configs/one_waypoint/mo_a2c_linear.yaml,
-            overrides: {algorithm.gamma: 1.0}}
+  one_waypoint_linear/best:
+    title: "OneWaypoint, linear utility: best effort"
+    steps: 800
+    learners:
+      a2c: {label: A2C, config: configs/one_waypoint/a2c_linear.yaml}
+      mo_a2c: {label: MO-A2C, config: configs/one_waypoint/mo_a2c_linear.yaml}
+  one_waypoint_linear/ablation:
+    title: "OneWaypoint, linear utility: one change"
+    seeds: [3]
+    steps: 400
+    learners:
+      all: {label: nothing changed, config: configs/one_waypoint/mo_a2c_linear.yaml}
+      gamma: {label: no discount, config: configs/one_waypoint/mo_a2c_linear.yaml, overrides: {algorithm.gamma: 1.0}}
 """
 
 

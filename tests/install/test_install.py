@@ -243,8 +243,8 @@ def test_other_libraries_and_the_reproduction_are_found_by_name(everything: Inst
     assert "mo-deepdrive[peers]" in everything.command("peers", "--list").stdout
     refused = everything.command("peers", "--config", "peers/envelope", code=2)
     assert "cannot run here: it needs morl_baselines: pip install 'mo-deepdrive[peers]'" in refused.stderr
-    refused = everything.command("reproduce", "--figure", "4", "--plan", "reproduc", code=2)
-    assert "the nearest names of shipped ones: reproduce" in refused.stderr
+    refused = everything.command("reproduce", "--figure", "4", "--plan", "studies/pape", code=2)
+    assert "the nearest names of shipped ones: studies/paper" in refused.stderr
 
 
 def test_the_package_can_be_called_as_a_module(everything: Installed, tmp_path: Path) -> None:

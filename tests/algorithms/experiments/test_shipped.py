@@ -25,7 +25,9 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_yaml_file_of_the_repository_has_a_name(repository: Path) -> None:
     assert repository / "configs" == CONFIGS
     assert len(config_names()) == len(list((repository / "configs").rglob("*.yaml"))) > 50
-    assert {"reproduce", "one_waypoint/mo_ppo_nonlinear", "peers/envelope", "sweeps/one_waypoint"} <= {*config_names()}
+    assert {"studies/paper", "one_waypoint/mo_ppo_nonlinear", "peers/envelope", "sweeps/one_waypoint"} <= {
+        *config_names()
+    }
     assert all(find_config(name).is_file() for name in config_names())
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +44,7 @@ def call(
 def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callable[..., Any], tmp_path: Path) -> None:
     code, out, err = call("--claim", "1")
     assert (code, err) == (0, "")
-    assert "6 runs, 6 of them to train" in out
+    assert "6 runs, 0 of them done" in out
     results = tmp_path / "runs" / "reproduce" / "results"
     report = (results / "reproduction.md").read_text()
     assert "mo-deepdrive reproduce --claim 1" in report
@@ -55,16 +54,16 @@ def test_missing_runs_are_trained_and_a_second_call_trains_nothing(call: Callabl
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").rglob("checkpoint.safetensors")}
     code, out, _ = call("--claim", "1")
     assert code == 0
-    assert " 0 of them to train" in out
+    assert "of them done" not in out
     assert before == {path: path.stat().st_mtime_ns for path in before}
     found = ReproductionResults.read(results)
-    gathered = gather(
-        planned_runs(load_plan("plan.yaml"), ["one_waypoint_linear"], Path("runs/reproduce")), pytest.fail
-    )
+    runs = planned_runs(load_plan("plan.yaml").select(["one_waypoint_linear"]), tmp_path / "runs" / "reproduce")
+    gathered = gather(runs, pytest.fail)
     assert [row["seed"] for row in found.scores] == [row["seed"] for row in gathered.scores]
     assert {row["policy"] for row in found.scores} == {"greedy", "stochastic"}
+    paths = {(run.protocol, run.variant, run.seed): run.job.path for run in runs}
     for row in found.scores:
-        path = tmp_path / "runs/reproduce/one_waypoint_linear" / row["protocol"] / row["variant"] / f"seed{row['seed']}"
+        path = paths[row["protocol"], row["variant"], row["seed"]]
         utility = json.loads((path / "evaluation.json").read_text())["policies"][row["policy"]]["utility_esr"]
         assert row["utility_esr_width"] == pytest.approx(utility["high"] - utility["low"], rel=1e-5)
     (results / "reproduction.md").unlink()
@@ -92,7 +91,7 @@ def test_a_success_is_exported_beside_a_median_that_fails(
     plan = load_plan(PLAN)
     runs = [
         run
-        for run in planned_runs(plan, ["one_waypoint_linear"], tmp_path)
+        for run in planned_runs(plan.select(["one_waypoint_linear"]), tmp_path)
         if (run.protocol, run.variant) == ("best", "mo_a2c")
     ]
     utilities = [10.0 * rate + 0.001 * i for i, rate in enumerate(arrivals)]
@@ -105,12 +104,12 @@ def test_a_success_is_exported_beside_a_median_that_fails(
     assert len(names) == (1 if solved is None else 2)
     path, about = exported["one_waypoint_linear-mo_ppo"]
     median = sorted(utilities)[2]
-    assert path.name == f"seed{20 + utilities.index(median)}"
+    assert f"-seed{20 + utilities.index(median)}-" in path.name
     assert about["chosen"] == "median utility_esr of 5 seeds"
     assert about["scores"]["stochastic"]["utility_esr"] == median
     if solved is not None:
         path, about = exported["one_waypoint_linear-mo_ppo-solved"]
-        assert path.name == f"seed{solved}"
+        assert f"-seed{solved}-" in path.name
         assert about["chosen"] == "median utility_esr of the 2 of 5 seeds that arrive in over 95% of the episodes"
 
 
@@ -135,7 +134,10 @@ def test_invalid_options_are_refused_before_anything_is_trained(
 
 @pytest.mark.processes
 @pytest.mark.slow
-def test_a_run_of_another_plan_in_the_folder_is_refused(call: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_quick_reproduction_judges_nothing_and_its_folder_takes_no_other(
+    call: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("algorithms.reproduction.plan.QUICK_STEPS", {"best": 400})
     code, out, _ = call("--quick", "--runs", "mine")
     assert code == 0
     assert "not judged" in out
@@ -144,4 +146,4 @@ def test_a_run_of_another_plan_in_the_folder_is_refused(call: Callable[..., Any]
     assert f"**{QUICK}**" in (tmp_path / "mine" / "results" / "reproduction.md").read_text()
     code, _, err = call("--runs", "mine", "--output", "out")
     assert code == 2
-    assert re.search(r"holds another experiment: training.total_timesteps = 400 there, 800 wanted", err)
+    assert "'mine' has another sweep: none of its 4 runs" in err

@@ -9,7 +9,7 @@ import pytest
 from algorithms.reproduction import CLAIM_NUMBERS, FIGURES
 from algorithms.reproduction.claims import CLAIMS
 from algorithms.reproduction.figures import CURVE_FIGURES, FRONT_FIGURES
-from algorithms.reproduction.plan import load_plan, planned_runs
+from algorithms.reproduction.plan import QUICK_SEEDS, load_plan, planned_runs
 from tests.helpers.reproduction import PLAN, TINY
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 def test_every_run_of_the_plan_has_a_valid_config_and_a_unique_folder(tmp_path: Path) -> None:
     plan = load_plan(PLAN)
-    wanted = planned_runs(plan, list(plan.tasks), tmp_path)
+    wanted = planned_runs(plan.select(list(plan.tasks)), tmp_path)
     assert len({run.job.path for run in wanted}) == len(wanted) > 100
     seeds = {run.seed for run in wanted}
-    assert min(seeds) == plan.first_seed
+    assert min(seeds) == 20
     assert not seeds & set(range(5)) | seeds & set(range(100, 210))  # seeds of other tables and of tuning
     for run in wanted:
         assert run.job.experiment.training.seed == run.seed
@@ -43,14 +43,13 @@ def test_every_claim_and_figure_has_its_tasks_in_the_plan() -> None:
 
 def test_both_algorithms_of_a_protocol_have_the_same_budget_networks_and_environment(tmp_path: Path) -> None:
     plan = load_plan(PLAN)
+    runs = planned_runs(plan.select(list(plan.tasks), seeds=1), tmp_path)
     compared = 0
     for key, task in plan.tasks.items():
         for protocol_key, protocol in task.protocols.items():
             if set(protocol.variants) != {"a2c", "mo_a2c"}:
                 continue
-            mine = [
-                r.job.experiment for r in planned_runs(plan, [key], tmp_path, seeds=1) if r.protocol == protocol_key
-            ]
+            mine = [run.job.experiment for run in runs if (run.task, run.protocol) == (key, protocol_key)]
             for name in ("steps", "learning_rate", "epochs", "minibatches"):
                 values = {getattr(each.algorithm.config, name, None) for each in mine}
                 assert len(values) == 1, (key, protocol_key, name)
@@ -63,13 +62,13 @@ def test_both_algorithms_of_a_protocol_have_the_same_budget_networks_and_environ
 
 def test_a_quick_reproduction_differs_only_in_length_and_seeds(tmp_path: Path) -> None:
     plan = load_plan(PLAN)
-    whole = {(r.task, r.protocol, r.variant): r for r in planned_runs(plan, list(plan.tasks), tmp_path)}
-    quick = planned_runs(plan, list(plan.tasks), tmp_path, quick=True)
+    whole = {(r.task, r.protocol, r.variant): r for r in planned_runs(plan.select(list(plan.tasks)), tmp_path)}
+    quick = planned_runs(plan.select(list(plan.tasks), quick=True), tmp_path)
     seeds = {
         (r.task, r.protocol): {other.seed for other in quick if (other.task, other.protocol) == (r.task, r.protocol)}
         for r in quick
     }
-    assert {len(each) for each in seeds.values()} == {plan.quick_seeds}
+    assert {len(each) for each in seeds.values()} == {QUICK_SEEDS}
     for run in quick:
         other = whole[run.task, run.protocol, run.variant].job.experiment
         assert run.job.experiment.training.total_timesteps < other.training.total_timesteps
@@ -79,14 +78,27 @@ def test_a_quick_reproduction_differs_only_in_length_and_seeds(tmp_path: Path) -
     assert {(r.task, r.protocol) for r in quick} >= {(task, "best") for each in CLAIMS for task in each.tasks}
 
 
-def test_an_invalid_plan_is_refused_with_the_place_of_the_error(tmp_path: Path) -> None:
+def test_fewer_seeds_are_the_first_ones_and_no_task_gets_more_than_it_names(tmp_path: Path) -> None:
     path = tmp_path / "plan.yaml"
-    path.write_text(TINY.replace("quick_seeds", "quick_seed"))
-    with pytest.raises(ValueError, match=r"plan .*quick_seed"):
-        load_plan(path)
-    path.write_text(TINY.replace("algorithm.gamma", "algorithm.gama"))
-    with pytest.raises(ValueError, match=r"one_waypoint_linear/ablation/gamma: .*gama.*gamma"):
-        planned_runs(load_plan(path), ["one_waypoint_linear"], tmp_path)
     path.write_text(TINY)
-    with pytest.raises(ValueError, match=r"task 'one_waypoint_lineal' is unknown.*one_waypoint_linear"):
-        planned_runs(load_plan(path), ["one_waypoint_lineal"], tmp_path)
+    for count, seeds in ((1, {3}), (4, {3, 4, 5, 6})):
+        runs = planned_runs(load_plan(path).select(["one_waypoint_linear"], seeds=count), tmp_path)
+        assert {run.seed for run in runs if run.protocol == "best"} == seeds
+        assert {run.seed for run in runs if run.protocol == "ablation"} == {3}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seeds: [3, 4]", "seed: [3, 4]", "study .*'seed'"),
+        ("algorithm.gamma", "algorithm.gama", "one_waypoint_linear/ablation learner=gamma.*gama.*gamma"),
+        (": one change", ", one change", "'one_waypoint_linear/ablation' must be named TASK/PROTOCOL, with a title"),
+    ],
+)
+def test_an_invalid_plan_is_refused_with_the_place_of_the_error(
+    old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(TINY.replace(old, new))
+    with pytest.raises(ValueError, match=message):
+        planned_runs(load_plan(path).select(["one_waypoint_linear"]), tmp_path)

@@ -55,7 +55,7 @@ def test_broken_results_are_refused(tmp_path: Path, damage: str) -> None:
 
 def test_the_published_scores_cover_the_whole_plan(tmp_path: Path) -> None:
     plan, results = load_plan(PLAN), ReproductionResults.read(PUBLISHED)
-    wanted = {(r.task, r.protocol, r.variant, r.seed) for r in planned_runs(plan, list(plan.tasks), tmp_path)}
+    wanted = {(r.task, r.protocol, r.variant, r.seed) for r in planned_runs(plan.select(list(plan.tasks)), tmp_path)}
     assert {(row["task"], row["protocol"], row["variant"], row["seed"]) for row in results.scores} == wanted
     assert {(row["task"], row["protocol"], row["variant"], row["seed"]) for row in results.curves} == wanted
     for figure in FIGURES:
@@ -65,7 +65,7 @@ def test_the_published_scores_cover_the_whole_plan(tmp_path: Path) -> None:
 def test_runs_that_cannot_be_read_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "plan.yaml").write_text(TINY)
     monkeypatch.chdir(REPOSITORY)
-    planned = planned_runs(load_plan(tmp_path / "plan.yaml"), ["one_waypoint_linear"], tmp_path)
+    planned = planned_runs(load_plan(tmp_path / "plan.yaml").select(["one_waypoint_linear"]), tmp_path)
     for run in planned:
         opened = Run.make(run.job.experiment, run.job.path)
         scores = {"utility_esr": {"value": 1.0, "low": 0.5, "high": 2.0}}

@@ -105,7 +105,7 @@ def test_the_directory_of_another_sweep_is_refused_and_left_as_it_is(tmp_path: P
     other = write_sweep(tmp_path, overrides={"training.total_timesteps": 640})
     message = (
         r"sweep' has another sweep: none of its 4 runs, such as algorithm.learning_rate=0.001 seed 0 \([0-9a-f]+\), is "
-        "in this one; choose another --output, or delete that sweep"
+        "in this one; choose another directory, or delete that sweep"
     )
     runner = MadeUpRuns(sweep, other)
     listing = MadeUpRuns(sweep, other, name="manifest")
@@ -146,7 +146,7 @@ def test_the_directory_of_a_run_is_refused(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
     (run / "config.yaml").touch()
-    with pytest.raises(ValueError, match="run' is the directory of a run; choose another --output"):
+    with pytest.raises(ValueError, match="run' is the directory of a run; choose another directory"):
         MadeUpRuns(run, write_sweep(tmp_path)).run()
     assert [path.name for path in run.iterdir()] == ["config.yaml"]
 

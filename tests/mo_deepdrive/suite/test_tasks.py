@@ -1,0 +1,51 @@
+"""The tasks as data: they can be made, their bounds are in order, their numbers do not change unnoticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mo_deepdrive import suite
+from mo_deepdrive.config import parse_arguments
+from mo_deepdrive.suite.scorers import SCORERS
+
+TASKS = suite.load().tasks
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_task_names_what_is_there(name: str) -> None:
+    task = TASKS[name]
+    config = task.config()
+    assert config.charge_remaining_time
+    assert task.objectives()[-1] == "time"
+    assert task.score in SCORERS
+    assert (task.utility is None) != (task.preferences is None and task.score != "hypervolume")
+    assert task.floor.value < task.ceiling.value
+    for column in task.columns:
+        arguments = {**config.model_dump(exclude={"scenario"}), **suite.load().perturbations[column]}
+        assert parse_arguments(config.scenario, arguments) != config
+
+
+def test_scores_are_normalised_between_floor_and_ceiling_and_cut_off_below_alone() -> None:
+    task = TASKS["K3"]
+    low, high = task.floor.value, task.ceiling.value
+    np.testing.assert_allclose(
+        task.normalised(np.array([low, high, 2 * high - low, low - 9 * (high - low)])), [0, 1, 2, -1]
+    )
+
+
+@pytest.mark.parametrize("name", [name for name, task in TASKS.items() if task.preferences])
+def test_hidden_preferences_follow_from_their_seed(name: str) -> None:
+    task = TASKS[name]
+    assert task.preferences is not None
+    weights = task.preferences.weights(task.objectives())
+    assert weights.shape == (64, len(task.objectives()))
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    everything = task.preferences.model_copy(update={"left_out": [], "count": 64 + len(task.preferences.left_out)})
+    drawn = everything.weights(task.objectives())
+    np.testing.assert_array_equal(np.delete(drawn, task.preferences.left_out, axis=0), weights)
+
+
+def test_an_unknown_task_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match="task 'K9' is unknown; known: K1, K2"):
+        suite.load().task("K9")
