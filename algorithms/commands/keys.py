@@ -1,6 +1,6 @@
 """List the keys of YAML files: type, default and what they do.
 
-    mo-deepdrive keys                                          # of every algorithm, and of sweeps
+    mo-deepdrive keys                                          # of every algorithm, of sweeps and studies
     mo-deepdrive keys --algorithm mo_ppo                       # of an experiment with this algorithm
     mo-deepdrive keys --config one_waypoint/mo_ppo_nonlinear   # and what the file sets
 
@@ -16,6 +16,7 @@ from algorithms.experiments.cli import INSTALLED, exit_on_error, make_parser
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.key_listing import Key, differing_values, experiment_keys, model_keys
 from algorithms.experiments.registry import algorithm_names, find_algorithm
+from algorithms.studies.settings import Learner, Study, StudyTask
 from algorithms.sweeps.sweep_settings import SweepSettings
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
     """The keys to list, by title.
 
     Args:
-        algorithm: of the experiment; None for those of every algorithm, and of sweeps.
+        algorithm: of the experiment; None for those of every algorithm, of sweeps and studies.
         env_id: of the experiment; None for one of this package's environments.
 
     Raises:
@@ -50,7 +51,15 @@ def key_sections(algorithm: str | None = None, env_id: str | None = None) -> dic
         entry = find_algorithm(name)
         equations = "" if entry.is_peer else f"; equations: help({entry.config_class.__module__!r})"
         sections[f"hyperparameters of {name}{equations}"] = [key for key in found if _is_hyperparameter(key)]
-    return sections if algorithm else {**sections, "sweep": model_keys(SweepSettings)}
+    if algorithm:
+        return sections
+    return {
+        **sections,
+        "sweep": model_keys(SweepSettings),
+        "study": model_keys(Study),
+        "task of a study": model_keys(StudyTask),
+        "learner of a study": model_keys(Learner),
+    }
 
 
 def _is_hyperparameter(key: Key) -> bool:

@@ -11,14 +11,19 @@ import numpy as np
 import pytest
 import torch
 
+from algorithms.experiments.config import make_experiment
+from algorithms.experiments.jobs import Job, perform
 from algorithms.peers import PEERS, PeerTask
 from algorithms.peers.peer_env import Recorder
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
+from tests.helpers.short_runs import VALUES, metrics
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from algorithms.peers.peer_task import PeerPolicies
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
@@ -232,3 +237,20 @@ def test_gpi_ls_evaluates_corner_weights_once_per_choice(monkeypatch: pytest.Mon
     assert len(evaluated) > 1
     assert len(set(evaluated)) == len(evaluated)
     assert linear_support.policy_evaluation_mo is counted
+
+
+def test_a_job_trains_a_peer_and_one_that_was_interrupted_begins_anew(tmp_path: Path) -> None:
+    values = {
+        **VALUES,
+        "algorithm": {"name": "stable_baselines3.ppo", **SMALL["stable_baselines3.ppo"]},
+        "training": {"total_timesteps": 64, "num_envs": 2},
+    }
+    jobs = [Job(name, make_experiment(values), tmp_path / name, name) for name in ("whole", "interrupted")]
+    for job in jobs:
+        assert perform(job) == "trained"
+    run = jobs[1].open()
+    run.set_status("interrupted", 0)
+    assert perform(jobs[1]) == "trained"
+    assert perform(jobs[1]) == "already there"
+    assert metrics(jobs[1].path) == metrics(jobs[0].path)
+    assert (jobs[1].path / "evaluation.csv").read_bytes() == (jobs[0].path / "evaluation.csv").read_bytes()

@@ -14,6 +14,7 @@ from algorithms.experiments.key_listing import (
 )
 from algorithms.experiments.registry import algorithm_names
 from algorithms.peers import PEERS
+from algorithms.studies.settings import Learner, Study, StudyTask
 from algorithms.sweeps.sweep_settings import SweepSettings
 from mo_deepdrive.config import Settings
 
@@ -47,9 +48,10 @@ def test_every_key_of_an_experiment_has_a_description(algorithm: str) -> None:
     }
 
 
-def test_every_key_of_a_sweep_has_a_description() -> None:
+def test_every_key_of_sweeps_and_studies_has_a_description() -> None:
+    for kind in (SweepSettings, Study, StudyTask, Learner):
+        assert [key.name for key in model_keys(kind) if not key.description] == []
     keys = model_keys(SweepSettings)
-    assert [key.name for key in keys if not key.description] == []
     assert {"search.space.NAME.low", "resources.cpus", "slurm.runs_per_job"} <= {key.name for key in keys}
 
 

@@ -1,0 +1,104 @@
+"""The tables of the suite from rows of results, and the study that suite run makes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from algorithms.commands.suite import main
+from algorithms.commands.suite_results import plan_of
+from algorithms.studies.suite_tables import Scoreboard
+from mo_deepdrive import suite
+from mo_deepdrive.suite import Row, write_rows
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+VERSION = suite.load().version
+
+
+def scored(task: str, learner: str, score: float, seed: int = 0, policy: str | None = None) -> Row:
+    """A row whose normalised score is ``score``."""
+    of = suite.load().task(task)
+    value = of.floor.value + score * (of.ceiling.value - of.floor.value)
+    return Row(task, learner, seed, policy or of.policy, "score", value, version=VERSION)
+
+
+def results() -> list[Row]:
+    """Two learners on K1 and K3 with three seeds each; one run of the second has failed."""
+    rows = [scored(task, "lintune", 0.4 + 0.01 * seed, seed) for task in ("K1", "K3") for seed in range(3)]
+    rows += [scored(task, "mo_ppo", 0.8 + 0.01 * seed, seed) for task in ("K1", "K3") for seed in range(3)]
+    other = [replace(row, policy="greedy", value=0.0) for row in rows]
+    rows[-1] = Row("K3", "mo_ppo", 2, "", "", None, state="failed")
+    return [*rows, *other[:-1]]
+
+
+def test_scores_lie_between_floor_and_ceiling_and_failures_count_as_the_lowest_score() -> None:
+    header, *rows = Scoreboard(results(), suite.load()).task_table()
+    table = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    assert table["K1"]["lintune"] == "0.410 [0.400, 0.420]"
+    assert table["K1"]["clearly best"] == "mo_ppo"
+    assert table["K3"]["mo_ppo"].endswith("(1 failed)")
+    assert table["K3"]["clearly best"] == ""
+    assert Scoreboard(results(), suite.load()).scores("K3", "mo_ppo").values.tolist() == pytest.approx(
+        [0.8, 0.81, -1.0]
+    )  # type: ignore[union-attr]
+
+
+def test_a_track_has_a_row_per_learner_the_best_first_with_its_worst_task() -> None:
+    ((track, (header, first, second)),) = Scoreboard(results(), suite.load()).track_tables()
+    assert track == "known utility"
+    best = dict(zip(header, first, strict=True))
+    assert (best["learner"], best["tasks"], best["runs"], best["failed"]) == ("mo_ppo", "2 of 7", "6", "1")
+    assert best["worst task"].startswith("K3")
+    # On K1 every run is better; on K3, two of three.
+    assert best["P(better than lintune)"].startswith("0.83")
+    assert second[0] == "lintune"
+    with pytest.raises(ValueError, match="--against nobody: there are no results of it"):
+        Scoreboard(results(), suite.load()).track_tables("nobody")
+
+
+def test_results_of_another_version_or_task_are_refused() -> None:
+    row = results()[0]
+    with pytest.raises(ValueError, match=f"of version {VERSION + 1} of the suite"):
+        Scoreboard([replace(row, version=VERSION + 1)], suite.load())
+    with pytest.raises(ValueError, match="'K9' is unknown"):
+        Scoreboard([replace(row, task="K9")], suite.load())
+
+
+def test_the_command_prints_the_tables_and_writes_page_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rows(tmp_path / "results.csv", results())
+    page, picture = tmp_path / "scoreboard.md", tmp_path / "profile.png"
+    assert main(["table", str(tmp_path / "results.csv"), "--output", str(page), "--figure", str(picture)]) == 0
+    assert "IQM over tasks" in capsys.readouterr().out
+    assert "| K3 |" in page.read_text()
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
+    plan = plan_of(["suite/mo_ppo"], ["core"], 2)
+    assert {task for task, _ in plan.selected} == {"K1", "K3", "K5", "V1"}
+    k5 = next(arm for arm in plan.arms if arm.task == "K5")
+    assert (k5.learner, k5.seeds, k5.points) == ("mo_ppo", (0, 1), ())
+    assert k5.values["algorithm"]["gamma"] == 0.9995
+    tuned = plan_of(["lintune"], ["K3"], 2)
+    assert [len(arm.points) for arm in tuned.arms if arm.key in tuned.selected] == [12]
+
+
+@pytest.mark.parametrize(
+    ("learners", "tasks", "seeds", "message"),
+    [
+        (["suite/ppo"], ["K99"], 1, "task 'K99' is unknown"),
+        (["suite/ppo"], ["U1"], 1, "--tasks U1: no learner of the study has such an arm"),
+        (["nowhere"], ["K1"], 1, "config file 'nowhere' does not exist"),
+        (["ppo", "suite/ppo"], ["K1"], 1, "ppo is tuned, the others are not"),
+        (["suite/ppo"], ["K1"], 0, "--seeds 0 must be at least 1"),
+    ],
+)
+def test_what_suite_run_cannot_do_is_refused(learners: list[str], tasks: list[str], seeds: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        plan_of(learners, tasks, seeds)
