@@ -240,6 +240,7 @@ def test_gpi_ls_evaluates_corner_weights_once_per_choice(monkeypatch: pytest.Mon
 
 
 def test_a_job_trains_a_peer_and_one_that_was_interrupted_begins_anew(tmp_path: Path) -> None:
+    require("stable_baselines3.ppo")
     values = {
         **VALUES,
         "algorithm": {"name": "stable_baselines3.ppo", **SMALL["stable_baselines3.ppo"]},

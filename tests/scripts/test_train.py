@@ -232,8 +232,8 @@ def test_vehicles_can_have_different_utilities(driving: Path, call: Call, algori
 
     third = "--utility.vehicles.vehicle_2={name: linear}"
     refused(call("train", "--config", driving, *overrides[:-1], third), "utility.vehicles has 'vehicle_2'")
-    foreign = "--utility.vehicles.vehicle_1={name: one_waypoint_linear}"
-    refused(call("train", "--config", driving, *overrides[:-1], foreign), "one_waypoint_linear")
+    foreign = "--utility.vehicles.vehicle_1={name: left_turn_linear}"
+    refused(call("train", "--config", driving, *overrides[:-1], foreign), "left_turn_linear")
 
 
 # Algorithms that learn a front.
