@@ -1,18 +1,16 @@
-"""The CSV file of a comparison: a row for each result, written whenever one is known, so that it can be continued.
+"""The CSV file of a measurement, a row for each result, and checks of options that several scripts have.
 
 @dataclass(frozen=True)
 class Result:
 seed: int
 utility: Annotated[float, ".4f"]  # the format in the file
 
-results = read_results(path, Result)
-write_results(path, [*results, Result(0, 0.5)])
+write_results(path, [Result(0, 0.5)])
 """
 
 from __future__ import annotations
 
-import csv
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 
@@ -21,30 +19,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-R = TypeVar("R")
-
 
 def _columns(kind: type) -> dict[str, tuple[type, str]]:
     """Type and format of the fields of a dataclass."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: get_args(hint) if get_origin(hint) is Annotated else (hint, "") for name, hint in hints.items()}
-
-
-def read_results(path: Path | None, kind: type[R]) -> list[R]:
-    """Read results of the dataclass ``kind`` from the file; an empty list if there is no file.
-
-    Raises:
-        ValueError: if it is another file.
-    """
-    if path is None or not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    columns = _columns(kind).items()
-    try:
-        return [kind(**{name: of_type(row[name]) for name, (of_type, _) in columns}) for row in rows]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is not a file of this script: {type(error).__name__}: {error}") from None
 
 
 def write_results(path: Path | None, results: Sequence[Any], about: Mapping[str, Any] | None = None) -> None:

@@ -87,14 +87,6 @@ class MeanAndRange(Column):
         return joined(float(np.mean(self.values)), min(self.values), max(self.values))
 
 
-class MedianAndRange(Column):
-    """The median, the least and the greatest."""
-
-    def finalize(self) -> str:
-        """The numbers as text."""
-        return joined(float(np.median(self.values)), min(self.values), max(self.values))
-
-
 class InterquartileMean(Column):
     """The mean of the middle half."""
 
@@ -169,7 +161,7 @@ def open_results() -> sqlite3.Connection:
     for name, function in functions.items():
         database.create_function(name, -1, function, deterministic=True)
     aggregates: dict[str, Any] = {"list": ListOf, "interval": Interval, "mean_and_range": MeanAndRange}
-    aggregates |= {"median_and_range": MedianAndRange, "hypervolume": Hypervolume}
+    aggregates |= {"hypervolume": Hypervolume}
     aggregates |= {"interquartile_mean": InterquartileMean}
     for name, aggregate in aggregates.items():
         database.create_aggregate(name, -1, aggregate)

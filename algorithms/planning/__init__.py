@@ -1,1 +1,1 @@
-"""Search over action sequences: best-known fronts of a scenario, and which scenarios can be solved at all."""
+"""Search over action sequences: best-known fronts of a scenario, and the best drives of the suite's tasks."""

@@ -52,19 +52,13 @@ class SearchLimits:
     root_speed: float
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """What a search found.
-
-    Attributes:
-        actions: a letter per decision ("a" for action 0) that leads to the destination; "" if none was found.
-        nodes: number of nodes kept.
-        exhausted: whether all of them were expanded.
-    """
-
-    actions: str
-    nodes: int
-    exhausted: bool
+# Each search is wider and finer than the one before.
+SEARCHES = (
+    SearchLimits(beam_share=1 / 8, capacity=16, metres=1.0, radians=0.3, steer=0.06, root_speed=0.5),
+    SearchLimits(beam_share=1 / 2, capacity=16, metres=0.5, radians=0.15, steer=0.06, root_speed=0.5),
+    SearchLimits(beam_share=1.0, capacity=32, metres=0.2, radians=0.1, steer=0.06, root_speed=0.5),
+    SearchLimits(beam_share=1.0, capacity=64, metres=0.05, radians=0.03, steer=0.03, root_speed=0.25),
+)
 
 
 def lies_left(start: NDArray[Any], end: NDArray[Any], point: NDArray[Any]) -> NDArray[np.bool_]:
@@ -129,16 +123,19 @@ class BestFirstSearch:
         self.visited: set[bytes] = set()  # bins
         self._add(start, [""])
 
-    def run(self) -> SearchResult:
-        """Expand nodes until one arrives, all are expanded, or no more can be kept."""
+    def run(self) -> str:
+        """Expand nodes until one arrives, all are expanded, or no more can be kept.
+
+        Returns:
+            A letter per decision ("a" for action 0) that leads to the destination; "" if none was found.
+        """
         while len(self.paths) < len(self.states):
             nodes = self._best_nodes()
             if not len(nodes):
-                return SearchResult("", len(self.paths), exhausted=True)
-            actions = self._expand(nodes)
-            if actions:
-                return SearchResult(actions, len(self.paths), exhausted=False)
-        return SearchResult("", len(self.paths), exhausted=False)
+                break
+            if actions := self._expand(nodes):
+                return actions
+        return ""
 
     def _add(self, states: NDArray[Any], paths: list[str]) -> None:
         """Add the most promising state of every bin that was not visited, up to the capacity."""
@@ -183,3 +180,17 @@ class BestFirstSearch:
                 paths += [before[row] + LETTERS[actions[row]] * held for row in running]
         self._add(np.concatenate(states), paths)
         return ""
+
+
+def solve_scenario(start: NDArray[Any], beam: int) -> list[int]:
+    """Search from ``start`` (1,) of VEHICLE, ever wider and finer, until a search arrives.
+
+    Args:
+        start: the state in which the scenario begins.
+        beam: states simulated at a time.
+
+    Returns:
+        An action per decision; none if no search arrives.
+    """
+    found = (BestFirstSearch(start, limits, beam).run() for limits in SEARCHES)
+    return [LETTERS.index(letter) for letter in next(filter(None, found), "")]

@@ -119,12 +119,3 @@ def follow_rule(seen: NDArray[Any], rule: np.record, time: float, table: NDArray
             if abs(offered - steer) < least:
                 least = abs(offered - steer)
                 action[0] = row
-
-
-@numba.njit
-def follow_rules(
-    seen: NDArray[Any], rules: Any, times: NDArray[Any], table: NDArray[Any], actions: NDArray[Any]
-) -> None:
-    """:func:`follow_rule` for the n vehicles of ``seen`` (n, size), each with its own rule and time."""
-    for i in range(len(seen)):
-        follow_rule(seen[i], rules[i], times[i], table, actions[i])

@@ -10,9 +10,8 @@ import gymnasium
 import numpy as np
 
 import mo_deepdrive
-from algorithms.planning.best_first_search import LETTERS
+from algorithms.planning.best_first_search import solve_scenario
 from algorithms.planning.plan_evaluation import PlanEvaluator
-from algorithms.planning.solvability import solve_scenario
 from algorithms.planning.utility_search import UtilitySearch, as_continuous
 from mo_deepdrive.action_sequences import decode, encode
 from mo_deepdrive.atomic_io import atomic_write
@@ -85,8 +84,8 @@ class ScenarioPlanner:
             name, action_type = self.evaluator.batch.scenario.name, self.discrete.batch.config.action_type
             found += [decode(each.actions, action_type) for each in shipped(name, action_type)]
         if not found and self.evaluator.batch.scenario.obstacles:
-            actions = solve_scenario(start, BEAM).actions
-            found = [np.array([LETTERS.index(letter) for letter in actions], dtype=np.int64)] if actions else []
+            actions = solve_scenario(start, BEAM)
+            found = [np.array(actions, dtype=np.int64)] if actions else []
         if self.evaluator.format.continuous:
             return [as_continuous(self.discrete, start, actions) for actions in found]
         return found

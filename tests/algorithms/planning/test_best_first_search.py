@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from algorithms.planning.best_first_search import estimated_costs
+from algorithms.planning.best_first_search import estimated_costs, solve_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,3 +24,17 @@ def test_the_estimated_way_leads_around_the_bicycle(make_single: Callable[..., A
         costs.append(float(estimated_costs(env.batch.state[0])[0]))
     assert costs[1] > costs[0] + 0.1
     assert costs[2] == pytest.approx(costs[0])
+
+
+@pytest.mark.parametrize(("obstacle", "solved"), [(FAR, True), (((9.8, 25.6), (12.0, 25.6)), False)])
+def test_scenarios_are_solved_unless_the_bicycle_is_at_the_nose(
+    make_single: Callable[..., Any], obstacle: tuple[tuple[float, float], ...], solved: bool
+) -> None:
+    """The discrete actions cannot reverse. A solution arrives in the public environment."""
+    env = make_single("static_obstacle")
+    options = {"obstacle": obstacle, "destination": STRAIGHT_AHEAD}
+    env.reset(seed=0, options=options)
+    actions = solve_scenario(env.batch.state[0].copy(), 512)
+    assert bool(actions) == solved
+    env.reset(seed=0, options=options)
+    assert [env.step(action)[-1].get("end") for action in actions][-1:] == ["arrived"] * solved
