@@ -209,13 +209,20 @@ def verdicts(claim: Claim, results: ReproductionResults) -> dict[str, Verdict]:
 
 
 def _check_table(plan: Plan, claim: Claim, results: ReproductionResults) -> str:
-    """The checks of a claim: a row per protocol and criterion."""
-    rows = [["protocol", "criterion", "measured", "passed"]]
+    """The checks of a claim: a row per criterion, a column per protocol."""
     answers = {True: "yes", False: "no", None: "inconclusive"}
-    for protocol, verdict in verdicts(claim, results).items():
-        title = plan.tasks[claim.tasks[0]].protocols[protocol].title
-        rows += [[title, check.criterion, check.measured, answers[check.passed]] for check in verdict.checks]
-    return markdown_table(_named_once(rows))
+    protocols = plan.tasks[claim.tasks[0]].protocols
+    found = verdicts(claim, results)
+    rows = [["criterion", *(protocols[protocol].title for protocol in found)]]
+    for criterion in dict.fromkeys(check.criterion for verdict in found.values() for check in verdict.checks):
+        cells = (
+            "; ".join(
+                f"**{answers[each.passed]}**: {each.measured}" for each in verdict.checks if each.criterion == criterion
+            )
+            for verdict in found.values()
+        )
+        rows.append([criterion, *cells])
+    return markdown_table(rows)
 
 
 def _named_once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
