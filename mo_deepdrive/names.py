@@ -19,6 +19,7 @@ def nearest(name: object, known: Iterable[str]) -> str:
     """A hint with the known name nearest to ``name``, and all known names."""
     names = sorted(known)
     close = difflib.get_close_matches(str(name), names, n=1)
+    close = [each for each in names if each.lower() == str(name).lower()] or close  # another case is the nearest
     guess = f"did you mean {close[0]!r}? " if close else ""
     return f"{guess}known: {', '.join(names)}"
 

@@ -115,9 +115,13 @@ def suite_table(options: Namespace) -> int:
     check_file("--figure", options.figure)
     check_file("--output", options.output, ".md")
     path = options.results or PUBLISHED
-    if not path.is_file():
+    results = suite.read_rows(path) if path.is_file() else []
+    if not results:
         raise ValueError(f"there are no results in {str(path)!r}; mo-deepdrive suite run writes a results.csv")
-    console, board = make_console(), Scoreboard(suite.read_rows(path), suite.load())
+    for task in {row.task: None for row in results}:
+        if task not in suite.load().tasks:
+            raise ValueError(f"{str(path)!r} has results of task {task!r}, which the suite does not have")
+    console, board = make_console(), Scoreboard(results, suite.load())
     tables = [*board.track_tables(options.against), ("Tasks", board.task_table())]
     tables.append(("Tasks, by the policy that is not ranked", board.task_table(ranked=False)))
     for title, rows in tables:

@@ -156,12 +156,12 @@ def check_experiment(experiment: Experiment, task_id: str, source: str) -> None:
     """Refuse a run that cannot be an entry of a task, as far as its config says.
 
     Raises:
-        ValueError: naming the run and the task, for a run of another version of the task, one that met the partners of
+        ValueError: naming the run and the task, for a run of another task, one that met the partners of
             the test, or one that trained on the scenarios of the test split.
     """
     task, training = suite.load().task(task_id), experiment.training
     if differences := _differences(experiment, task):
-        raise ValueError(f"{source!r} was trained on another version of task {task_id}: {', '.join(differences)}")
+        raise ValueError(f"{source!r} was not trained on task {task_id}: {', '.join(differences)}")
     if training.seed in SPLITS["test"]:
         raise ValueError(
             f"{source!r} was trained on the test split: training.seed = {training.seed:,} is a seed of it; choose one "

@@ -43,7 +43,6 @@ from mo_deepdrive.evaluation.metrics import (
     return_of,
     vehicle_prefix,
 )
-from mo_deepdrive.evaluation.splits import describe_episodes
 from mo_deepdrive.evaluation.statistics import iqm, iqm_difference, probability_of_improvement
 
 if TYPE_CHECKING:
@@ -210,13 +209,26 @@ def verdicts(claim: Claim, results: ReproductionResults) -> dict[str, Verdict]:
 
 
 def _check_table(plan: Plan, claim: Claim, results: ReproductionResults) -> str:
-    """The checks of a claim: a row per protocol and criterion."""
-    rows = [["protocol", "criterion", "measured", "passed"]]
+    """The checks of a claim: a row per criterion, a column per protocol."""
     answers = {True: "yes", False: "no", None: "inconclusive"}
-    for protocol, verdict in verdicts(claim, results).items():
-        title = plan.tasks[claim.tasks[0]].protocols[protocol].title
-        rows += [[title, check.criterion, check.measured, answers[check.passed]] for check in verdict.checks]
+    protocols = plan.tasks[claim.tasks[0]].protocols
+    found = verdicts(claim, results)
+    rows = [["criterion", *(protocols[protocol].title for protocol in found)]]
+    for criterion in dict.fromkeys(check.criterion for verdict in found.values() for check in verdict.checks):
+        cells = (
+            "; ".join(
+                f"**{answers[each.passed]}**: {each.measured}" for each in verdict.checks if each.criterion == criterion
+            )
+            for verdict in found.values()
+        )
+        rows.append([criterion, *cells])
     return markdown_table(rows)
+
+
+def _named_once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """The rows of a table whose first cells are empty where they repeat the one above."""
+    above = ["", *(row[0] for row in rows)]
+    return [["" if row[0] == before else row[0], *row[1:]] for row, before in zip(rows, above, strict=False)]
 
 
 def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
@@ -225,7 +237,7 @@ def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
         return _front_score_table(plan, results)
     vehicles = 2 if task.startswith("intersection") else 1
     score, progress = utility_metric(task), vehicle_prefix(0, vehicles) + return_of("distance")
-    measures = ["utility (ESR)", "± of one run", "success rate", "collisions", "progress (m)"]
+    measures = ["utility (ESR)", "success rate", "collisions", "progress (m)"]
     rows = [["protocol", "algorithm", "seeds", "steps", *measures]]
     for protocol in results.protocols(task):
         for variant, label in results.variants(task, protocol).items():
@@ -234,10 +246,9 @@ def _score_table(task: str, plan: Plan, results: ReproductionResults) -> str:
             about = [plan.tasks[task].protocols[protocol].title, label, str(len(values(SUCCESS)))]
             rates = [percent(iqm(values(metric)), width(metric)) for metric in (SUCCESS, end_by(COLLISION))]
             utility, distance = (iqm(values(metric)).text(width(metric)) for metric in (score, progress))
-            half_width = f"{width(score) / 2:.2g}" if width(score) else ""
             steps = _steps(results, task, protocol, variant)
-            rows.append([*about, steps, utility, half_width, *rates, distance])
-    return markdown_table(rows)
+            rows.append([*about, steps, utility, *rates, distance])
+    return markdown_table(_named_once(rows))
 
 
 def _front_score_table(plan: Plan, results: ReproductionResults) -> str:
@@ -302,13 +313,14 @@ def _document(
     parts = [
         "# Reproduction of the paper's figures and claims",
         f"Written by `{how}`: {len(runs)} runs, {sum(runs.values()) / 3600:.1f} hours on one core, seeds {seeds[0]} to "
-        f"{seeds[-1]}. For background and discussion see [reproduction](../reproduction.md).",
+        f"{seeds[-1]}. Background: [reproduction](../reproduction.md).",
         "Scores are interquartile means over seeds of the utility (ESR) of the policy that samples its actions; at the "
         "intersection, of the sum of both vehicles' utilities. "
-        f"{_episodes_sentence(plan, results)} Greedy policies are in reproduction_scores.csv.",
-        "Intervals (95%, bootstrap) are over seeds; *± of one run* is half the width of the interval over the episodes "
-        "of one run. P(MO-A2C higher) is the probability that a run of MO-A2C scores higher than one of A2C. A run of "
-        f"PCN has collapsed if its hypervolume is below {COLLAPSED:.0%} of the median.",
+        "The episodes of each evaluation, greedy policies, and intervals over the episodes of one run are in "
+        "reproduction_scores.csv.",
+        "Intervals (95%, bootstrap) are over seeds. P(MO-A2C higher) is the probability that a run of MO-A2C scores "
+        "higher than one of A2C. A run of PCN has collapsed if its hypervolume is below "
+        f"{COLLAPSED:.0%} of the median.",
         *([f"**{QUICK}**"] if quick else []),
         "## Verdicts",
         verdict_table(plan, results, quick=quick),
@@ -316,36 +328,19 @@ def _document(
     for claim in CLAIMS:
         if not verdicts(claim, results):
             continue
-        parts += [f"## Claim {claim.number}", f"{claim.statement}.", _check_table(plan, claim, results)]
+        parts += [f"## Claim {claim.number}", _check_table(plan, claim, results)]
         for task in claim.tasks:
             parts += [f"### {plan.tasks[task].title}", _comparison_table(task, plan, results)]
             parts += _ablations(task, plan, results)
         for figure in claim.figures:
-            parts += [f"![Figure {figure}]({path.name})" for path in figure_paths.get(figure, [])]
+            pictures = [f"![Figure {figure}]({path.name})" for path in figure_paths.get(figure, [])]
+            parts += [picture for picture in pictures if picture not in parts]  # claims share figures
     claimed = {task for claim in CLAIMS for task in claim.tasks}
     for task in plan.tasks:
         if task not in claimed and results.protocols(task):
             parts += [f"## {plan.tasks[task].title}", _comparison_table(task, plan, results)]
             parts += _ablations(task, plan, results)
     return "\n\n".join(parts) + "\n"
-
-
-def _episodes_sentence(plan: Plan, results: ReproductionResults) -> str:
-    """In which episodes the runs were evaluated at the end: by protocol, or by task and protocol where tasks differ."""
-    found: dict[str, dict[str, str]] = {}  # the episodes by title of the protocol and of the task
-    for row in results.scores:
-        if row["task"] != FRONT_TASK and "first_episode" in row:  # every episode of a front's task is the same
-            task = plan.tasks[row["task"]]
-            by_task = found.setdefault(task.protocols[row["protocol"]].title, {})
-            by_task[task.title] = describe_episodes(row["episodes"], row["first_episode"])
-    places: dict[str, list[str]] = {}
-    for title, by_task in found.items():
-        if len({*by_task.values()}) == 1:
-            places.setdefault(next(iter(by_task.values())), []).append(title)
-            continue
-        for task_title, episodes in by_task.items():
-            places.setdefault(episodes, []).append(f"{title} on {task_title}")
-    return " ".join(f"Evaluated in {episodes}: {'; '.join(where)}." for episodes, where in places.items())
 
 
 def _comparison_table(task: str, plan: Plan, results: ReproductionResults) -> str:

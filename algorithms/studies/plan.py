@@ -105,9 +105,8 @@ class StudyPlan:
             known = dict.fromkeys(arm.key[i] for arm in self.arms)
             for name in given or ():
                 if name not in known:
-                    raise ValueError(
-                        f"{option} {name}: no learner of the study has such an arm; {nearest(name, known)}"
-                    )
+                    missing = "no learner of the study is trained on it", "the study has no such learner"
+                    raise ValueError(f"{option} {name}: {missing[i]}; {nearest(name, known)}")
         wanted = [arm.key for arm in self.arms if tasks is None or arm.task in tasks]
         self.selected = {key for key in wanted if learners is None or key[1] in learners}
         if not self.selected:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import astuple, dataclass, fields
+from dataclasses import MISSING, astuple, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -205,10 +205,23 @@ def read_rows(path: str | Path) -> list[Row]:
     def cell(name: str, text: str) -> Any:
         return numbers.get(name, str)(text) if text or name not in numbers else None
 
+    known = [each.name for each in fields(Row)]
+    required = [each.name for each in fields(Row) if each.default is MISSING]
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
-            return [Row(**{name: cell(name, text) for name, text in each.items()}) for each in csv.DictReader(file)]
+            reader = csv.DictReader(file)
+            columns = reader.fieldnames or ()
+            if not {*required} <= {*columns} <= {*known}:
+                raise ValueError(f"its columns must be {', '.join(known)}")
+            rows = []
+            for each in reader:
+                if None in each or None in each.values():
+                    raise ValueError(f"line {reader.line_num} must have {len(columns)} cells")
+                rows.append(Row(**{name: cell(name, text) for name, text in each.items()}))
+            return rows
     except FileNotFoundError:
         raise ValueError(f"{str(path)!r} does not exist") from None
-    except (OSError, TypeError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} is no table of scores: {type(error).__name__}: {error}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{str(path)!r} is not a table of scores: it is not a text file") from None
+    except (OSError, TypeError, ValueError, csv.Error) as error:
+        raise ValueError(f"{str(path)!r} is not a table of scores: {error}") from None

@@ -9,7 +9,7 @@ import pytest
 
 from algorithms import ALGORITHMS as CLASSES
 from mo_deepdrive.config import EnvConfig
-from mo_deepdrive.objectives import INDEX, OBJECTIVES
+from mo_deepdrive.objectives import OBJECTIVES
 from mo_deepdrive.observation import layout
 from mo_deepdrive.scenarios import SCENARIOS
 from site_pages import docstrings, markdown, reference, repository
@@ -25,6 +25,12 @@ DOCS = REPOSITORY / "docs"
 SHIPPED = tuple(SCENARIOS)
 
 
+def tables_with(page: str, column: str) -> list[dict[str, str]]:
+    """The rows of the tables of a page that have a column, their cells without backticks."""
+    text = (DOCS / page).read_text(encoding="utf-8").replace("`", "")
+    return [row for table in tables(text) if table and column in table[0] for row in table]
+
+
 def table_with(page: str, column: str) -> list[dict[str, str]]:
     """The first table of a page that has a column, its cells without backticks."""
     text = (DOCS / page).read_text(encoding="utf-8").replace("`", "")
@@ -35,23 +41,29 @@ def table_with(page: str, column: str) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_the_page_of_an_environment_has_its_observation(name: str) -> None:
+def test_the_pages_have_the_observation_of_an_environment(name: str) -> None:
+    common, own = (tables_with(f"environments/{page}.md", "index") for page in ("index", name))
     found = [
         (int(index), entry, row["unit"], float(row["scale"]))
-        for row in table_with(f"environments/{name}.md", "index")
+        for row in (*common, *own)
         for index, entry in zip(row["index"].split(", "), row["name"].split(", "), strict=True)
     ]
     assert found == [(i, each.name, each.unit, each.scale) for i, each in enumerate(layout(SCENARIOS[name]))]
 
 
+def test_the_overview_has_the_objectives() -> None:
+    rows = table_with("environments/index.md", "magnitude")
+    found = {row["objective"]: (row["magnitude"], row["unit"], row["sign"], float(row["scale"])) for row in rows}
+    known = {each.name: (each.description, each.unit, "-+"[each.sign > 0], each.scale) for each in OBJECTIVES}
+    assert found == {name: each for name, each in known.items() if name in found}
+    assert {*found} == {"time", *(objective for name in SHIPPED for objective in SCENARIOS[name].objectives)}
+
+
 @pytest.mark.parametrize("name", SHIPPED)
-def test_the_page_of_an_environment_has_its_objectives(name: str) -> None:
-    rows = table_with(f"environments/{name}.md", "magnitude")
-    found = [(row["objective"], row["magnitude"], row["unit"], row["sign"], float(row["scale"])) for row in rows]
-    known = [(each.name, each.description, each.unit, "-+"[each.sign > 0], each.scale) for each in OBJECTIVES]
-    own = SCENARIOS[name].objectives
-    assert [row for row in found if row[0] in own] == [known[INDEX[objective]] for objective in own]
-    assert [row for row in found if row[0] not in own] in ([], [known[INDEX["time"]]])  # which another version has
+def test_the_page_of_an_environment_names_its_objectives(name: str) -> None:
+    text = (DOCS / "environments" / f"{name}.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+)`", text.partition("## Objectives\n\n")[2].partition(" (")[0])
+    assert named == [*SCENARIOS[name].objectives, *(["time"] if "time" not in SCENARIOS[name].objectives else [])]
 
 
 def test_every_argument_of_the_environments_is_on_a_page() -> None:

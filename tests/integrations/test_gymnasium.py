@@ -123,7 +123,7 @@ def test_the_checker_warns_of_the_vector_reward_alone() -> None:
     assert [message for message in messages if "The reward returned by `step()` must be" not in message] == []
 
 
-@row(f"wrappers: {names(SINGLE)}")
+@row(f"{len(SINGLE)} wrappers as they are")
 @pytest.mark.parametrize("name", SINGLE)
 def test_a_wrapper_runs(name: str) -> None:
     require(name)
@@ -199,7 +199,9 @@ def drive_vector(env: Any, shape: tuple[int, ...]) -> None:
     env.close()
 
 
-@row(f"vector wrappers: {names(VECTOR)}", how="`make_vec` of OneWaypoint or StaticObstacle; rewards are (N, d)")
+@row(
+    f"{len(VECTOR)} vector wrappers as they are", how="`make_vec` of OneWaypoint or StaticObstacle; rewards are (N, d)"
+)
 @pytest.mark.parametrize("name", VECTOR)
 def test_a_vector_wrapper_runs(name: str) -> None:
     require(name)

@@ -41,7 +41,7 @@ def experiment(task_id: str, arguments: dict[str, Any] | None = None, **training
         (
             "K5",
             {"arguments": {"yield_to_oncoming": True}},
-            r"another version of task K5: yield_to_oncoming = True \(not",
+            r"not trained on task K5: yield_to_oncoming = True \(not",
         ),
         ("K2", {"arguments": {"action_type": "discrete"}}, "action_type = 'discrete'"),
         ("K1", {"seed": SPLITS["test"].start + 5}, "trained on the test split: training.seed = 3,000,005"),

@@ -201,7 +201,7 @@ def test_arms_that_are_not_selected_are_not_trained_and_keep_their_results(tmp_p
         assert runner.run() == 0
         assert runner.batches == [2, 2]
         assert {each.learner for each in read_rows(tmp_path / "study" / "results.csv")} == trained
-    with pytest.raises(ValueError, match="--learners nobody: no learner"):
+    with pytest.raises(ValueError, match="--learners nobody: the study has no such learner"):
         StudyPlan(study, None, ["nobody"])
 
 

@@ -93,7 +93,7 @@ def test_an_own_learner_gets_the_help_of_all_and_no_tuning() -> None:
     ("learners", "tasks", "seeds", "message"),
     [
         (["suite/ppo"], ["K99"], 1, "task 'K99' is unknown"),
-        (["suite/ppo"], ["U1"], 1, "--tasks U1: no learner of the study has such an arm"),
+        (["suite/ppo"], ["U1"], 1, "--tasks U1: no learner of the study is trained on it"),
         (["nowhere"], ["K1"], 1, "config file 'nowhere' does not exist"),
         (["ppo", "suite/ppo"], ["K1"], 1, "ppo is tuned, the others are not"),
         (["suite/ppo"], ["K1"], 0, "--seeds 0 must be at least 1"),

@@ -134,6 +134,18 @@ def test_rows_are_written_and_read_again(tmp_path: Path) -> None:
     ]
     suite.write_rows(tmp_path / "rows.csv", rows)
     assert suite.read_rows(tmp_path / "rows.csv") == rows
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match="is no table of scores"):
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"a,b\n1,2\n", "its columns must be task, learner, seed"),
+        (b"task,learner,seed,policy,column,value\nK1,mine\n", "line 2 must have 6 cells"),
+        (b"task,learner,seed,policy,column,value\nK1,mine,first,,,\n", "invalid literal for int"),
+        (b"\xff\xfe\x00", "it is not a text file"),
+    ],
+)
+def test_another_file_is_not_read(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "other.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=f"other.csv' is not a table of scores: {message}"):
         suite.read_rows(tmp_path / "other.csv")
