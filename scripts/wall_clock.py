@@ -35,9 +35,9 @@ from rich.progress import track
 from rich.table import Table
 
 from algorithms import ALGORITHMS
-from algorithms.common.threads import set_threads
 from algorithms.experiments.cli import make_parser
 from algorithms.experiments.config import make_experiment
+from algorithms.networks.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.running import prepare
 from mo_deepdrive.evaluation.env_adapter import make_env
