@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from algorithms.agent import Agent
-from algorithms.common.checkpoints import (
+from algorithms.files.checkpoints import (
     ACCRUED_GAMMA,
     GENERATOR,
     GUIDES,
@@ -24,12 +24,12 @@ from algorithms.common.checkpoints import (
     restore_generator,
     strip_prefix,
 )
-from algorithms.common.compiled_collection import CompiledCollection
-from algorithms.common.guides import Guides
-from algorithms.common.hyperparameters import schedules
-from algorithms.common.optimisers import geometric_schedule, linear_schedule
-from algorithms.common.rollout import Collector, Episodes, Rollout, VehicleRollout
-from algorithms.common.trained_networks import TrainedNetworks
+from algorithms.hyperparameters import schedules
+from algorithms.networks.optimiser import geometric_schedule, linear_schedule
+from algorithms.networks.trained import TrainedNetworks
+from algorithms.rollouts.collector import Collector
+from algorithms.rollouts.compiled_collection import CompiledCollection
+from algorithms.rollouts.guides import Guides
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.metrics import ENTROPY_COEFFICIENT, LEARNING_RATE, vehicle_name, vehicle_prefix
 from mo_deepdrive.evaluation.policy import check_same_task
@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.common.guides import Guide
+    from algorithms.rollouts.buffers import Episodes, Rollout, VehicleRollout
+    from algorithms.rollouts.guides import Guide
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.evaluation.team import Population

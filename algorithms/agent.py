@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import torch
 
-from algorithms.common.checkpoints import (
+from algorithms.files.checkpoints import (
     GUIDES,
     PARTNERS,
     POLICY_ONLY,
@@ -27,9 +27,9 @@ from algorithms.common.checkpoints import (
     strip_prefix,
     write_checkpoint,
 )
-from algorithms.common.hyperparameters import a_twentieth
-from algorithms.common.rollout import Episodes
-from algorithms.common.threads import limited_threads
+from algorithms.hyperparameters import a_twentieth
+from algorithms.networks.threads import limited_threads
+from algorithms.rollouts.buffers import Episodes
 from mo_deepdrive.config import Settings, parse
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each, vehicle_utilities
@@ -106,11 +106,11 @@ class Agent(ABC):
     It may define ``name``, :meth:`begin`, :meth:`get_policy` and :meth:`set_policy`, :meth:`identity` and
     :attr:`varying_shapes`. It may use the attributes below and
 
-    - :class:`algorithms.common.rollout.Collector`: T steps of all environments as one rollout, and the episodes that
-      ended; its state is part of the agent's unless every update resets it.
+    - :class:`algorithms.rollouts.collector.Collector`: T steps of all environments as one rollout, and the episodes
+      that ended; its state is part of the agent's unless every update resets it.
     - :class:`mo_deepdrive.evaluation.env_adapter.EnvAdapter`, which is ``env``: reset and step in shapes (N, V, ...).
-    - :mod:`algorithms.common.networks`, with :class:`algorithms.common.hyperparameters.NetworkSettings` for a Config.
-    - :mod:`algorithms.common.advantages` and :mod:`algorithms.common.optimisers`.
+    - :mod:`algorithms.networks.modules`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
+    - :mod:`algorithms.rollouts.advantages` and :mod:`algorithms.networks.optimiser`.
 
     Everything random is drawn from ``initial``, ``generator`` or generators seeded from ``initial``, so that a run can
     be repeated and resumed bit for bit.
@@ -312,7 +312,7 @@ class Agent(ABC):
     ) -> None:
         """Learn until ``total_timesteps`` environment steps have been taken, over all parallel environments together.
 
-        On one thread, unless :func:`algorithms.common.threads.set_threads` has been called with more.
+        On one thread, unless :func:`algorithms.networks.threads.set_threads` has been called with more.
 
         Args:
             total_timesteps: also the length of schedules; a resumed run passes the same number.

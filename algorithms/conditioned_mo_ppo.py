@@ -83,11 +83,8 @@ import torch
 from pydantic import Field, model_validator
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.actors import make_actor
-from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import GENERATOR, GUIDES, PRICE, RHO, restore_generator, strip_prefix
-from algorithms.common.guides import Guides
-from algorithms.common.hyperparameters import (
+from algorithms.files.checkpoints import GENERATOR, GUIDES, PRICE, RHO, restore_generator, strip_prefix
+from algorithms.hyperparameters import (
     Count,
     FinalLearningRate,
     Fraction,
@@ -100,12 +97,16 @@ from algorithms.common.hyperparameters import (
     check_entropy_schedule,
     schedules,
 )
-from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
-from algorithms.common.networks import make_network
-from algorithms.common.optimisers import Adam, geometric_schedule, linear_schedule
-from algorithms.common.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
-from algorithms.common.rollout import Collector, Samples
-from algorithms.common.trained_networks import TrainedNetworks
+from algorithms.networks.actors import make_actor
+from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.modules import make_network
+from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
+from algorithms.networks.trained import TrainedNetworks
+from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.buffers import Samples
+from algorithms.rollouts.collector import Collector
+from algorithms.rollouts.guides import Guides
+from algorithms.rollouts.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 from mo_deepdrive.evaluation.metrics import (
     APPROX_KL,
@@ -125,8 +126,8 @@ if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
-    from algorithms.common.guides import Guide
-    from algorithms.common.rollout import VehicleRollout
+    from algorithms.rollouts.buffers import VehicleRollout
+    from algorithms.rollouts.guides import Guide
     from mo_deepdrive.evaluation.accrued_reward import AccruedReward
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 

@@ -1,6 +1,6 @@
 """MAPPO: PPO for a team of vehicles (Yu et al. 2022) that maximises a joint utility of their returns.
 
-The team's utility is J(u_1(R_1), ..., u_V(R_V)): a joint utility J (:mod:`algorithms.common.joint_utilities`) of each
+The team's utility is J(u_1(R_1), ..., u_V(R_V)): a joint utility J of each
 vehicle's utility of its own undiscounted return. The team's episode lasts until the last of its vehicles has ended, so
 that a vehicle is also paid for what happens to the others after its own end. With R_{v,t} = sum_{i<t} r_{v,i}, the
 team's reward is the increase of its utility, and S_t is what all vehicles observe, all R_{v,t}, and who is still under
@@ -26,16 +26,14 @@ The actors do not see the accrued rewards R_{v,t}. Where u or J is not linear, a
 from __future__ import annotations
 
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
 import torch
 from pydantic import Field, model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.common.actors import make_actor
-from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import strip_prefix
-from algorithms.common.hyperparameters import (
+from algorithms.files.checkpoints import strip_prefix
+from algorithms.hyperparameters import (
     ActorCriticSettings,
     Count,
     FinalLearningRate,
@@ -47,22 +45,61 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.joint_utilities import JointUtility, joint_utility
-from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
-from algorithms.common.networks import make_network
-from algorithms.common.optimisers import Adam
-from algorithms.common.rollout import Samples
+from algorithms.networks.actors import make_actor
+from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.modules import make_network
+from algorithms.networks.optimiser import Adam
+from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.buffers import Samples
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from gymnasium.vector import VectorEnv
 
-    from algorithms.common.rollout import Rollout, VehicleRollout
+    from algorithms.rollouts.buffers import Rollout, VehicleRollout
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.evaluation.episodes import UtilityLike
     from mo_deepdrive.utilities import Utility
+
+
+JointUtility = Literal["sum", "worst_off", "gini"]
+
+
+def total(utilities: torch.Tensor) -> torch.Tensor:
+    """The sum: nobody counts for more than another (utilitarian)."""
+    return utilities.sum(dim=-1)
+
+
+def worst_off(utilities: torch.Tensor) -> torch.Tensor:
+    """The least one (egalitarian)."""
+    return utilities.amin(dim=-1)
+
+
+def generalised_gini(utilities: torch.Tensor) -> torch.Tensor:
+    """The sum of 2^-k u_k over the utilities u_1 <= u_2 <= ... from the worst-off on.
+
+    Between the two others: a gain counts for more where it goes to somebody worse off (Weymark 1981, "Generalized Gini
+    inequality indices"; Siddique et al. 2020 use it for fair policies).
+    """
+    weights = 0.5 ** torch.arange(1, utilities.shape[-1] + 1, dtype=utilities.dtype, device=utilities.device)
+    return (utilities.sort(dim=-1).values * weights).sum(dim=-1)
+
+
+JOINT_UTILITIES: dict[JointUtility, Callable[[torch.Tensor], torch.Tensor]] = {
+    "sum": total,
+    "worst_off": worst_off,
+    "gini": generalised_gini,
+}
+
+
+def joint_utility(
+    name: JointUtility, utilities: Sequence[Callable[[torch.Tensor], torch.Tensor]], returns: torch.Tensor
+) -> torch.Tensor:
+    """J(u_1(R_1), ..., u_V(R_V)) (...) of the returns (..., V, d) of V vehicles."""
+    each = [utility(returns[..., v, :]) for v, utility in enumerate(utilities)]
+    return JOINT_UTILITIES[name](torch.stack(each, dim=-1))
 
 
 class MAPPOConfig(ActorCriticSettings):

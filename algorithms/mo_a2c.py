@@ -49,14 +49,7 @@ import torch
 from pydantic import model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.common.actors import make_actor
-from algorithms.common.advantages import (
-    AdvantageForm,
-    generalised_advantages,
-    normalise,
-    utility_gradient,
-)
-from algorithms.common.hyperparameters import (
+from algorithms.hyperparameters import (
     ActorCriticSettings,
     Count,
     FinalLearningRate,
@@ -69,17 +62,24 @@ from algorithms.common.hyperparameters import (
     check_discounts,
     check_entropy_schedule,
 )
-from algorithms.common.losses import Loss, squared_error, weighted_sum
-from algorithms.common.networks import centralised_inputs, make_network
-from algorithms.common.optimisers import Adam
-from algorithms.common.running_mean import RunningMean
+from algorithms.networks.actors import make_actor
+from algorithms.networks.losses import Loss, squared_error, weighted_sum
+from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.optimiser import Adam
+from algorithms.rollouts.advantages import (
+    AdvantageForm,
+    generalised_advantages,
+    normalise,
+    utility_gradient,
+)
+from algorithms.rollouts.running_mean import RunningMean
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from algorithms.common.rollout import VehicleRollout
+    from algorithms.rollouts.buffers import VehicleRollout
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 

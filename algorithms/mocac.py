@@ -51,10 +51,8 @@ import torch
 from pydantic import model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.common.actors import make_actor
-from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.checkpoints import strip_prefix
-from algorithms.common.hyperparameters import (
+from algorithms.files.checkpoints import strip_prefix
+from algorithms.hyperparameters import (
     ActorCriticSettings,
     Count,
     FinalLearningRate,
@@ -66,14 +64,16 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.losses import Loss, weighted_sum
-from algorithms.common.networks import centralised_inputs, make_network
-from algorithms.common.optimisers import Adam
-from algorithms.common.return_distributions import CategoricalGrid, Particles, ReturnDistribution
+from algorithms.networks.actors import make_actor
+from algorithms.networks.losses import Loss, weighted_sum
+from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.optimiser import Adam
+from algorithms.networks.return_distributions import CategoricalGrid, Particles, ReturnDistribution
+from algorithms.rollouts.advantages import generalised_advantages, normalise
 from mo_deepdrive.evaluation.metrics import ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from algorithms.common.rollout import VehicleRollout
+    from algorithms.rollouts.buffers import VehicleRollout
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 

@@ -42,10 +42,8 @@ from pydantic import Field
 from torch import nn
 
 from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.common.actors import check_outputs
-from algorithms.common.checkpoints import GENERATOR, restore_generator, strip_prefix
-from algorithms.common.episode_buffer import Episode, EpisodeBuffer, returns_to_go
-from algorithms.common.hyperparameters import (
+from algorithms.files.checkpoints import GENERATOR, restore_generator, strip_prefix
+from algorithms.hyperparameters import (
     FinalLearningRate,
     HiddenSizes,
     LearningRate,
@@ -55,9 +53,11 @@ from algorithms.common.hyperparameters import (
     Scales,
     schedules,
 )
-from algorithms.common.networks import CommandNetwork
-from algorithms.common.optimisers import Adam, linear_schedule
-from algorithms.common.rollout import Episodes
+from algorithms.networks.actors import check_outputs
+from algorithms.networks.modules import CommandNetwork
+from algorithms.networks.optimiser import Adam, linear_schedule
+from algorithms.rollouts.buffers import Episodes
+from algorithms.rollouts.episode_buffer import Episode, EpisodeBuffer, returns_to_go
 from mo_deepdrive.config import Settings
 from mo_deepdrive.evaluation import metrics
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward

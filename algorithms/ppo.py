@@ -26,9 +26,7 @@ import torch
 from pydantic import Field, model_validator
 
 from algorithms.actor_critic import ActorCritic, Learner
-from algorithms.common.actors import make_actor
-from algorithms.common.advantages import generalised_advantages, normalise
-from algorithms.common.hyperparameters import (
+from algorithms.hyperparameters import (
     ActorCriticSettings,
     Count,
     FinalLearningRate,
@@ -40,14 +38,16 @@ from algorithms.common.hyperparameters import (
     Scales,
     check_entropy_schedule,
 )
-from algorithms.common.losses import clipped_surrogate, mean, policy_change, squared_error
-from algorithms.common.networks import centralised_inputs, make_network
-from algorithms.common.optimisers import Adam
-from algorithms.common.rollout import Samples
+from algorithms.networks.actors import make_actor
+from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.modules import centralised_inputs, make_network
+from algorithms.networks.optimiser import Adam
+from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.buffers import Samples
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
-    from algorithms.common.rollout import VehicleRollout
+    from algorithms.rollouts.buffers import VehicleRollout
     from mo_deepdrive.evaluation.env_adapter import EnvAdapter
     from mo_deepdrive.utilities import Utility
 

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.common.yaml_io import read_value
 from algorithms.experiments.cli import (
     CHOICE_EPISODES,
     CHOICE_SPLIT,
@@ -32,6 +31,7 @@ from algorithms.experiments.cli import (
     warn_of_changes,
 )
 from algorithms.experiments.run_directory import Run
+from algorithms.files.yaml import read_value
 from mo_deepdrive.config import UtilityChoice, parse
 from mo_deepdrive.evaluation.choice import (
     ChoiceCriterion,

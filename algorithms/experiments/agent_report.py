@@ -10,13 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.metrics_file import rows_until
 from algorithms.experiments.accessories import Accessory
 from algorithms.experiments.build import make_environment
 from algorithms.experiments.console import print_line
 from algorithms.experiments.loggers import log_results
 from algorithms.experiments.policy_evaluation import evaluate_front, evaluate_policies
 from algorithms.experiments.run_directory import METRICS_FILE
+from algorithms.files.metrics import rows_until
 from algorithms.reporting.front_report import FILMED_POLICIES, MAX_FRAMES, caption, covering_policies, front_table
 from algorithms.reporting.run_records import final_metrics
 from algorithms.reporting.tables import evaluation_table

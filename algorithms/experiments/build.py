@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from algorithms.common.checkpoints import read_checkpoint
-from algorithms.common.guides import Guide
-from algorithms.common.threads import set_threads
 from algorithms.driving.intersection_rules import PREFIX, SCENARIO, make_rule
 from algorithms.driving.scripted_policy import ScriptedPolicy
 from algorithms.experiments.config import Experiment, UtilitySettings, find_environment, is_ours
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
+from algorithms.files.checkpoints import read_checkpoint
+from algorithms.networks.threads import set_threads
+from algorithms.rollouts.guides import Guide
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.front import check_reference_point
 from mo_deepdrive.evaluation.metrics import joint_objectives, vehicle_name

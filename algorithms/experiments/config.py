@@ -10,10 +10,10 @@ import mo_gymnasium  # noqa: F401  (registers its ids)
 from pydantic import BeforeValidator, Field, SerializationInfo, SerializerFunctionWrapHandler, model_serializer
 
 import mo_deepdrive
-from algorithms.common.hyperparameters import GuideSettings, a_twentieth
-from algorithms.common.yaml_io import read_mapping, read_value
 from algorithms.experiments.registry import algorithm_names, find_algorithm
 from algorithms.experiments.shipped import find_config
+from algorithms.files.yaml import read_mapping, read_value
+from algorithms.hyperparameters import GuideSettings, a_twentieth
 from mo_deepdrive.config import EnvConfig, EnvironmentSettings, Settings, UtilityChoice, parse
 from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, check_loggers, make_experiment
 from algorithms.experiments.interrupts import Moved, describe, stopped_by
 from algorithms.experiments.registry import find_algorithm, peer_running
 from algorithms.experiments.run_directory import InUse, Run, imported_paths, read_status
+from algorithms.files.yaml import dump, read_mapping
 from algorithms.reporting.run_records import Recorded
 from algorithms.reporting.seed_groups import INCIDENTAL
 from mo_deepdrive.atomic_io import atomic_write

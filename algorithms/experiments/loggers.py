@@ -12,8 +12,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.metrics_file import MetricsFile
 from algorithms.experiments.accessories import Accessory
+from algorithms.files.metrics import MetricsFile
 from algorithms.reporting.seed_groups import flatten
 from algorithms.reporting.seed_tables import TABLE_METRICS
 from mo_deepdrive.atomic_io import atomic_write

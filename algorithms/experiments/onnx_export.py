@@ -23,10 +23,10 @@ from torch import nn
 import mo_deepdrive
 from algorithms.actor_critic import ActorCritic
 from algorithms.agent import FrontAgent
-from algorithms.common.actors import CategoricalActor, GaussianActor
-from algorithms.common.perceptron import Perceptron
 from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.experiments.build import make_environment
+from algorithms.networks.actors import CategoricalActor, GaussianActor
+from algorithms.networks.compiled.perceptron import Perceptron
 from algorithms.pcn import PCN
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT, AccruedReward
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.common.actors import Actor
     from algorithms.experiments.config import Experiment
+    from algorithms.networks.actors import Actor
 
 OBSERVATION, ACCRUED, DISCOUNT, DECISIONS = "observation", "accrued_reward", "discount", "decisions"
 COMMAND, PREFERENCE = "command", "preference"  # conditions of PCN and of conditioned MO-PPO

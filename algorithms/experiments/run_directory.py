@@ -12,11 +12,11 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import IO, TYPE_CHECKING, Any, Literal
 
-from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.registry import directory_name, find_trained_policy
 from algorithms.experiments.run_files import RESULTS, STATUS_FILE, record_files
+from algorithms.files.yaml import dump, read_mapping
 from mo_deepdrive.atomic_io import (
     atomic_write,
     expand_home,

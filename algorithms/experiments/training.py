@@ -6,10 +6,6 @@ import contextlib
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.checkpoints import read_checkpoint
-from algorithms.common.fronts_file import FrontsFile
-from algorithms.common.metrics_file import rows_until
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.accessories import Accessory
 from algorithms.experiments.agent_report import VIDEO_FILE, report_agent, show_results
 from algorithms.experiments.build import build
@@ -20,6 +16,10 @@ from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, distinct_episodes, evaluation_env
 from algorithms.experiments.progress_bar import ProgressReporter, compilation_noted
 from algorithms.experiments.run_directory import FRONTS_FILE, METRICS_FILE, Run
+from algorithms.files.checkpoints import read_checkpoint
+from algorithms.files.fronts import FrontsFile
+from algorithms.files.metrics import rows_until
+from algorithms.files.yaml import dump
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.front import best_known_front
 from mo_deepdrive.evaluation.splits import SPLITS

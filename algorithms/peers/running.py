@@ -12,8 +12,6 @@ import mo_gymnasium
 import numpy as np
 import torch
 
-from algorithms.common.fronts_file import FrontsFile
-from algorithms.common.threads import set_threads
 from algorithms.experiments.agent_report import (
     VIDEO_FILE,
     draw_figures_of_front,
@@ -28,6 +26,8 @@ from algorithms.experiments.loggers import Logger
 from algorithms.experiments.policy_evaluation import FRONT_EPISODES, evaluate_policies, evaluation_env
 from algorithms.experiments.run_directory import METRICS_FILE
 from algorithms.experiments.suite_scores import score_run
+from algorithms.files.fronts import FrontsFile
+from algorithms.networks.threads import set_threads
 from algorithms.peers import PEERS
 from algorithms.peers.peer_env import Recorder
 from algorithms.peers.peer_task import PeerPolicies, PeerTask

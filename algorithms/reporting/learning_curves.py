@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from algorithms.common.metrics_file import Columns
+    from algorithms.files.metrics import Columns
     from algorithms.reporting.run_records import ExperimentRecord, UtilityRecord
 
 SETTLED = 0.2  # share of the training after which a curve always gets the full height of its axis

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from gymnasium import registry
 from pydantic import AfterValidator, ConfigDict, Field
 
-from algorithms.common.metrics_file import Columns, read_metrics
-from algorithms.common.yaml_io import read_mapping
+from algorithms.files.metrics import Columns, read_metrics
+from algorithms.files.yaml import read_mapping
 from mo_deepdrive.config import EnvConfig, Settings, parse
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, LARGEST
 from mo_deepdrive.evaluation.statistics import Estimate

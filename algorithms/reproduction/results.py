@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
+from algorithms.files.metrics import read_metrics
 from algorithms.reporting.run_records import LEFT_OUT, read_evaluation
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes
 from mo_deepdrive.evaluation.front import Front
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from algorithms.common.metrics_file import Columns
+    from algorithms.files.metrics import Columns
     from algorithms.reporting.run_records import EstimateRecord
     from algorithms.reproduction.plan import PlannedRun
 

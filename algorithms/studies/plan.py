@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.registry import find_algorithm
 from algorithms.experiments.shipped import find_config
+from algorithms.files.yaml import read_mapping
 from algorithms.sweeps.manifest import ManifestRow, cell_rows, overridden
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.metrics import POLICIES, SUITE_SCORE, lower_is_better, split_name

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Count, UtilitySettings
 from algorithms.experiments.shipped import find_config
+from algorithms.files.yaml import read_mapping
 from algorithms.sweeps.sweep_settings import BackendSettings, Seeds
 from mo_deepdrive.config import EnvironmentSettings, Settings, parse
 

@@ -43,7 +43,7 @@ from mo_deepdrive.evaluation.metrics import EVALUATION, STEP, MetricName, split_
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from algorithms.common.metrics_file import Columns
+    from algorithms.files.metrics import Columns
 
 FOLDER = "collected"
 MAX_NAMED = 3  # runs that a message lists by name
@@ -171,7 +171,7 @@ class Collection:
             points: number of intervals, hence the maximum number of points per run and metric.
 
         Returns:
-            Columns by run, as from :func:`algorithms.common.metrics_file.read_metrics`.
+            Columns by run, as from :func:`algorithms.files.metrics.read_metrics`.
         """
         if not names:
             return {}

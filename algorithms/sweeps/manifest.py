@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import Experiment, check_loggers, make_experiment, override
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.registry import directory_name, find_algorithm, peer_running
 from algorithms.experiments.shipped import find_config
+from algorithms.files.yaml import read_mapping
 from algorithms.reporting.seed_groups import INCIDENTAL
 from algorithms.sweeps.hyperparameter_search import Scores, propose_points
 from mo_deepdrive.atomic_io import atomic_write, own_path

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from algorithms.common.metrics_file import DIGITS, read_header, read_metrics
+from algorithms.files.metrics import DIGITS, read_header, read_metrics
 from mo_deepdrive.atomic_io import atomic_write
 from mo_deepdrive.evaluation.metrics import STEP
 

@@ -19,11 +19,11 @@ from ray.exceptions import RayError
 from ray.tune.error import TuneError
 from ray.tune.schedulers import ASHAScheduler, TrialScheduler
 
-from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.failures import BUSY, DIED, WorkerDied, record, verdict
 from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped, describe
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import read_status
+from algorithms.files.metrics import read_metrics
 from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.manifest import iterate_manifest
 from mo_deepdrive.atomic_io import own_path

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.run_directory import METRICS_FILE, read_status
 from algorithms.experiments.run_files import changed_files
+from algorithms.files.metrics import read_metrics
 from algorithms.reporting.run_records import final_metrics
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
 from mo_deepdrive.evaluation.metrics import EVALUATION, known_metric

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import SHORT_FORMS, Count
 from algorithms.experiments.shipped import find_config
+from algorithms.files.yaml import read_mapping
 from mo_deepdrive.config import Settings, parse
 
 if TYPE_CHECKING:

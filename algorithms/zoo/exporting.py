@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from algorithms import zoo
-from algorithms.common.checkpoints import read_checkpoint
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.build import build
+from algorithms.files.checkpoints import read_checkpoint
+from algorithms.files.yaml import dump
 from mo_deepdrive.atomic_io import atomic_write, write_json
 from mo_deepdrive.evaluation.front import EVALUATION_FILE, FRONT_FILE, Front
 

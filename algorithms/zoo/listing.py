@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.config import find_environment
+from algorithms.files.yaml import read_mapping
 from algorithms.reporting.run_records import ExperimentRecord
 from algorithms.zoo import ABOUT, CONFIG, find, names
 from mo_deepdrive.config import parse

@@ -8,11 +8,11 @@ S_t = (s_t, sum_{i<t} g^i r_i). An update is one episode of every environment; t
 import torch
 
 from algorithms import Agent
-from algorithms.common.actors import make_actor
-from algorithms.common.checkpoints import strip_prefix
-from algorithms.common.hyperparameters import Count, Fraction, LearningRate, NetworkSettings
-from algorithms.common.optimisers import Adam
-from algorithms.common.rollout import Collector
+from algorithms.files.checkpoints import strip_prefix
+from algorithms.hyperparameters import Count, Fraction, LearningRate, NetworkSettings
+from algorithms.networks.actors import make_actor
+from algorithms.networks.optimiser import Adam
+from algorithms.rollouts.collector import Collector
 
 
 class REINFORCE(Agent):

@@ -1,7 +1,8 @@
 """The compiler decorator of the package.
 
 Numba caches a function under the stamp of its own source file, so the cache becomes stale when a function that it
-*imports* changes. Here the stamp of every function is a hash of all sources of its package and of this one.
+*imports* changes. Here the stamp of every function is a hash of all sources of its package, of the packages of compiled
+functions that it calls, and of this one.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import caching
+from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,12 +34,21 @@ _hash_once = functools.cache(source_hash)
 HERE = Path(__file__).parent
 
 
+@functools.cache
+def _folders(function: Any) -> frozenset[Path]:
+    """Where the sources of a function are, and of the compiled functions that it calls."""
+    named = (function.__globals__.get(name) for name in function.__code__.co_names)
+    called = (each.py_func for each in named if isinstance(each, Dispatcher))
+    return frozenset({Path(function.__code__.co_filename).parent}).union(*map(_folders, called))
+
+
 class _PackageStamp:
-    _py_file: str
+    def __init__(self, function: Any, file: str):
+        super().__init__(function, file)  # type: ignore[call-arg]  # of Numba's class
+        self._others = sorted(_folders(function) - {HERE})
 
     def get_source_stamp(self) -> str:
-        folder = Path(self._py_file).parent
-        return _hash_once(HERE.parent) + ("" if folder == HERE else _hash_once(folder))
+        return "".join(map(_hash_once, [HERE.parent, *self._others]))
 
 
 class _UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):

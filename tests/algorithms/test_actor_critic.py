@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from algorithms.actor_critic import ActorCritic
-    from algorithms.common.rollout import Rollout
+    from algorithms.rollouts.buffers import Rollout
 
 
 @CLASSES

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from algorithms.common.advantages import utility_gradient
 from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
+from algorithms.rollouts.advantages import utility_gradient
 from mo_deepdrive.evaluation import env_adapter, evaluate
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.faults import EndlessEpisode, Fault, NotFinite

@@ -10,7 +10,7 @@ import torch
 
 import algorithms.agent
 from algorithms import MAPPO
-from algorithms.common.joint_utilities import JOINT_UTILITIES, joint_utility
+from algorithms.mappo import JOINT_UTILITIES, joint_utility
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, Step, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import Utility, make_utility

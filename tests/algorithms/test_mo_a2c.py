@@ -11,7 +11,7 @@ import torch
 from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
-from algorithms.common.advantages import generalised_advantages
+from algorithms.rollouts.advantages import generalised_advantages
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
 from tests.helpers.agents import (
@@ -28,7 +28,7 @@ from tests.helpers.agents import (
 
 if TYPE_CHECKING:
     from algorithms.actor_critic import ActorCritic, Learner
-    from algorithms.common.rollout import VehicleRollout
+    from algorithms.rollouts.buffers import VehicleRollout
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:

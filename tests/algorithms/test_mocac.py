@@ -146,7 +146,7 @@ def test_the_gradient_is_that_of_equation_6_by_autograd(form: str) -> None:
     advantages = (advantages - chosen.mean()) / chosen.std(correction=0)
     shifts, discounts, source = learner.targets(r, numbers)
     if form == "categorical":
-        from algorithms.common.return_distributions import project
+        from algorithms.networks.return_distributions import project
 
         masses = project(targets[source].softmax(-1), shifts, discounts, learner.distribution.values)
         distances = -(masses * outputs.log_softmax(-1)).sum(-1)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from gymnasium.vector import VectorEnv
 
-    from algorithms.common.episode_buffer import Episode
+    from algorithms.rollouts.episode_buffer import Episode
     from mo_deepdrive.evaluation.front import Front
 
 SHORT = {"time_limit": 2, "fixed_destination": True}

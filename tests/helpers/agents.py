@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
-from algorithms.common.rollout import VehicleRollout
+from algorithms.rollouts.buffers import VehicleRollout
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import Utility, make_utility
 

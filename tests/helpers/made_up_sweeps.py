@@ -7,9 +7,9 @@ import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.metrics_file import MetricsFile
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_files import record_files
+from algorithms.files.metrics import MetricsFile
 from algorithms.sweeps.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from algorithms.common.metrics_file import read_metrics
+from algorithms.files.metrics import read_metrics
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:

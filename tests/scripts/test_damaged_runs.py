@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from algorithms import zoo
-from algorithms.common.yaml_io import dump
+from algorithms.files.yaml import dump
 from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
 from tests.helpers.script_runs import refused
 

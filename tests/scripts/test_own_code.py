@@ -14,10 +14,10 @@ import pytest
 import torch
 import yaml
 
-from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.build import build, load_policy
 from algorithms.experiments.config import load_experiment, make_experiment
 from algorithms.experiments.run_directory import Run
+from algorithms.files.metrics import read_metrics
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
@@ -307,7 +307,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from algorithms import FrontAgent
-from algorithms.common.rollout import Episodes
+from algorithms.rollouts.buffers import Episodes
 from mo_deepdrive.config import Settings
 
 class Constants(FrontAgent):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from algorithms.common.metrics_file import read_metrics
+from algorithms.files.metrics import read_metrics
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import PICTURES, refused, status
 

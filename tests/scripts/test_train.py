@@ -16,8 +16,8 @@ import yaml
 from safetensors.numpy import load_file
 
 from algorithms import ALGORITHMS
-from algorithms.common.fronts_file import FrontsFile
-from algorithms.common.metrics_file import read_metrics
+from algorithms.files.fronts import FrontsFile
+from algorithms.files.metrics import read_metrics
 from algorithms.reporting import videos
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated

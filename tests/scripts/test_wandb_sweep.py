@@ -21,10 +21,10 @@ import pytest
 import yaml
 
 from algorithms.commands.train import parse_arguments
-from algorithms.common.metrics_file import read_metrics
-from algorithms.common.yaml_io import read_mapping
 from algorithms.experiments.cli import INSTALLED
 from algorithms.experiments.config import load_experiment
+from algorithms.files.metrics import read_metrics
+from algorithms.files.yaml import read_mapping
 from tests.helpers.paths import REPOSITORY
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import mo_deepdrive
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment, make_experiment, parse_overrides
+from algorithms.files.yaml import dump
 from algorithms.peers import PEERS
 
 TEXT = """

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from algorithms.common.metrics_file import read_metrics
 from algorithms.experiments.config import WandbSettings
 from algorithms.experiments.loggers import Logger, log_results
+from algorithms.files.metrics import read_metrics
 from algorithms.reporting.videos import video_writer
 
 if TYPE_CHECKING:

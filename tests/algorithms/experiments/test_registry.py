@@ -28,7 +28,7 @@ def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[st
         "import sys\n"
         "from algorithms.experiments.registry import algorithm_names\n"
         "print(algorithm_names())\n"
-        "packages = ('algorithms.experiments', 'algorithms.common')\n"
+        "packages = ('algorithms.experiments', 'algorithms.files', 'algorithms.hyperparameters')\n"
         "print([name for name in sys.modules if name.startswith('algorithms.') and not name.startswith(packages)], "
         "'torch' in sys.modules)"
     )

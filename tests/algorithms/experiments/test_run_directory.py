@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import pytest
 
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.run_directory import Run, default_directory, imported_paths, read_status, versions
 from algorithms.experiments.run_files import changed_files
+from algorithms.files.yaml import dump
 from mo_deepdrive.atomic_io import write_json
 
 if TYPE_CHECKING:

@@ -12,13 +12,13 @@ import pytest
 
 import algorithms.experiments.config
 from algorithms import MOA2C
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.interrupts import Moved
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.run_files import changed_files
 from algorithms.experiments.training import reopen, train_and_finish
+from algorithms.files.yaml import dump
 from tests.helpers.short_runs import VALUES, assert_same_run, job, metrics, printed, quiet
 
 if TYPE_CHECKING:

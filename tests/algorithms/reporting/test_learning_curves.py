@@ -11,9 +11,9 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from algorithms.common.metrics_file import MetricsFile
-from algorithms.common.yaml_io import dump
 from algorithms.experiments.config import make_experiment
+from algorithms.files.metrics import MetricsFile
+from algorithms.files.yaml import dump
 from algorithms.reporting import learning_curves
 from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
 from algorithms.reporting.run_records import experiment_record

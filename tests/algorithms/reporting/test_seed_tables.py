@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from algorithms.common.yaml_io import dump, read_mapping
 from algorithms.experiments.config import make_experiment
+from algorithms.files.yaml import dump, read_mapping
 from algorithms.reporting.run_records import EnvironmentRecord, UtilityRecord, label_of
 from algorithms.reporting.seed_tables import (
     TABLE_METRICS,

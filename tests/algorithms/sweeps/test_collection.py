@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from algorithms.common.metrics_file import read_metrics
+from algorithms.files.metrics import read_metrics
 from algorithms.sweeps import metrics_parquet
 from algorithms.sweeps.collection import collect
 from algorithms.sweeps.manifest import ManifestRow, write_manifest

@@ -11,6 +11,7 @@ import pytest
 from mo_deepdrive.simulation.jit import jit, source_hash
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
@@ -86,3 +87,28 @@ def test_the_stamp_depends_on_the_names_and_the_contents_of_all_sources(tmp_path
         (tmp_path / name).write_text(text)
         stamps.add(source_hash(tmp_path))
     assert len(stamps) == 4
+
+
+CALLED = (
+    "from mo_deepdrive.simulation.jit import separate_jit\n@separate_jit\ndef called(x):\n    return {factor} * x\n"
+)
+CALLER = (
+    "from called import called\nfrom mo_deepdrive.simulation.jit import separate_jit\n"
+    "@separate_jit\ndef caller(x):\n    return called(x)\nprint(caller(2.0))"
+)
+
+
+@pytest.mark.slow
+def test_a_function_is_compiled_again_when_one_of_another_folder_that_it_calls_has_changed(
+    cache: Path, run_python: Callable[[str], str]
+) -> None:
+    for name in ("one", "two"):
+        (cache / name).mkdir()
+    (cache / "two" / "caller.py").write_text(CALLER)
+    setting = f"import sys, numba\nnumba.config.CACHE_DIR = {str(cache)!r}\n"
+    paths = f"sys.path[:0] = [{str(cache / 'one')!r}, {str(cache / 'two')!r}]\nimport caller\n"
+    found = []
+    for factor in (3.0, 3.0, 5.0):
+        (cache / "one" / "called.py").write_text(CALLED.format(factor=factor))
+        found.append(run_python(f"{setting}{paths}print(sum(caller.caller.stats.cache_hits.values()))").split())
+    assert found == [["6.0", "0"], ["6.0", "1"], ["10.0", "0"]]

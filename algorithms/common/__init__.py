@@ -1,1 +1,0 @@
-"""What the algorithms share: environment adapter, rollouts, networks, advantages, checkpoints, Pareto indicators."""

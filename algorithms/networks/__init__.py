@@ -1,0 +1,1 @@
+"""Networks and how they learn: modules, actors, losses, optimisers, return distributions, threads."""

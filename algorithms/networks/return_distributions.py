@@ -1,0 +1,284 @@
+"""Distributions of a vector return as outputs of a network: a categorical grid, and a set of particles.
+
+Both describe the joint distribution of all objectives. Rows are samples: M of them, with d objectives.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from algorithms.networks.losses import Loss
+from mo_deepdrive.simulation.jit import jit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mo_deepdrive.utilities import Utility
+
+MAX_CELLS = 4096  # of a grid
+MAX_RETURNS = 2**20  # whose utilities are computed at a time
+SMOOTHING = 0.01  # of distances between scaled returns, at 0
+
+
+def _check_bounds(minimum: Sequence[float], maximum: Sequence[float]) -> None:
+    if any(low >= high for low, high in zip(minimum, maximum, strict=True)):
+        raise ValueError(f"v_min = {list(minimum)} must be below v_max = {list(maximum)} in every objective")
+
+
+class ReturnDistribution(ABC):
+    """A family of joint distributions of d returns, parametrised by the outputs of a network.
+
+    Attributes:
+        outputs: width of the network's output.
+    """
+
+    outputs: int
+
+    @abstractmethod
+    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The returns that have mass, (M, n, d) or (1, n, d) where all rows share them, and their masses (M, n).
+
+        Args:
+            outputs: (M, outputs) of the network.
+        """
+
+    @abstractmethod
+    def loss(
+        self,
+        outputs: torch.Tensor,
+        shifts: torch.Tensor,
+        discounts: torch.Tensor,
+        following: torch.Tensor,
+        weights: torch.Tensor,
+    ) -> Loss:
+        """Sum over the rows of w D(target, prediction), where the target is the distribution of shift + discount Z.
+
+        Args:
+            outputs: (M, outputs) of the network: the predictions, by which the loss has a gradient.
+            shifts: (M, d).
+            discounts: (M,); 0 gives the point ``shift`` for a target.
+            following: (M, outputs) of the network: Z.
+            weights: (M,) w.
+        """
+
+    def expected_utility(
+        self, utility: Utility, outputs: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor
+    ) -> torch.Tensor:
+        """E[u(R + D Z)] (M,), from the outputs (M, outputs) for Z, R (M, d) and D (M,)."""
+        returns, masses = self.support(outputs)
+        rows = max(1, MAX_RETURNS // returns[0].numel())
+        found = []
+        for first in range(0, len(outputs), rows):
+            part = slice(first, first + rows)
+            rest = returns if len(returns) == 1 else returns[part]
+            final = accrued[part].unsqueeze(1) + discounts[part, None, None] * rest
+            found.append((masses[part] * utility(final)).sum(-1))
+        return torch.cat(found)
+
+
+class CategoricalGrid(ReturnDistribution):
+    """Masses on a regular grid of A atoms per objective, softmax of A^d logits (Reymond et al. 2023, section 4).
+
+    The joint form of Bellemare, Dabney and Munos (2017). The loss is the cross entropy between the target, projected
+    onto the grid by :func:`project`, and the prediction.
+
+    Args:
+        minimum, maximum: (d,) first and last atom of each objective.
+        atoms: A.
+        device: of the tensors.
+
+    Raises:
+        ValueError: if the grid has more than 4096 cells, or an objective's atoms do not increase.
+    """
+
+    def __init__(self, minimum: Sequence[float], maximum: Sequence[float], atoms: int, device: torch.device):
+        self.objectives, self.atoms = len(minimum), atoms
+        self.outputs = atoms**self.objectives
+        if self.outputs > MAX_CELLS:
+            raise ValueError(
+                f"atoms = {atoms} for {self.objectives} objectives makes a grid of {atoms}^{self.objectives} = "
+                f"{self.outputs:,} cells; at most {MAX_CELLS:,} are allowed: choose fewer atoms, or critic: particles"
+            )
+        _check_bounds(minimum, maximum)
+        # (A, d): one column of atoms per objective, and all their combinations (1, A^d, d).
+        columns = [torch.linspace(low, high, atoms) for low, high in zip(minimum, maximum, strict=True)]
+        self.values = torch.stack(columns, dim=1).to(device)
+        points = torch.stack(torch.meshgrid(*columns, indexing="ij"), dim=-1)
+        self.points = points.reshape(1, self.outputs, self.objectives).to(device)
+
+    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The grid's points (1, A^d, d), and softmax of the logits."""
+        return self.points, outputs.softmax(-1)
+
+    def loss(
+        self,
+        outputs: torch.Tensor,
+        shifts: torch.Tensor,
+        discounts: torch.Tensor,
+        following: torch.Tensor,
+        weights: torch.Tensor,
+    ) -> Loss:
+        """-sum w m . log p for the projected targets m; its gradient by the logits is w (p - m)."""
+        targets = project(following.detach().softmax(-1), shifts, discounts, self.values)
+        log_prob = outputs.detach().log_softmax(-1)
+        weights = weights.unsqueeze(-1)
+        gradient = weights * (log_prob.exp() - targets)
+        return Loss(-float((weights * targets * log_prob).sum()), [(outputs, gradient.cpu().numpy())])
+
+
+def project(masses: torch.Tensor, shifts: torch.Tensor, discounts: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """The distribution of shift + discount Z, with Z on a grid, back onto that grid: (M, A^d).
+
+    Every atom is clipped to the grid, and its mass shared among the 2^d corners of its cell by multilinear
+    interpolation: for an atom b of an objective, in units of the spacing from its first atom, atom i receives the
+    factor max(0, 1 - abs(b - i)). The means of atoms inside the grid are kept, and variances never become smaller.
+
+    Args:
+        masses: (M, A^d) of Z, the last objective varying fastest.
+        shifts: (M, d).
+        discounts: (M,).
+        values: (A, d) atoms of each objective, evenly spaced.
+    """
+    atoms, d = values.shape
+    number = torch.arange(atoms, dtype=values.dtype, device=values.device)
+    spacing = (values[-1] - values[0]) / (atoms - 1)
+    result = masses.reshape(len(masses), atoms, -1)
+    for k in range(d):
+        moved = shifts[:, k, None] + discounts.unsqueeze(-1) * values[:, k]
+        position = ((moved - values[0, k]) / spacing[k]).clamp(0.0, atoms - 1.0)
+        factors = (1.0 - (position.unsqueeze(1) - number.unsqueeze(-1)).abs()).clamp(min=0.0)  # (M, A to, A from)
+        # The first objective's axis is contracted and becomes the last, so that after d rounds the order is as before.
+        result = (factors @ result).transpose(1, 2).reshape(len(masses), atoms, -1)
+    return result.reshape(len(masses), -1)
+
+
+class Particles(ReturnDistribution):
+    """K equally likely joint returns, trained by the energy distance to the target's (Székely and Rizzo 2013).
+
+    Args:
+        number: K.
+        scales: (d,) nominal size of each objective's return, by which distances are measured.
+        minimum, maximum: (d,) bounds to which targets are clipped.
+
+    Raises:
+        ValueError: if the bounds of an objective do not increase.
+    """
+
+    def __init__(self, number: int, scales: torch.Tensor, minimum: Sequence[float], maximum: Sequence[float]):
+        _check_bounds(minimum, maximum)
+        self.number, self.scales = number, scales
+        self.minimum, self.maximum = (scales.new_tensor(bound) / scales for bound in (minimum, maximum))
+        self.outputs = number * len(scales)
+
+    def support(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The particles (M, K, d), each of mass 1 / K."""
+        particles = outputs.unflatten(-1, (self.number, -1))
+        return self.scales * particles, torch.full_like(particles[..., 0], 1.0 / self.number)
+
+    def loss(
+        self,
+        outputs: torch.Tensor,
+        shifts: torch.Tensor,
+        discounts: torch.Tensor,
+        following: torch.Tensor,
+        weights: torch.Tensor,
+    ) -> Loss:
+        """The sum of w times :func:`energy_score`, between returns divided by their scales."""
+        moved = discounts[:, None, None] * following.detach().unflatten(-1, (self.number, -1))
+        targets = ((shifts / self.scales).unsqueeze(1) + moved).clamp(self.minimum, self.maximum)
+        particles = outputs.detach().reshape(targets.shape)
+        value, gradient = energy_score(particles.cpu().numpy(), targets.cpu().numpy(), weights.cpu().numpy())
+        return Loss(value, [(outputs, gradient.reshape(outputs.shape))])
+
+
+def energy_score(
+    particles: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
+) -> tuple[float, NDArray[np.float32]]:
+    """Sum over the rows of ``w (2 E|X - Y| - E|X - X'|)``, and its gradient (M, K, d) by the particles.
+
+    This is the energy distance between particles and targets but for ``E|Y - Y'|``, which does not depend on the
+    particles. It is linear in the distribution of Y, so that single outcomes give unbiased gradients, and smallest
+    where X and Y have the same distribution (Gneiting and Raftery 2007, section 4.3). With
+    ``|z| = sqrt(z . z + 0.01^2)``, which has a gradient at 0, it is a maximum mean discrepancy with a multiquadric
+    kernel, as in Zhang et al. (2021).
+
+    Args:
+        particles: (M, K, d) X, equally likely.
+        targets: (M, J, d) Y, equally likely.
+        weights: (M,) w.
+    """
+    gradient = np.zeros_like(particles)
+    return _energy_score(particles, targets, weights, gradient), gradient
+
+
+@jit
+def _energy_score(
+    particles: NDArray[np.float32],
+    targets: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    gradient: NDArray[np.float32],
+) -> float:
+    """Write the gradient where it is not 0."""
+    rows, number, d = particles.shape
+    x, by_x = np.empty((d, number), np.float32), np.empty((d, number), np.float32)
+    spare = np.empty((2, number), np.float32)
+    total = 0.0
+    for m in range(rows):
+        if weights[m] == 0.0:
+            continue
+        for i in range(number):  # assignments of arrays take much longer to compile
+            for k in range(d):
+                x[k, i], by_x[k, i] = particles[m, i, k], 0.0
+        to_targets = 2.0 * weights[m] / (number * targets.shape[1])
+        to_each_other = 2.0 * weights[m] / number**2
+        total += to_targets * _add_distances(x, targets[m], to_targets, by_x, spare)
+        total -= 0.5 * to_each_other * _add_distances(x, particles[m], -to_each_other, by_x, spare)
+        for i in range(number):
+            for k in range(d):
+                gradient[m, i, k] = by_x[k, i]
+    return total
+
+
+@jit
+def _add_distances(
+    x: NDArray[np.float32],
+    points: NDArray[np.float32],
+    factor: float,
+    by_x: NDArray[np.float32],
+    spare: NDArray[np.float32],
+) -> float:
+    """The sum over i and j of ``|x_i - p_j|``; its derivative by z = x_i - p_j is ``z / |z|``.
+
+    The innermost loops are over i, so that the compiler can vectorise them.
+
+    Args:
+        x: (d, K).
+        points: (J, d) p.
+        factor: of the gradient.
+        by_x: (d, K), to which the gradient is added.
+        spare: (2, K), overwritten.
+    """
+    slopes, sums, scale = spare[0], spare[1], np.float32(factor)
+    sums[:] = 0.0
+    for j in range(len(points)):
+        slopes[:] = np.float32(SMOOTHING**2)
+        for k in range(len(x)):
+            for i in range(x.shape[1]):
+                slopes[i] += (x[k, i] - points[j, k]) * (x[k, i] - points[j, k])
+        for i in range(x.shape[1]):
+            distance = np.sqrt(slopes[i])
+            sums[i] += distance
+            slopes[i] = scale / distance
+        for k in range(len(x)):
+            for i in range(x.shape[1]):
+                by_x[k, i] += slopes[i] * (x[k, i] - points[j, k])
+    total = 0.0
+    for i in range(len(sums)):
+        total += sums[i]
+    return total

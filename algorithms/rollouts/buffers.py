@@ -1,0 +1,204 @@
+"""What is collected and learnt from: a rollout, one vehicle's part of it, its samples, and the episodes that ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+
+@dataclass
+class Rollout:
+    """T steps of N environments with V vehicles, time-major.
+
+    Attributes:
+        observations: (T + 1, N, V, o) before each step, and after the last.
+        final: (T, N, V, o) observations after each step; where an episode ended, the last of that episode.
+        actions: (T, N, V) or (T, N, V, k).
+        rewards: (T, N, V, d), multiplied by the collector's shares.
+        accrued: (T + 1, N, V, d) accrued reward R_t = sum_{i<t} g^i r_i of the running episode.
+        discounts: (T + 1, N, V) g^t of the running episode, with the discount g of the accrued reward.
+        terminated, truncated, acted: (T, N, V); samples in which a vehicle did not act carry no information.
+    """
+
+    observations: torch.Tensor
+    final: torch.Tensor
+    actions: torch.Tensor
+    rewards: torch.Tensor
+    accrued: torch.Tensor
+    discounts: torch.Tensor
+    terminated: torch.Tensor
+    truncated: torch.Tensor
+    acted: torch.Tensor
+
+    def of_vehicle(self, v: int, device: torch.device, *, others: bool = True) -> VehicleRollout:
+        """The part of vehicle ``v``: every tensor without the vehicle axis, on ``device``.
+
+        Args:
+            v: index of the vehicle.
+            device: of the tensors.
+            others: with what the other vehicles observe; without, those tensors have no columns.
+        """
+        own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
+        rest = [each for each in range(self.observations.shape[2]) if others and each != v]
+        seen_by_rest = {
+            name: tensor[:, :, rest].flatten(2).to(device)
+            for name, tensor in (("others", self.observations), ("final_others", self.final))
+        }
+        return VehicleRollout(**own, **seen_by_rest)
+
+
+@dataclass
+class VehicleRollout(Rollout):
+    """One vehicle's part of a rollout: the fields of Rollout without the vehicle axis, and what the other vehicles see.
+
+    Attributes:
+        others: (T + 1, N, (V - 1) * o) observations of the other vehicles.
+        final_others: (T, N, (V - 1) * o) their observations after each step, as ``final``.
+    """
+
+    others: torch.Tensor
+    final_others: torch.Tensor
+
+    def final_states(
+        self, where: torch.Tensor, accrued_discount: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The true states in which episodes ended: observation (M, o), accrued reward (M, d) and discount (M,).
+
+        Args:
+            where: (T, N) mask of the M steps at whose end the states are taken.
+            accrued_discount: g, discount of the accrued reward.
+        """
+        discounts = self.discounts[:-1][where]
+        accrued = self.accrued[:-1][where] + discounts.unsqueeze(-1) * self.rewards[where]
+        return self.final[where], accrued, discounts * accrued_discount
+
+
+class Samples(NamedTuple):
+    """M samples of one vehicle, as PPO and its relatives learn from them.
+
+    Attributes:
+        inputs: (M, i) what the actor saw.
+        critic_inputs: (M, ...) what the critic saw.
+        actions: (M,) or (M, k).
+        log_prob: (M,) log-probability of the actions under pi_old.
+        advantages: (M,) A_t.
+        targets: (M,), (M, 1) or (M, d) y_t of the critic.
+    """
+
+    inputs: torch.Tensor
+    critic_inputs: torch.Tensor
+    actions: torch.Tensor
+    log_prob: torch.Tensor
+    advantages: torch.Tensor
+    targets: torch.Tensor
+
+    def at(self, where: torch.Tensor) -> Samples:
+        """The samples where a mask is True; the axes of the mask become one."""
+        if where.all():
+            return self._each(lambda tensor: tensor.flatten(0, where.dim() - 1))
+        rows = where.flatten().nonzero().squeeze(1)
+        return self._each(lambda tensor: tensor.flatten(0, where.dim() - 1).index_select(0, rows))
+
+    def shuffled(self, generator: torch.Generator) -> Samples:
+        """The samples in random order."""
+        order = torch.randperm(len(self.actions), generator=generator).to(self.actions.device)
+        return self._each(lambda tensor: tensor.index_select(0, order))
+
+    def _each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
+        inputs = function(self.inputs)
+        # Where the critic sees what the actor sees, it is not copied twice.
+        seen, valued = ((each.data_ptr(), each.shape, each.stride()) for each in self[:2])
+        return Samples(inputs, inputs if seen == valued else function(self.critic_inputs), *map(function, self[2:]))
+
+    def split(self, parts: int) -> list[Samples]:
+        """Consecutive parts of nearly equal size; fewer than ``parts`` if there are fewer samples."""
+        bounds = [tensor.tensor_split(min(parts, len(self.actions))) for tensor in self]
+        return [Samples(*part) for part in zip(*bounds, strict=True)]
+
+
+@dataclass
+class Episodes:
+    """Episodes that ended during a rollout, one row each, in the order in which they ended.
+
+    Attributes:
+        vehicles: (E,) index of the vehicle.
+        returns: (E, d) undiscounted.
+        discounted: (E, d) of the rewards that are learnt from, with the discount of the accrued reward.
+        lengths: (E,) decisions.
+        succeeded: (E,) whether the goal was reached.
+    """
+
+    vehicles: NDArray[np.int64]
+    returns: NDArray[np.float64]
+    discounted: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    succeeded: NDArray[np.bool_]
+
+    @classmethod
+    def none(cls, objectives: int) -> Episodes:
+        """No episodes, of rewards with ``objectives`` components."""
+        no_returns, no_counts = np.zeros((0, objectives)), np.zeros(0, dtype=np.int64)
+        return cls(no_counts, no_returns, no_returns, no_counts, np.zeros(0, dtype=np.bool_))
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]], objectives: int) -> Episodes:
+        """Episodes from their fields by name.
+
+        Raises:
+            ValueError: if a field is missing or of the wrong type or shape, or there are others.
+        """
+        forms = {name: (array.dtype, array.shape[1:]) for name, array in vars(cls.none(objectives)).items()}
+        found = {name: (array.dtype, array.shape[1:]) for name, array in arrays.items()}
+        counts = {array.shape[:1] for array in arrays.values()}
+        if found != forms or len(counts) != 1 or () in counts:
+            shapes = {name: f"{array.dtype} {array.shape}" for name, array in arrays.items()}
+            raise ValueError(f"the fields of the episodes do not fit together: {shapes}")
+        return cls(**arrays)
+
+    @classmethod
+    def join(cls, parts: Sequence[Episodes], objectives: int) -> Episodes:
+        """All episodes of ``parts``, in order."""
+        columns = zip(*(vars(part).values() for part in (cls.none(objectives), *parts)), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
+
+class Buffers(NamedTuple):
+    """What a collector writes: the rollout, the episodes that end, and those that go on.
+
+    Attributes:
+        observations, final, rewards, accrued, discounts: of :class:`Rollout`.
+        flags: (3, T, N, V) terminated, truncated and acted.
+        ended, succeeded: (T, N, V) whether a vehicle's episode ended, and whether it then reached its goal.
+        ended_returns, ended_values: (T, N, V, d) undiscounted and accrued return of an episode, where one ended.
+        ended_decisions: (T, N, V) its decisions.
+        value, running_discounts, decisions: of the AccruedReward of the running episodes.
+        returns: (N, V, d) their undiscounted returns.
+        accrued_discounts: (V,) g.
+        shares: (V, d) by which rewards are multiplied.
+    """
+
+    observations: NDArray[np.float32]
+    final: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    accrued: NDArray[np.float32]
+    discounts: NDArray[np.float32]
+    flags: NDArray[np.bool_]
+    ended: NDArray[np.bool_]
+    succeeded: NDArray[np.bool_]
+    ended_returns: NDArray[np.float64]
+    ended_values: NDArray[np.float64]
+    ended_decisions: NDArray[np.int64]
+    value: NDArray[np.float32]
+    running_discounts: NDArray[np.float32]
+    decisions: NDArray[np.int64]
+    returns: NDArray[np.float64]
+    accrued_discounts: NDArray[np.float32]
+    shares: NDArray[np.float32]

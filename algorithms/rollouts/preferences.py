@@ -1,0 +1,271 @@
+"""Preferences: the families of utilities that one network serves.
+
+:mod:`algorithms.conditioned_mo_ppo` has the equations, to which the numbers here refer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+
+from algorithms.hyperparameters import NonNegative, Positive
+from mo_deepdrive.config import Settings
+from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+Share = Annotated[float, Field(ge=0.0, le=1e6)]
+Concentration = Annotated[float, Field(gt=0.0, le=1e3)]
+Family = Literal["linear", "chebyshev", "comfort_budget"]
+FAMILIES: tuple[Family, ...] = ("linear", "chebyshev", "comfort_budget")
+LINEAR, CHEBYSHEV, COMFORT_BUDGET = range(3)  # indices of FAMILIES
+FURTHEST = 2.0  # how far a gap is behind the largest one, and what is left of a budget, are clipped at (eqs. 10 and 11)
+TINY = 1e-9  # added to the weights of gains, so that they are equal where all are 0
+
+
+class PreferenceSettings(Settings):
+    """What preferences are drawn from."""
+
+    families: dict[Family, Share] = {"linear": 1.0}
+    """Share of the episodes by family of utilities ("linear", "chebyshev", "comfort_budget")."""
+    concentration: Concentration = 0.5
+    """Concentration of the Dirichlet distribution from which weights are drawn; below 1 favours few objectives."""
+    emphasis: dict[str, Concentration] = {}
+    """Factor of the concentration by objective, 1 unless set; with 3 an objective has, in the mean, three times the
+    weight of another."""
+    rho: NonNegative = 0.05
+    """rho of the Chebyshev function (eq. 2)."""
+    budgets: dict[str, Positive] = {}
+    """Largest budget by objective (a cost), for "comfort_budget"; budgets are drawn evenly from 0 to it."""
+    price: Positive = 5.0
+    """Price of what exceeds a budget, in units of a scale (eq. 3)."""
+
+    @model_validator(mode="after")
+    def _one_family_at_least(self) -> PreferenceSettings:
+        if not any(self.families.values()):
+            raise ValueError(f"families = {self.families} must have a positive share of one of {', '.join(FAMILIES)}")
+        if bool(self.families.get("comfort_budget")) != bool(self.budgets):
+            raise ValueError(
+                f"budgets = {self.budgets} must name the largest budget of at least one objective if and only if "
+                f"families = {self.families} has a share of comfort_budget"
+            )
+        return self
+
+
+class Preferences:
+    """The preferences that one network serves: how they are drawn, what they are worth, what it sees of them.
+
+    A preference is a row (m,) of numbers: an indicator of each family of the mixture if there are several, d weights
+    unless all are budgets, and a budget for each budgeted objective. What a family does not use is 0.
+
+    Args:
+        config: families and what they are drawn from.
+        objectives: names of the d objectives.
+        scales: (d,) s.
+
+    Attributes:
+        names: of the m components.
+        ideal: (d,) z, from which :meth:`draw` knows the gains, and on which Chebyshev utilities depend.
+        seen_any: whether an episode has ended, from which z is known.
+
+    Raises:
+        ValueError: if a budget or an emphasis is for an unknown objective.
+    """
+
+    def __init__(self, config: PreferenceSettings, objectives: Sequence[str], scales: NDArray[np.float32]):
+        shares = np.array([config.families.get(family, 0.0) for family in FAMILIES])
+        for key in ("budgets", "emphasis"):
+            for name in getattr(config, key):
+                if name not in objectives:
+                    raise ValueError(f"{key} has {name!r}; the objectives are {tuple(objectives)}")
+        self.objectives = tuple(objectives)
+        self.config = config
+        self.emphasis = np.array([config.emphasis.get(name, 1.0) for name in objectives])
+        self.scales = torch.from_numpy(scales)
+        self.shares = shares / shares.sum()
+        self.used = np.flatnonzero(shares).tolist()
+        self.budgeted = [self.objectives.index(name) for name in config.budgets]
+        self.largest = torch.tensor([*config.budgets.values()], dtype=torch.float32)
+        self.ideal = torch.zeros(len(objectives))
+        self.seen_any = False
+        weighted = self.used != [COMFORT_BUDGET]
+        d, first = len(objectives), len(self.used) if len(self.used) > 1 else 0
+        self._weights = slice(first, first + d * weighted)
+        self._budgets = slice(self._weights.stop, self._weights.stop + len(self.budgeted))
+        self.names = (
+            *((FAMILIES[family] for family in self.used) if first else ()),
+            *((f"weight/{name}" for name in objectives) if weighted else ()),
+            *(f"budget/{name}" for name in config.budgets),
+        )
+
+        # Weights become of mean 1, whatever the number of objectives, and budgets shares of the largest.
+        self._factors, self._divisors = torch.ones(2, len(self.names))
+        self._factors[self._weights] = float(d)
+        self._divisors[self._budgets] = self.largest
+
+    def note_episodes(self, discounted: NDArray[np.float64]) -> None:
+        """Raise z to the best discounted returns (E, d) of episodes that ended."""
+        if len(discounted):
+            best = torch.from_numpy(discounted.max(axis=0)).float()
+            self.ideal = torch.maximum(self.ideal, best) if self.seen_any else best
+            self.seen_any = True
+
+    def draw(
+        self, count: int, rng: np.random.Generator, cost_share: float = 1.0, *, emphasis: bool = True
+    ) -> NDArray[np.float32]:
+        """(count, m) preferences from the distribution of training.
+
+        Args:
+            count: number of preferences.
+            rng: draws them.
+            cost_share: c of eq. 12; by default the weights are as drawn.
+            emphasis: whether that of the config applies; without it all objectives are alike.
+        """
+        rows = np.zeros((count, len(self.names)), dtype=np.float32)
+        family = rng.choice(len(FAMILIES), size=count, p=self.shares)
+        if len(self.used) > 1:
+            rows[np.arange(count), np.searchsorted(self.used, family)] = 1.0
+        weighted = family != COMFORT_BUDGET
+        if weighted.any():
+            alpha = np.full(len(self.objectives), self.config.concentration)
+            if emphasis:
+                alpha *= self.emphasis
+            weights = rng.dirichlet(alpha, int(weighted.sum()))
+            if cost_share < 1.0 and (gains := self.ideal.numpy() > 0.0).any():  # eq. 12
+                of_gains = np.where(gains, weights + TINY, 0.0)
+                of_gains /= of_gains.sum(axis=1, keepdims=True)
+                weights = (1.0 - cost_share) * of_gains + cost_share * weights
+            rows[weighted, self._weights] = weights
+        if not weighted.all():
+            highest = self.largest.numpy()
+            rows[~weighted, self._budgets] = highest * rng.random((int((~weighted).sum()), len(highest)))
+        return rows
+
+    def condition(
+        self, family: str, weights: Mapping[str, float] | None = None, budgets: Mapping[str, float] | None = None
+    ) -> NDArray[np.float32]:
+        """The row (m,) of a preference.
+
+        Args:
+            family: of the mixture that was trained.
+            weights: by objective, in units of its scale, for "linear" and "chebyshev"; 0 for those that are not named,
+                and divided by their sum.
+            budgets: by objective, for "comfort_budget"; 0 for those that are not named.
+
+        Raises:
+            ValueError: for a family that was not trained, or numbers that are not valid, as a budget above the largest.
+        """
+        families = [FAMILIES[each] for each in self.used]
+        if family not in families:
+            raise ValueError(f"family = {family!r} was not trained; it must be one of {', '.join(families)}")
+        chosen = FAMILIES.index(family)
+        row = np.zeros(len(self.names), dtype=np.float32)
+        if len(self.used) > 1:
+            row[self.used.index(chosen)] = 1.0
+        what, given, other, allowed, part = (
+            ("budgets", budgets, weights, [self.objectives[i] for i in self.budgeted], self._budgets)
+            if chosen == COMFORT_BUDGET
+            else ("weights", weights, budgets, list(self.objectives), self._weights)
+        )
+        if given is None or other is not None:
+            raise ValueError(f"family {family!r} needs {what} and nothing else")
+        for name, value in given.items():
+            if name not in allowed:
+                raise ValueError(f"{what} has {name!r}; it must be one of {', '.join(allowed)}")
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{what} of {name!r} = {value} must be finite and not negative")
+            if chosen == COMFORT_BUDGET and value > self.config.budgets[name]:
+                raise ValueError(f"{what} of {name!r} = {value} must be at most {self.config.budgets[name]}")
+        numbers = np.array([given.get(name, 0.0) for name in allowed])
+        if chosen != COMFORT_BUDGET:
+            if not numbers.any():
+                raise ValueError(f"weights = {dict(given)} must have a positive number")
+            numbers = numbers / numbers.sum()
+        row[part] = numbers
+        return row
+
+    def check(self, rows: NDArray[np.float32]) -> None:
+        """Refuse rows (..., m) that no :meth:`draw` gives.
+
+        Raises:
+            ValueError: with the first of them.
+        """
+        weights, budgets = rows[..., self._weights], rows[..., self._budgets]
+        families = rows[..., : len(self.used)] if len(self.used) > 1 else np.ones((*rows.shape[:-1], 1))
+        budgeted = (families[..., -1] == 1.0) & (self.used[-1] == COMFORT_BUDGET)
+        weighing = (weights >= 0.0).all(-1) & (np.abs(weights.sum(-1) - ~budgeted) < 1e-3)
+        spending = ((budgets >= 0.0) & (budgets <= budgeted[..., None] * self.largest.numpy())).all(-1)
+        fine = np.isin(families, (0, 1)).all(-1) & (families.sum(-1) == 1.0) & weighing & spending
+        if not fine.all():
+            raise ValueError(
+                f"{rows[~fine][0].tolist()} is no preference; it must have one family, weights that sum to 1 or none "
+                f"and budgets of at most {self.largest.tolist()}, in this order: {', '.join(self.names)}"
+            )
+
+    def is_family(self, preferences: torch.Tensor, family: int) -> torch.Tensor:
+        """Mask (...) of the preferences (..., m) of a family."""
+        if family not in self.used:
+            return torch.zeros(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
+        if len(self.used) == 1:
+            return torch.ones(preferences.shape[:-1], dtype=torch.bool, device=preferences.device)
+        return preferences[..., self.used.index(family)] > 0.5
+
+    def weights(self, preferences: torch.Tensor) -> torch.Tensor:
+        """The weights w (..., d) of preferences (..., m); 0 under budgets."""
+        return preferences[..., self._weights]
+
+    def gaps(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
+        """The gaps q of eq. 2 (..., d)."""
+        return self.weights(preferences) * (self.ideal.to(returns) - returns) / self.scales.to(returns)
+
+    def utility(self, returns: torch.Tensor, preferences: torch.Tensor) -> torch.Tensor:
+        """u(R; p) (...) of eqs. 1 to 3, for returns (..., d) and preferences (..., m)."""
+        scaled = returns / self.scales.to(returns)
+        value = torch.zeros(returns.shape[:-1], device=returns.device, dtype=returns.dtype)
+        if LINEAR in self.used:
+            linear = (self.weights(preferences) * scaled).sum(-1)
+            value = torch.where(self.is_family(preferences, LINEAR), linear, value)
+        if CHEBYSHEV in self.used:
+            gaps = self.gaps(returns, preferences)
+            chebyshev = -(gaps.amax(-1) + self.config.rho * gaps.sum(-1))
+            value = torch.where(self.is_family(preferences, CHEBYSHEV), chebyshev, value)
+        if COMFORT_BUDGET in self.used:
+            free = [i for i in range(len(self.objectives)) if i not in self.budgeted]
+            excess = (-returns[..., self.budgeted] - preferences[..., self._budgets]).clamp(min=0.0)
+            price = self.config.price / self.scales.to(returns)[self.budgeted]
+            budget = scaled[..., free].sum(-1) - (price * excess).sum(-1)
+            value = torch.where(self.is_family(preferences, COMFORT_BUDGET), budget, value)
+        return value
+
+    @property
+    def width(self) -> int:
+        """Number of columns of :meth:`features`."""
+        d = len(self.objectives)
+        return len(self.names) + d * (CHEBYSHEV in self.used) + len(self.budgeted)
+
+    def features(self, preferences: torch.Tensor, accrued: torch.Tensor, discounts: torch.Tensor) -> torch.Tensor:
+        """(p, c_t) of eq. 6, scaled: (..., width).
+
+        Args:
+            preferences: (..., m).
+            accrued: (..., d) R_t.
+            discounts: (...) gamma^t.
+        """
+        left = discounts.unsqueeze(-1).clamp(min=SMALLEST_DISCOUNT)
+        largest = self.largest.to(accrued)
+        parts = [preferences * self._factors.to(preferences) / self._divisors.to(preferences)]
+        if CHEBYSHEV in self.used:
+            gaps = self.gaps(accrued, preferences)
+            behind = ((gaps - gaps.amax(-1, keepdim=True)) / left).clamp(min=-FURTHEST)
+            parts.append(behind * self.is_family(preferences, CHEBYSHEV).unsqueeze(-1))
+        if COMFORT_BUDGET in self.used:
+            unspent = (accrued[..., self.budgeted] + preferences[..., self._budgets]) / left / largest
+            is_budget = self.is_family(preferences, COMFORT_BUDGET).unsqueeze(-1)
+            parts.append(unspent.clamp(-FURTHEST, FURTHEST) * is_budget)
+        return torch.cat(parts, dim=-1)

@@ -1,0 +1,304 @@
+"""Policies, compiled and torch's, against probabilities written down and torch's own distributions."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import random
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import scipy.stats
+import torch
+from torch import distributions, nn
+
+from algorithms.networks.actors import Actor, CategoricalActor, GaussianActor, StateGaussianActor
+from algorithms.networks.compiled.distributions import (
+    HIGHEST_LOG_STD,
+    INITIAL_LOG_STD,
+    LOG_STD_GAIN,
+    LOWEST_LOG_STD,
+)
+from algorithms.networks.compiled.perceptron import Perceptron
+from algorithms.networks.modules import mlp
+from algorithms.networks.optimiser import Adam
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
+SIGNIFICANCE = 1e-4
+
+
+def categorical(inputs: int, hidden: list[int], actions: int, generator: torch.Generator) -> CategoricalActor:
+    return CategoricalActor(mlp(inputs, hidden, actions, generator, output_gain=0.01))
+
+
+def gaussian(inputs: int, hidden: list[int], actions: int, generator: torch.Generator) -> GaussianActor:
+    return GaussianActor(mlp(inputs, hidden, actions, generator, output_gain=0.01), actions)
+
+
+def state_gaussian(inputs: int, hidden: list[int], actions: int, generator: torch.Generator) -> StateGaussianActor:
+    return StateGaussianActor(mlp(inputs, hidden, 2 * actions, generator, output_gain=0.01), actions)
+
+
+ACTORS = pytest.mark.parametrize("kind", [categorical, gaussian, state_gaussian])
+GAUSSIAN = pytest.mark.parametrize("kind", [gaussian, state_gaussian])
+COMPILED = pytest.mark.parametrize("compiled", [True, False])
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def linear_layers(network: nn.Module) -> list[nn.Linear]:
+    return [module for module in network.modules() if isinstance(module, nn.Linear)]
+
+
+def with_outputs(actor: Actor, outputs: list[float]) -> Actor:
+    """The actor, changed to give the same outputs for every input."""
+    last = linear_layers(actor.body)[-1]
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.copy_(torch.tensor(outputs))
+    return actor
+
+
+@COMPILED
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "probabilities",
+    [[0.5, 0.5], [0.1, 0.2, 0.3, 0.4], [0.97, 0.01, 0.01, 0.01], [1 / 22] * 22, [0.9] + [0.1 / 21] * 21],
+)
+def test_actions_are_drawn_as_often_as_their_probabilities_say(
+    probabilities: list[float], seed: int, compiled: bool
+) -> None:
+    actor = categorical(3, [4], len(probabilities), seeded(0))
+    with_outputs(actor, [math.log(p) + 5.0 for p in probabilities])
+    draws = 50_000
+    with torch.set_grad_enabled(not compiled):
+        actions = actor.sample(torch.zeros(draws, 3), seeded(seed))
+    counts = np.bincount(actions.numpy(), minlength=len(probabilities))
+    assert scipy.stats.chisquare(counts, draws * np.array(probabilities)).pvalue > SIGNIFICANCE
+
+
+@COMPILED
+def test_every_row_is_drawn_independently_from_its_own_probabilities(compiled: bool) -> None:
+    actor = categorical(2, [], 3, seeded(0))
+    logits = torch.tensor([[1.0, -1.0, 0.0], [-2.0, 0.5, 0.0]])
+    with torch.no_grad():
+        linear_layers(actor.body)[0].weight.copy_(logits.T)
+    rounds = 20_000
+    with torch.set_grad_enabled(not compiled):
+        actions = actor.sample(torch.eye(2).repeat(rounds, 1, 1), seeded(3))
+    assert actions.shape == (rounds, 2)
+    pairs = np.bincount(3 * actions[:, 0].numpy() + actions[:, 1].numpy(), minlength=9)
+    first, second = logits.softmax(-1).double().numpy()
+    expected = np.outer(first, second).ravel()
+    assert scipy.stats.chisquare(pairs, rounds * expected / expected.sum()).pvalue > SIGNIFICANCE
+
+
+@COMPILED
+@pytest.mark.parametrize("never", range(3))
+def test_an_action_without_probability_is_never_drawn(never: int, compiled: bool) -> None:
+    actor = with_outputs(categorical(3, [4], 3, seeded(0)), [-200.0 if k == never else 0.0 for k in range(3)])
+    with torch.set_grad_enabled(not compiled):
+        assert not (actor.sample(torch.zeros(20_000, 3), seeded(0)) == never).any()
+
+
+@COMPILED
+@GAUSSIAN
+@pytest.mark.parametrize("seed", range(3))
+def test_continuous_actions_are_drawn_from_the_normal_distribution(
+    kind: Callable[..., Any], seed: int, compiled: bool
+) -> None:
+    actor = kind(3, [4], 2, seeded(0))
+    if kind is gaussian:
+        with_outputs(actor, [0.3, -2.0])
+        with torch.no_grad():
+            actor.log_std.copy_(torch.tensor([-0.5, 0.7]))
+    else:
+        with_outputs(actor, [0.3, -2.0, *((log_std - INITIAL_LOG_STD) / LOG_STD_GAIN for log_std in (-0.5, 0.7))])
+    with torch.set_grad_enabled(not compiled):
+        actions = actor.sample(torch.zeros(20_000, 3), seeded(seed)).detach().numpy()
+    for axis, (mean, log_std) in enumerate([(0.3, -0.5), (-2.0, 0.7)]):
+        assert scipy.stats.kstest(actions[:, axis], "norm", (mean, math.exp(log_std))).pvalue > SIGNIFICANCE
+    assert scipy.stats.pearsonr(actions[:, 0], actions[:, 1]).pvalue > SIGNIFICANCE
+
+
+def randomised(kind: Callable[..., Any], inputs: int, actions: int) -> Actor:
+    """An actor far from its initial, nearly uniform policy."""
+    actor = kind(inputs, [16, 8], actions, seeded(1))
+    with torch.no_grad():
+        linear_layers(actor.body)[-1].weight.mul_(200.0)
+        if isinstance(actor, GaussianActor):
+            actor.log_std.copy_(torch.linspace(-2.0, 1.0, actions))
+    return actor.double()
+
+
+def normal_of(actor: GaussianActor | StateGaussianActor, x: torch.Tensor) -> distributions.Distribution:
+    """torch's own distribution of the actions."""
+    outputs = actor.body(x)
+    if isinstance(actor, GaussianActor):
+        return distributions.Independent(distributions.Normal(outputs, actor.log_std.exp()), 1)
+    means, log_std = outputs.chunk(2, dim=-1)
+    deviations = (LOG_STD_GAIN * log_std + INITIAL_LOG_STD).clamp(LOWEST_LOG_STD, HIGHEST_LOG_STD).exp()
+    return distributions.Independent(distributions.Normal(means, deviations), 1)
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (4, 3), (2, 1, 3)])
+def test_categorical_log_probabilities_and_entropies_are_those_of_torch(shape: tuple[int, ...]) -> None:
+    actor = randomised(categorical, 6, 22)
+    x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
+    reference = distributions.Categorical(logits=actor.body(x))
+    actions = torch.randint(22, shape, generator=seeded(3))
+    log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    torch.testing.assert_close(log_prob, reference.log_prob(actions))
+    torch.testing.assert_close(entropy, reference.entropy())
+
+
+@GAUSSIAN
+@pytest.mark.parametrize("shape", [(), (5,), (4, 3), (2, 1, 3)])
+def test_gaussian_log_densities_and_entropies_are_those_of_torch(
+    kind: Callable[..., Any], shape: tuple[int, ...]
+) -> None:
+    actor = randomised(kind, 6, 3)
+    x = torch.randn(*shape, 6, generator=seeded(2), dtype=torch.float64)
+    reference = normal_of(actor, x)
+    actions = torch.randn(*shape, 3, generator=seeded(3), dtype=torch.float64)
+    log_density, entropy = actor.log_prob_and_entropy(x, actions)
+    torch.testing.assert_close(log_density, reference.log_prob(actions))
+    torch.testing.assert_close(entropy, reference.entropy())
+
+
+@ACTORS
+def test_the_gradient_of_the_log_prob_is_that_of_torch(kind: Callable[..., Any]) -> None:
+    actor = randomised(kind, 6, 4)
+    x = torch.randn(7, 6, generator=seeded(2), dtype=torch.float64)
+    if kind is categorical:
+        actions = torch.randint(4, (7,), generator=seeded(3))
+        reference: distributions.Distribution = distributions.Categorical(logits=actor.body(x))
+    else:
+        actions = torch.randn(7, 4, generator=seeded(3), dtype=torch.float64)
+        reference = normal_of(actor, x)
+    parameters = list(actor.parameters())
+    log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    ours = torch.autograd.grad((log_prob + 0.1 * entropy).sum(), parameters, allow_unused=True)
+    theirs = torch.autograd.grad(
+        (reference.log_prob(actions) + 0.1 * reference.entropy()).sum(), parameters, allow_unused=True
+    )
+    for mine, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(mine, other)
+
+
+@ACTORS
+@pytest.mark.parametrize("shape", [(1,), (7,), (3, 300), (1000,)])
+def test_compiled_policies_and_their_gradients_are_torchs(kind: Callable[..., Any], shape: tuple[int, ...]) -> None:
+    actor, reference = randomised(kind, 6, 5).float(), randomised(kind, 6, 5).float()
+    x, by_log_prob, by_entropy = (torch.randn(*shape, *more, generator=seeded(2)) for more in ((6,), (), ()))
+    actions = torch.randint(5, shape, generator=seeded(3)) if kind is categorical else 2.0 * x[..., :5]
+    expected = reference.log_prob_and_entropy(x, actions)
+    wanted = torch.autograd.grad(expected, list(reference.parameters()), (by_log_prob, by_entropy.expand(shape)))
+    with torch.no_grad():
+        for mine, other in zip(actor.log_prob_and_entropy(x, actions), expected, strict=True):
+            torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-5)
+    optimiser = Adam(actor.parameters())
+    with optimiser.recording():
+        log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+    assert log_prob.is_leaf or len(shape) > 1
+    optimiser.minimise((by_log_prob * log_prob + by_entropy * entropy).sum(), 0.0)
+    for gradient, other in zip(optimiser.gradients.values(), wanted, strict=True):
+        torch.testing.assert_close(gradient, other, rtol=1e-5, atol=1e-5 * float(other.abs().max()))
+
+
+@COMPILED
+def test_a_nearly_certain_policy_has_finite_log_probabilities_entropy_and_gradients(compiled: bool) -> None:
+    actor = with_outputs(categorical(2, [4], 3, seeded(0)), [1e4, 0.0, -1e4])
+    optimiser = Adam(actor.parameters())
+    with optimiser.recording() if compiled else contextlib.nullcontext():
+        log_prob, entropy = actor.log_prob_and_entropy(torch.zeros(3, 2), torch.arange(3))
+    assert log_prob.tolist() == [0.0, -1e4, -2e4]
+    assert entropy.tolist() == [0.0, 0.0, 0.0]
+    optimiser.minimise((log_prob + entropy).sum(), 0.0)
+    assert all(gradient.isfinite().all() for gradient in optimiser.gradients.values())
+    assert actor.sample(torch.zeros(100, 2), seeded(0)).tolist() == [0] * 100
+
+
+def test_deviations_that_depend_on_the_state_have_bounds_beyond_which_nothing_is_learnt() -> None:
+    actor = with_outputs(state_gaussian(2, [], 3, seeded(0)), [0.0, 0.0, 0.0, -90.0, 0.2, 90.0])
+    x, expected = torch.zeros(4, 2), [LOWEST_LOG_STD, 0.2 * LOG_STD_GAIN + INITIAL_LOG_STD, HIGHEST_LOG_STD]
+    optimiser = Adam(actor.parameters())
+    with optimiser.recording():
+        log_prob, entropy = actor.log_prob_and_entropy(x, torch.ones(4, 3))
+    assert entropy.tolist() == pytest.approx([sum(expected) + 1.5 * (1.0 + math.log(2.0 * math.pi))] * 4, abs=1e-6)
+    optimiser.minimise((log_prob + entropy).sum(), 0.0)
+    of_bias = list(optimiser.gradients.values())[-1][3:].tolist()
+    assert of_bias == pytest.approx([0.0, 4.0 * LOG_STD_GAIN * math.exp(-2.0 * expected[1]), 0.0])
+
+
+def test_greedy_takes_the_most_probable_action_and_the_mean() -> None:
+    softmax, normal = randomised(categorical, 6, 22), randomised(gaussian, 6, 3)
+    x = torch.randn(50, 6, generator=seeded(4), dtype=torch.float64)
+    assert torch.equal(softmax.greedy(x), softmax.body(x).argmax(-1))
+    assert len(set(softmax.greedy(x).tolist())) > 1
+    assert torch.equal(normal.greedy(x), normal.body(x))
+    of_state = randomised(state_gaussian, 6, 3)
+    assert torch.equal(of_state.greedy(x), of_state.body(x)[:, :3])
+    fixed = with_outputs(categorical(3, [4], 4, seeded(0)), [0.0, 0.3, 2.0, 0.1])
+    assert fixed.greedy(torch.zeros(2, 5, 3)).tolist() == [[2] * 5] * 2
+
+
+@ACTORS
+def test_the_generator_determines_weights_and_samples(kind: Callable[..., Any]) -> None:
+    actors = [kind(6, [64, 32], 4, seeded(seed)) for seed in (7, 7, 8)]
+    states = [actor.state_dict() for actor in actors]
+    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    assert not torch.equal(states[0]["body.0.weight"], states[2]["body.0.weight"])
+    x = torch.zeros(100, 6)
+    samples = [actors[0].sample(x, seeded(seed)) for seed in (7, 7, 8)]
+    assert torch.equal(samples[0], samples[1])
+    assert not torch.equal(samples[0], samples[2])
+
+
+def test_policies_begin_nearly_uniform_and_nearly_centred() -> None:
+    x = torch.randn(100, 15, generator=seeded(1))
+    probabilities = categorical(15, [64, 32], 22, seeded(0)).body(x).softmax(-1)
+    assert (probabilities * 22 - 1).abs().max() < 0.1
+    means = gaussian(15, [64, 32], 3, seeded(0))
+    assert means.greedy(x).abs().max() < 0.1
+    assert torch.equal(means.log_std, torch.full((3,), -0.5))
+    of_state = normal_of(state_gaussian(15, [64, 32], 3, seeded(0)), x)
+    assert (of_state.stddev.log() + 0.5).abs().max() < 0.1
+
+
+def everything(kind: Callable[..., Any]) -> Callable[[], None]:
+    def use() -> None:
+        actor = kind(6, [8], 4, seeded(0))
+        x = torch.zeros(10, 6)
+        actions = actor.sample(x, seeded(1))
+        actor.greedy(x)
+        log_prob, entropy = actor.log_prob_and_entropy(x, actions)
+        (log_prob + entropy).sum().backward()
+        mlp(6, [8, 8], 2, seeded(0), output_gain=1.0)
+
+    return use
+
+
+@ACTORS
+def test_neither_building_nor_sampling_touches_any_global_generator(kind: Callable[..., Any]) -> None:
+    before = torch.get_rng_state(), random.getstate(), np.random.get_state()[1].copy()  # noqa: NPY002
+    everything(kind)()
+    assert torch.equal(torch.get_rng_state(), before[0])
+    assert random.getstate() == before[1]
+    assert np.array_equal(np.random.get_state()[1], before[2])  # noqa: NPY002
+
+
+def test_what_was_computed_is_kept_only_where_passes_are_compiled() -> None:
+    actor = categorical(3, [4], 2, torch.Generator().manual_seed(0))
+    actor.keep_passes(8)
+    assert actor.body._kept is not None
+    layers = nn.Linear(3, 4, device="meta"), nn.ReLU(), nn.Linear(4, 2, device="meta")
+    elsewhere = CategoricalActor(Perceptron(*layers))
+    elsewhere.keep_passes(8)  # as on a GPU, whose memory NumPy does not see
+    assert elsewhere.body._kept is None

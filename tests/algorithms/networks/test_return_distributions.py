@@ -1,0 +1,144 @@
+"""Categorical grids and particles: projection, expected utility and losses against plain loops."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from algorithms.networks import return_distributions
+from algorithms.networks.return_distributions import CategoricalGrid, Particles, energy_score, project
+from mo_deepdrive.utilities import Utility
+
+LOW, HIGH, ATOMS = (-1.0, 0.0, 2.0), (1.0, 4.0, 3.0), 4
+PRODUCT = Utility("product", ("a", "b", "c"), lambda returns: returns.prod(-1))
+
+
+def grid() -> CategoricalGrid:
+    return CategoricalGrid(LOW, HIGH, ATOMS, torch.device("cpu"))
+
+
+def plain_projection(masses: np.ndarray, shift: np.ndarray, discount: float) -> np.ndarray:
+    """Mass by mass and corner by corner."""
+    result = np.zeros((ATOMS,) * 3)
+    for source in itertools.product(range(ATOMS), repeat=3):
+        below, share = [], []
+        for k, j in enumerate(source):
+            spacing = (HIGH[k] - LOW[k]) / (ATOMS - 1)
+            value = min(max(shift[k] + discount * (LOW[k] + j * spacing), LOW[k]), HIGH[k])
+            position = (value - LOW[k]) / spacing
+            below.append(min(int(position), ATOMS - 2))
+            share.append(position - below[-1])
+        for corner in itertools.product((0, 1), repeat=3):
+            factor = math.prod(s if up else 1.0 - s for s, up in zip(share, corner, strict=True))
+            result[tuple(b + up for b, up in zip(below, corner, strict=True))] += factor * masses[source]
+    return result
+
+
+def test_the_projection_is_that_of_a_plain_loop_and_keeps_the_mass() -> None:
+    rng = np.random.default_rng(0)
+    masses = rng.dirichlet(np.ones(ATOMS**3), size=6)
+    shifts = rng.normal(size=(6, 3))
+    discounts = np.array([0.0, 0.3, 0.9, 1.0, 1.0, 0.5])
+    found = project(*(torch.tensor(each, dtype=torch.float32) for each in (masses, shifts, discounts)), grid().values)
+    for row in range(6):
+        expected = plain_projection(masses[row].reshape((ATOMS,) * 3), shifts[row], discounts[row])
+        np.testing.assert_allclose(found[row].numpy().reshape(expected.shape), expected, atol=1e-6)
+    torch.testing.assert_close(found.sum(-1), torch.ones(6))
+    assert (found >= 0.0).all()
+
+
+def test_the_projection_keeps_the_mean_inside_the_grid_and_adds_at_most_a_quarter_of_the_squared_spacing() -> None:
+    rng = np.random.default_rng(1)
+    masses = torch.tensor(rng.dirichlet(np.ones(ATOMS**3), size=5), dtype=torch.float32)
+    points, middle = grid().points[0], torch.tensor([(low + high) / 2 for low, high in zip(LOW, HIGH, strict=True)])
+    discounts = torch.tensor([0.0, 0.2, 0.5, 0.7, 0.9])
+    # Shrunk towards a point near the middle, every atom stays inside.
+    shifts = (1.0 - discounts).unsqueeze(-1) * (middle + torch.tensor([0.1, -0.2, 0.05]))
+    found = project(masses, shifts, discounts, grid().values)
+    torch.testing.assert_close(found @ points, shifts + discounts.unsqueeze(-1) * (masses @ points))
+    variance = [p @ points.square() - (p @ points).square() for p in (masses, found)]
+    added = variance[1] - discounts.square().unsqueeze(-1) * variance[0]
+    spacing = (torch.tensor(HIGH) - torch.tensor(LOW)) / (ATOMS - 1)
+    assert (added > -1e-5).all()
+    assert (added <= spacing.square() / 4 + 1e-5).all()
+
+
+def test_the_loss_of_a_grid_is_the_cross_entropy_of_the_projected_target() -> None:
+    rng = torch.Generator().manual_seed(0)
+    outputs = torch.randn(5, ATOMS**3, generator=rng, requires_grad=True)
+    following, shifts = torch.randn(5, ATOMS**3, generator=rng), torch.randn(5, 3, generator=rng)
+    discounts, weights = torch.rand(5, generator=rng), torch.tensor([0.1, 0.0, 0.3, 0.4, 0.2])
+    loss = grid().loss(outputs, shifts, discounts, following, weights)
+    targets = project(following.softmax(-1), shifts, discounts, grid().values)
+    expected = (weights * torch.nn.functional.cross_entropy(outputs, targets, reduction="none")).sum()
+    assert float(loss) == pytest.approx(float(expected.detach()), rel=1e-5)
+    ((by, gradient),) = loss.gradients
+    assert by is outputs
+    torch.testing.assert_close(torch.from_numpy(gradient), torch.autograd.grad(expected, outputs)[0])
+
+
+def test_the_energy_score_and_its_gradient_are_those_of_plain_sums() -> None:
+    rng = np.random.default_rng(2)
+    x, y = (torch.tensor(rng.normal(size=(4, size, 3)), dtype=torch.float32) for size in (5, 7))
+    weights = torch.tensor([0.5, 0.0, 0.2, 0.3])
+    x.requires_grad_()
+    total = torch.zeros(())
+    for m in range(4):
+        to_targets = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in y[m]) / 35
+        to_each_other = sum(((a - b).square().sum() + 0.01**2).sqrt() for a in x[m] for b in x[m]) / 25
+        total = total + weights[m] * (2 * to_targets - to_each_other)
+    value, gradient = energy_score(x.detach().numpy(), y.numpy(), weights.numpy())
+    assert value == pytest.approx(float(total.detach()), rel=1e-5)
+    torch.testing.assert_close(torch.from_numpy(gradient), torch.autograd.grad(total, x)[0], rtol=1e-4, atol=1e-6)
+
+
+def test_particles_approach_the_joint_distribution_of_single_outcomes() -> None:
+    # Two outcomes with the means (0.5, 0.5): independent objectives would have four.
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(1, 8, 2)).astype(np.float32)
+    for step in range(4000):
+        first = rng.integers(2)
+        outcome = np.array([[[first, 1 - first]]], dtype=np.float32)
+        x -= 2.0 / (1 + step / 100) * energy_score(x, outcome, np.ones(1, dtype=np.float32))[1]
+    near = np.abs(x[0, :, None] - np.array([[0.0, 1.0], [1.0, 0.0]])).max(-1) < 0.2
+    assert near.sum(0).tolist() == [4, 4]
+
+
+def test_targets_of_particles_are_moved_and_clipped_in_the_units_of_the_returns() -> None:
+    scales = torch.tensor([2.0, 10.0])
+    particles = Particles(2, scales, [-1.0, -1.0], [1.0, 100.0])
+    following = torch.tensor([[0.1, 0.2, 0.3, 0.4]])
+    outputs = torch.zeros(1, 4)
+    loss = particles.loss(outputs, torch.tensor([[0.9, 5.0]]), torch.tensor([0.5]), following, torch.ones(1))
+    # 0.9 + 0.5 * 0.2 = 1.0 and 0.9 + 0.5 * 0.6 = 1.2, clipped to 1; 5 + 0.5 * 2 and 5 + 0.5 * 4; divided by the scales.
+    targets = np.array([[[0.5, 0.6], [0.5, 0.7]]], dtype=np.float32)
+    expected = energy_score(np.zeros((1, 2, 2), np.float32), targets, np.ones(1, np.float32))
+    assert float(loss) == pytest.approx(expected[0], rel=1e-6)
+    np.testing.assert_allclose(loss.gradients[0][1], expected[1].reshape(1, 4), rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["categorical", "particles"])
+def test_the_expected_utility_is_the_mean_over_the_distribution_in_parts_too(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scales = torch.tensor([2.0, 1.0, 3.0])
+    distribution = grid() if kind == "categorical" else Particles(5, scales, LOW, HIGH)
+    rng = torch.Generator().manual_seed(1)
+    outputs = torch.randn(7, distribution.outputs, generator=rng)
+    accrued, discounts = torch.randn(7, 3, generator=rng), torch.rand(7, generator=rng)
+    returns, masses = distribution.support(outputs)
+    expected = [
+        sum(
+            float(p) * float((accrued[m] + discounts[m] * z).prod())
+            for p, z in zip(masses[m], returns[m % len(returns)], strict=True)
+        )
+        for m in range(7)
+    ]
+    for at_a_time in (2**20, 3 * returns[0].numel(), 1):
+        monkeypatch.setattr(return_distributions, "MAX_RETURNS", at_a_time)
+        found = distribution.expected_utility(PRODUCT, outputs, accrued, discounts)
+        np.testing.assert_allclose(found.numpy(), expected, rtol=1e-3, atol=1e-4)
