@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import ast
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
+import pytest
 from importlinter.cli import lint_imports
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    import pytest
 
 PACKAGES = ("mo_deepdrive", "algorithms")
 SAMPLERS = ("rand", "randn", "randint", "randperm", "multinomial", "normal", "bernoulli", "poisson")

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import ast
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import pytest
 
 from tests.helpers.paths import REPOSITORY
 from tests.integrations.matrix import HERE, PAGE, Row, files, matrix, page
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ROWS = [pytest.param(row, id=f"{library.name}: {row.tests[0]}") for library, rows in matrix() for row in rows]
 

@@ -8,10 +8,12 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Iterator
 from fnmatch import fnmatch
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 import yaml
@@ -20,10 +22,6 @@ from algorithms.commands import COMMANDS
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.shipped import find_config
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 # Of `make docs`, from the code and from files at the root; tests/docs tests them.
 WRITTEN_PAGES = ("docs/reference/",)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,6 +15,8 @@ from gymnasium import spaces
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic
+from algorithms.rollouts.buffers import Rollout
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import make_utility
@@ -27,12 +30,6 @@ from tests.helpers.agents import (
     same,
     state,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from algorithms.actor_critic import ActorCritic
-    from algorithms.rollouts.buffers import Rollout
 
 
 @CLASSES

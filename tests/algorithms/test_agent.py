@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from algorithms import A2C, MOA2C, MOPPO
+from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import make_utility
@@ -33,11 +35,6 @@ from tests.helpers.agents import (
     same,
     state,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from algorithms.actor_critic import ActorCritic
 
 
 @pytest.fixture

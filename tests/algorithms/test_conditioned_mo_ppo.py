@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from itertools import combinations, pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file
 
@@ -21,11 +23,6 @@ from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.evaluation.pareto import non_dominated
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, same
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from gymnasium.vector import VectorEnv
 
 SMALL: dict[str, Any] = {"hidden": [16], "steps": 8, "minibatches": 2, "epochs": 2, "max_policies": 6}
 MIXTURE: dict[str, Any] = {

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from algorithms import A2C, MAPPO, MOA2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import INTERSECTION, MINECART, SEA, make_agent, same, state
-
-if TYPE_CHECKING:
-    from algorithms.actor_critic import ActorCritic
 
 FOUR_ROOM = "four-room-v0"
 ALL = pytest.mark.parametrize("cls", [A2C, PPO, MOA2C, MOPPO, MAPPO])

@@ -5,7 +5,8 @@ Skipped where PyTorch finds no CUDA device.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,6 @@ from algorithms.experiments.config import make_experiment
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA
 from tests.helpers.short_agents import STEPS, check_resumed, trained
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = [
     pytest.mark.slow,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -10,10 +11,6 @@ import algorithms
 from algorithms.commands import COMMANDS
 from mo_deepdrive.extras import EXTRAS
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 def test_importing_the_package_imports_neither_torch_nor_numpy_nor_an_algorithm(

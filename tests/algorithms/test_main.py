@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -13,9 +13,6 @@ from algorithms.commands import COMMANDS
 from algorithms.experiments.cli import as_called
 from mo_deepdrive import __version__
 from mo_deepdrive.__main__ import run
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture(autouse=True)

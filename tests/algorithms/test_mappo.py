@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 import algorithms.agent
 from algorithms import MAPPO
@@ -15,11 +17,6 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter, Step, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 JOINT = pytest.mark.parametrize("joint", list(JOINT_UTILITIES))
 EARNED = Utility("earned", ("earned",), lambda returns: returns[..., 0])

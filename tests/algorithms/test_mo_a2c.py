@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +11,9 @@ import torch
 from hypothesis import given
 
 from algorithms import A2C, MOA2C, MOCAC, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.rollouts.advantages import generalised_advantages
+from algorithms.rollouts.buffers import VehicleRollout
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.advantage_data import CROOKED, LINEAR, WEIGHTS, collections, crooked
 from tests.helpers.agents import (
@@ -25,10 +27,6 @@ from tests.helpers.agents import (
     value_of,
     value_scale,
 )
-
-if TYPE_CHECKING:
-    from algorithms.actor_critic import ActorCritic, Learner
-    from algorithms.rollouts.buffers import VehicleRollout
 
 
 def test_mo_a2c_acts_on_the_accrued_reward_and_a2c_does_not() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +22,6 @@ from tests.helpers.agents import (
     state,
 )
 from tests.helpers.safe_or_risky import probability_of_risky
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DELAYS = pytest.mark.parametrize(("delay", "total"), [(0, 40_000), (20, 80_000), (80, 150_000)])
 SHORT_ROLLOUTS: dict[str, Any] = {"steps": 32, "num_envs": 32}  # at a delay of 80 an episode takes three

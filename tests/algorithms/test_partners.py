@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,6 @@ from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.team import Team
 from tests.helpers.agents import INTERSECTION
 from tests.helpers.short_agents import check_resumed, pair_experiment, trained
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ZOO = ["intersection_linear-ppo", "intersection_nonlinear-ppo"]
 PARTNERS = {"vehicle_1": [*ZOO, "rule:straight_6"]}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import mo_gymnasium
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from gymnasium.vector import VectorEnv
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from safetensors.torch import load_file
 
@@ -20,19 +22,12 @@ from algorithms import PCN
 from algorithms.experiments.build import build
 from algorithms.experiments.config import load_experiment
 from algorithms.pcn import CommandPolicy
+from algorithms.rollouts.episode_buffer import Episode
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import make_env
-from mo_deepdrive.evaluation.front import indicators
+from mo_deepdrive.evaluation.front import Front, indicators
 from mo_deepdrive.evaluation.pareto import hypervolume, non_dominated
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA, recorded, same
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from gymnasium.vector import VectorEnv
-
-    from algorithms.rollouts.episode_buffer import Episode
-    from mo_deepdrive.evaluation.front import Front
 
 SHORT = {"time_limit": 2, "fixed_destination": True}
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {

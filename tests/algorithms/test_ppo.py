@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from algorithms import A2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic
 from tests.helpers.agents import (
     CONTINUOUS,
     experienced,
@@ -17,9 +18,6 @@ from tests.helpers.agents import (
     same,
     state,
 )
-
-if TYPE_CHECKING:
-    from algorithms.actor_critic import ActorCritic
 
 CLIPPED = pytest.mark.parametrize("cls", [PPO, MOPPO])
 

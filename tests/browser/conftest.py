@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,15 +14,10 @@ from algorithms.experiments.config import load_experiment
 from algorithms.experiments.front_explorer import choose_command, explorable, explorable_best_known
 from algorithms.experiments.policy_evaluation import evaluate_front
 from algorithms.experiments.run_directory import Run
+from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import write_page
 from mo_deepdrive.evaluation.front import Front
 from tests.browser.explorer_page import EPISODES, SEED, Page
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from algorithms.reporting.explorer.explorable_front import ExplorableFront
 
 ZOO = "one_waypoint_front-pcn"
 CONDITIONED = "one_waypoint_drawn_front-conditioned_mo_ppo"

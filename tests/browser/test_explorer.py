@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import moocore
@@ -26,9 +27,6 @@ from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
 from tests.browser.conftest import CONDITIONED, ZOO
 from tests.browser.explorer_page import NARROW, SEED, Page
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 

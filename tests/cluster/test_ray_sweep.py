@@ -9,8 +9,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -31,9 +31,6 @@ from tests.helpers.sweep_files import (
     status,
     write_sweep,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
 

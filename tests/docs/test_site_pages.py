@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -17,9 +17,6 @@ from site_pages.explorer_examples import EXAMPLES
 from site_pages.local_links import broken_links
 from tests.helpers.markdown_tables import tables
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DOCS = REPOSITORY / "docs"
 SHIPPED = tuple(SCENARIOS)

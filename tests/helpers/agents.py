@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from algorithms import A2C, MOA2C, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic, Learner
 from algorithms.rollouts.buffers import VehicleRollout
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import Utility, make_utility
-
-if TYPE_CHECKING:
-    from algorithms.actor_critic import ActorCritic, Learner
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

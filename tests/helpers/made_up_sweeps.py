@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_files import record_files
 from algorithms.files.metrics import MetricsFile
 from algorithms.sweeps.manifest import ManifestRow, run_id, write_manifest
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
 Script = Callable[..., int]  # calls a script with arguments and returns its exit code
 

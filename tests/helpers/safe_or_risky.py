@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -10,13 +10,10 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
+from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.utilities import Utility
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from algorithms.actor_critic import ActorCritic
 
 SAFE, RISKY = 0, 1
 SAFE_OUTCOME = np.array([0.5, 0.5], dtype=np.float32)

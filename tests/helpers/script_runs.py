@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from algorithms.files.metrics import read_metrics
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    import signal
-    from pathlib import Path
 
 TIMEOUT = 240
 DRIVING = """

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import torch
 
 from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
 from tests.helpers.agents import INTERSECTION
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 STEPS = 400
 

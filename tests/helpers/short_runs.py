@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -13,9 +14,6 @@ from safetensors.numpy import load_file
 
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import Job
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 VALUES: dict[str, Any] = {
     "environment": {"id": "mo-deepdrive-one-waypoint-v0", "arguments": {"time_limit": 1}},

@@ -10,9 +10,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -20,10 +22,6 @@ import yaml
 from algorithms.experiments import worker_pool as pool
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
 ROOT = REPOSITORY
 PATIENCE = 600.0  # s: ends what hangs, and never what is slow because other tests use all cores

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,9 +17,6 @@ from gymnasium.wrappers import vector as vector_wrappers
 from mo_deepdrive.wrappers import UtilityReward
 from tests.integrations.envs import INTERSECTION, ONE_WAYPOINT, SHORT, scalar, single, vector
 from tests.integrations.matrix import Library, row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 LIBRARY = Library("Gymnasium", "gymnasium", "gymnasium", "`gymnasium.make(id)`, `gymnasium.make_vec(id)`")
 

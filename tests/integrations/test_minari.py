@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import mo_gymnasium
 import numpy as np
@@ -11,12 +13,9 @@ import pytest
 minari = pytest.importorskip("minari", reason="needs Minari: the extra [minari]")
 pytest.importorskip("h5py", reason="needs h5py: the extra [minari]")
 
+
 from mo_deepdrive.evaluation import record_dataset  # noqa: E402
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED  # noqa: E402
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 SEA = "deep-sea-treasure-v0"

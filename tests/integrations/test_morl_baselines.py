@@ -6,7 +6,8 @@ import copy
 import functools
 import importlib
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -15,9 +16,6 @@ from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 
 from tests.integrations.envs import ONE_WAYPOINT, single, vector
 from tests.integrations.matrix import Library, row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 LIBRARY = Library(
     "morl-baselines",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pettingzoo.utils.conversions as conversions
@@ -15,9 +16,6 @@ import mo_deepdrive
 from mo_deepdrive.wrappers import ParallelUtilityReward
 from tests.integrations.envs import SHORT, aec, one_leaves_early, parallel
 from tests.integrations.matrix import Library, row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 LIBRARY = Library(
     "PettingZoo",

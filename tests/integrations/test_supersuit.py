@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,6 @@ import pytest
 from mo_deepdrive.wrappers import ParallelUtilityReward
 from tests.integrations.envs import VEHICLES, aec, one_leaves_early, parallel, scalar
 from tests.integrations.matrix import Library, row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 LIBRARY = Library("SuperSuit", "supersuit", "supersuit", "`supersuit.dtype_v0(mo_deepdrive.parallel_env(), ...)`")
 

@@ -6,15 +6,13 @@ import csv
 import errno
 import io
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from mo_deepdrive.atomic_io import atomic_write, csv_bytes, expand_home, lock, own_path, read_json_object
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 if os.name == "posix":
     import fcntl

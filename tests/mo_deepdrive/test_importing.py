@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import sys
 import sysconfig
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from mo_deepdrive.importing import import_module, import_named
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -12,9 +12,6 @@ import pytest
 
 from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.machine import GIB, available_cores, available_memory
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 V1, V2 = "4:memory:/docker/a\n2:cpu,cpuacct:/docker/a\n0::/\n", "0::/user/a\n"
 

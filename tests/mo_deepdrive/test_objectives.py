@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import gymnasium
 import numba
@@ -15,10 +17,6 @@ import mo_deepdrive
 from mo_deepdrive import Objective, register_objective
 from mo_deepdrive.config import EnvConfig
 from mo_deepdrive.objectives import INDEX, OBJECTIVES, scales
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import ModuleType
 
 SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
 

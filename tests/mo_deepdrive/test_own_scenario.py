@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import gymnasium
 import mo_gymnasium
@@ -20,9 +21,6 @@ from mo_deepdrive.observation import layout
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv, make_play_env
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.wrappers import UtilityReward
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 ID = "mo-deepdrive-two-bicycles-v0"
 FIRST, SECOND = ((15.0, 20.0), (15.0, 30.0)), ((25.0, 20.0), (25.0, 30.0))  # across the way, one behind the other

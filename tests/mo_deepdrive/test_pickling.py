@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 import multiprocessing
 import pickle
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cloudpickle
 import gymnasium
@@ -24,9 +25,6 @@ from mo_deepdrive.wrappers import (
     VectorScaledObservation,
     VectorUtilityReward,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 INTERSECTION = SCENARIOS["intersection"].id
 LEFT_TURN = SCENARIOS["left_turn"].id

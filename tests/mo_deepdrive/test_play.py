@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mo_deepdrive.actions import CONTINUOUS, action_names
 from mo_deepdrive.play import (
@@ -18,9 +19,6 @@ from mo_deepdrive.play import (
     make_play_env,
 )
 from mo_deepdrive.simulation.state import VEHICLE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 NOTHING, UP, DOWN = Keys(False, False, False, False), Keys(True, False, False, False), Keys(False, True, False, False)

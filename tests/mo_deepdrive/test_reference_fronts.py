@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import moocore
@@ -15,9 +16,6 @@ from mo_deepdrive.action_sequences import decode, discounted_sum, idle, replay
 from mo_deepdrive.objectives import signs
 from mo_deepdrive.scenarios import SCENARIOS
 from tests.helpers.markdown_tables import tables
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SHIPPED = sorted(
     (scenario, action_type)

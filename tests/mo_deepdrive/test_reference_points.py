@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,6 @@ import pytest
 import mo_deepdrive
 from mo_deepdrive.objectives import INDEX, scales
 from mo_deepdrive.scenarios import SCENARIOS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 GAMMAS = (0.99, 1.0)
 

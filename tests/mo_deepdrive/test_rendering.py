@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pygame
 import pytest
+from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from mo_deepdrive import rendering
@@ -17,11 +19,6 @@ from mo_deepdrive.drawing import TRAFFIC_PAINT
 from mo_deepdrive.rendering import EpisodeTrace, Panel, Viewer
 from mo_deepdrive.simulation.map import MAP_SIZE
 from mo_deepdrive.simulation.state import LENGTH
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
 
 SCENARIOS = ("one_waypoint", "static_obstacle", "intersection", "left_turn")
 SINGLE_IDS = ("mo-deepdrive-one-waypoint-v0", "mo-deepdrive-static-obstacle-v0", "mo-deepdrive-left-turn-v0")

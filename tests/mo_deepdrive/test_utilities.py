@@ -6,7 +6,8 @@ import itertools
 import math
 import re
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mo_deepdrive.utilities import LINEAR, NONLINEAR, Utility, check_utility, make_utility
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 COSTS = {"g_force", "collision", "jerk", "lane_violation", "time"}
 ONE_WAYPOINT = ("distance", "destination", "g_force", "jerk")

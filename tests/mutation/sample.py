@@ -15,17 +15,13 @@ import linecache
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator
 from cosmic_ray.work_db import use_db
-from cosmic_ray.work_item import WorkItem
+from cosmic_ray.work_item import MutationSpec, WorkItem, WorkResult
 
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    from cosmic_ray.work_item import MutationSpec, WorkResult
 
 SAMPLE = REPOSITORY / "docs" / "results" / "mutants.csv"
 ALIKE = 0.7  # likeness above which a line is the same one, changed

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import mo_gymnasium
 import numpy as np
@@ -15,16 +16,12 @@ from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import Job, perform
 from algorithms.peers import PEERS, PeerTask
 from algorithms.peers.peer_env import Recorder
+from algorithms.peers.peer_task import PeerPolicies
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate, evaluate_each
 from mo_deepdrive.utilities import make_utility
 from mo_deepdrive.wrappers import UtilityReward
 from tests.helpers.short_runs import VALUES, metrics
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from algorithms.peers.peer_task import PeerPolicies
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 SEA = "deep-sea-treasure-v0"

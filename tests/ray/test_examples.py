@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +15,10 @@ from tests.helpers.paths import REPOSITORY
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
 
-from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
+from collections.abc import Iterator
+from pathlib import Path
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
 
 EXAMPLES = REPOSITORY / "docs" / "examples"
 # Both ends of an episode: a vehicle may fail, and the time limit comes soon.

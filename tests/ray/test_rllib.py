@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mo_gymnasium
 import numpy as np
@@ -27,15 +27,14 @@ from tests.helpers.interfaces import (
 
 pytest.importorskip("ray.rllib", reason="Ray is not installed: make test-ray")
 
+from collections.abc import Callable, Iterator
+
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.env.multi_agent_episode import MultiAgentEpisode
 from ray.rllib.utils.pre_checks.env import check_multiagent_environments
 from ray.tune.registry import register_env
 
 from mo_deepdrive.envs.rllib import DrivingMultiAgentEnv
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 VEHICLES = ["vehicle_0", "vehicle_1"]
 CONFIGS: list[dict[str, Any]] = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +21,6 @@ from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.script_runs import Call, Done, refused
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.slow
 

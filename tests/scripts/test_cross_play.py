@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import csv
 import shutil
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from algorithms import zoo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-    from types import ModuleType
 
 PAIR = "intersection_nonlinear-mo_ppo"
 ONE_ROLE = "intersection_linear-mo_ppo-strangers_0"  # learnt to drive vehicle 0

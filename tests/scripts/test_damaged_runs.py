@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from algorithms import zoo
 from algorithms.files.yaml import dump
 from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
-from tests.helpers.script_runs import refused
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.helpers.script_runs import Call
+from tests.helpers.script_runs import Call, refused
 
 HEADER = b"step,eval/greedy/utility_esr\n"
 # What is in the file, and how the line about it ends.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,6 @@ from algorithms.experiments.run_directory import Run
 from mo_deepdrive.evaluation.front import Front
 from mo_deepdrive.reference_fronts import reference_front, shipped
 from tests.helpers.script_runs import SEA_FRONT, Call, refused
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.slow
 

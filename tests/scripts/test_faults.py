@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import time
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 import yaml
@@ -17,9 +17,6 @@ from safetensors.torch import load_file, save_file
 
 from algorithms.files.checkpoints import read_checkpoint
 from tests.helpers.script_runs import TIMEOUT, Call, command, environment, refused, status
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.slow
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,11 +17,6 @@ from mo_deepdrive.action_sequences import replay as replay_sequences
 from mo_deepdrive.reference_fronts import GAMMA, front_config
 from mo_deepdrive.reference_fronts import read as read_front
 from mo_deepdrive.reference_fronts import write as format_front
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-    from types import ModuleType
 
 pytestmark = pytest.mark.slow
 

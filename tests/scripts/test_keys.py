@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import pytest
 
 from algorithms.experiments.registry import algorithm_names
-from tests.helpers.script_runs import refused
-
-if TYPE_CHECKING:
-    from tests.helpers.script_runs import Call
+from tests.helpers.script_runs import Call, refused
 
 
 def test_without_options_the_keys_of_all_algorithms_and_of_sweeps_are_listed(call: Call) -> None:

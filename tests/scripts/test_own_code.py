@@ -7,7 +7,8 @@ import re
 import shlex
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,14 +24,9 @@ from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.policy_driver import PolicyDriver
 from tests.helpers.paths import REPOSITORY
-from tests.helpers.script_runs import interrupt, refused
+from tests.helpers.script_runs import Call, interrupt, refused
 from tests.helpers.short_runs import assert_same_run
 from tests.helpers.sweep_files import forked_workers
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.helpers.script_runs import Call
 
 EXAMPLES = REPOSITORY / "docs" / "examples"
 MODULES = ("reinforce", "commute", "constants", "plain_ppo")

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from algorithms.files.metrics import read_metrics
 from tests.helpers.paths import REPOSITORY
-from tests.helpers.script_runs import PICTURES, refused, status
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.helpers.script_runs import Call
+from tests.helpers.script_runs import PICTURES, Call, refused, status
 
 pytestmark = pytest.mark.slow
 

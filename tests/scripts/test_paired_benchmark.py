@@ -5,20 +5,15 @@ from __future__ import annotations
 import csv
 import os
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from tests.helpers.paths import REPOSITORY
-from tests.helpers.script_runs import refused
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import ModuleType
-
-    from tests.helpers.script_runs import Call
+from tests.helpers.script_runs import Call, refused
 
 OLD, NEW = Path("old"), Path("new")
 IN_A_REPOSITORY = subprocess.run(["git", "rev-parse", "HEAD"], cwd=REPOSITORY, capture_output=True, check=False)

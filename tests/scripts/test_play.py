@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import imageio.v3 as iio
 import pygame
@@ -13,10 +15,6 @@ from algorithms.experiments.build import build
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.run_directory import Run
 from mo_deepdrive.play import FRAMES_PER_DECISION, HumanPlayEnv
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import ModuleType
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 

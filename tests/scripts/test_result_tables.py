@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from types import ModuleType
 
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import ModuleType
 
 TABLE = """<!-- numbers: SELECT 12345.678 AS "a [b, c]", 'above' AS verdict, 3 AS missing -->
 

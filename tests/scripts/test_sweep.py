@@ -12,11 +12,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 from algorithms.experiments import worker_pool
+from algorithms.experiments.dashboard import Dashboard
 from algorithms.experiments.jobs import Job, perform
 from algorithms.experiments.run_directory import InUse, Run
 from tests.helpers.short_runs import assert_same_run, job
@@ -33,11 +35,6 @@ from tests.helpers.sweep_files import (
     status,
     write_sweep,
 )
-
-if TYPE_CHECKING:
-    from types import ModuleType
-
-    from algorithms.experiments.dashboard import Dashboard
 
 Done = tuple[int, str, str]  # exit code, standard output, standard error
 Call = Callable[..., Done]

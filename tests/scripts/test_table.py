@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -13,10 +14,6 @@ from algorithms.experiments.config import load_experiment
 from algorithms.experiments.run_directory import Run
 from algorithms.reporting.seed_tables import TABLE_METRICS
 from tests.helpers.paths import REPOSITORY
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import ModuleType
 
 ROOT = REPOSITORY
 Script = Callable[..., int]  # calls a script with arguments and returns its exit code

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import gymnasium
 import numpy as np
 import pytest
@@ -15,12 +13,10 @@ from algorithms.driving.scripted_policy import ScriptedPolicy
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.team import Team
 from mo_deepdrive.simulation.state import RUNNING
 from mo_deepdrive.simulation.traffic import ENTRY
-
-if TYPE_CHECKING:
-    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 ACTIONS = pytest.mark.parametrize("actions", ["discrete", "continuous"])
 

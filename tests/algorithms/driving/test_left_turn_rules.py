@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import mo_deepdrive  # noqa: F401  (registers the ids)
 from algorithms.driving.left_turn_rules import COLUMN, GapDriver, GapRule, free_time, locate
 from mo_deepdrive.evaluation.episodes import evaluate
+from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.simulation.state import LANE_WIDTH, LENGTH
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mo_deepdrive.evaluation.evaluation import Evaluation
 
 LEFT_TURN = "mo-deepdrive-left-turn-v0"
 TIME = 6  # column of the rewards

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,9 +16,6 @@ from algorithms.experiments.console import LiveDisplay, make_console, print_line
 from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.training import resume, train_and_finish
 from tests.helpers.short_runs import VALUES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FRONT: dict[str, Any] = {
     "environment": {"id": "deep-sea-treasure-v0"},

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,6 @@ from algorithms.experiments.run_directory import Run
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.machine import GIB
 from tests.helpers.short_runs import VALUES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def experiment_with(**sections: Any) -> Any:

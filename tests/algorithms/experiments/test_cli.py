@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -24,10 +23,8 @@ from algorithms.experiments.cli import (
 )
 from algorithms.experiments.config import Experiment, make_experiment
 from algorithms.experiments.interrupts import DiskFull, Stopped
+from mo_deepdrive.evaluation.splits import Split
 from tests.helpers.short_runs import VALUES
-
-if TYPE_CHECKING:
-    from mo_deepdrive.evaluation.splits import Split
 
 
 @pytest.fixture

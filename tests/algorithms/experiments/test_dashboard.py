@@ -5,19 +5,15 @@ from __future__ import annotations
 import io
 import json
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from algorithms.experiments import dashboard as module
 from algorithms.experiments.dashboard import MOST_ROWS, Dashboard
+from algorithms.experiments.jobs import Job
 from tests.helpers.short_runs import job, printed, quiet
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from algorithms.experiments.jobs import Job
 
 STEPS = 960  # of each run
 

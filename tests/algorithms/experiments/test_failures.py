@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -12,9 +12,6 @@ from algorithms.experiments.interrupts import DiskFull, JobFailed, Stopped
 from algorithms.experiments.jobs import Job
 from algorithms.experiments.run_directory import InUse, Run, read_status
 from tests.helpers.short_runs import VALUES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -15,9 +15,6 @@ from algorithms.experiments.jobs import Job, differences, perform
 from algorithms.experiments.run_directory import Run
 from algorithms.experiments.worker_pool import perform_all
 from tests.helpers.short_runs import VALUES, job, quiet
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.slow

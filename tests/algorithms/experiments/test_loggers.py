@@ -6,8 +6,9 @@ import errno
 import io
 import math
 import sys
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,6 @@ from algorithms.experiments.config import WandbSettings
 from algorithms.experiments.loggers import Logger, log_results
 from algorithms.files.metrics import read_metrics
 from algorithms.reporting.videos import video_writer
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,6 @@ from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.front import Front
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, SEA, exaggerate
 from tests.helpers.zoo import experiment_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 onnxruntime = pytest.importorskip("onnxruntime")
 pytest.importorskip("onnx")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -17,10 +18,6 @@ from algorithms.experiments.registry import (
     find_trained_policy,
 )
 from algorithms.peers import PEERS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 def test_names_are_known_without_importing_an_algorithm(run_python: Callable[[str], str]) -> None:

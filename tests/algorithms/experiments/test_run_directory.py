@@ -5,8 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import pytest
@@ -17,9 +18,6 @@ from algorithms.experiments.run_directory import Run, default_directory, importe
 from algorithms.experiments.run_files import changed_files
 from algorithms.files.yaml import dump
 from mo_deepdrive.atomic_io import write_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 VALUES: dict[str, Any] = {
     "environment": {"id": "mo-deepdrive-one-waypoint-v0"},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -15,9 +15,6 @@ from algorithms.experiments.run_directory import Run
 from algorithms.experiments.run_files import RECORDED, changed_files, record_files
 from mo_deepdrive.atomic_io import write_json
 from tests.helpers.short_runs import VALUES, job
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture

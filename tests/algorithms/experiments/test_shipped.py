@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,10 +13,6 @@ from algorithms.experiments.shipped import CONFIGS, config_names, find_config
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.settings import load_study
 from algorithms.sweeps.sweep_settings import load_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 @pytest.fixture(autouse=True)

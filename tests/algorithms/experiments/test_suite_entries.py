@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,9 +13,6 @@ from algorithms.experiments.suite_entries import agrees, check_experiment, fresh
 from mo_deepdrive import suite
 from mo_deepdrive.evaluation.splits import FIRST_TRAINING_SEED, SPLITS
 from mo_deepdrive.suite import Row
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 STILL = "import numpy as np\ndef policy(observations, *_):\n    return np.zeros(len(observations), dtype=np.int64)\n"
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -20,9 +21,6 @@ from algorithms.experiments.run_files import changed_files
 from algorithms.experiments.training import reopen, train_and_finish
 from algorithms.files.yaml import dump
 from tests.helpers.short_runs import VALUES, assert_same_run, job, metrics, printed, quiet
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 TOTAL = 960
 

@@ -7,7 +7,7 @@ import os
 import random
 import signal
 import threading
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -19,10 +19,6 @@ from algorithms.experiments.run_directory import Run, read_status
 from algorithms.experiments.worker_pool import perform_all
 from tests.helpers.short_runs import VALUES, assert_same_run, assert_whole, job, quiet
 from tests.helpers.sweep_files import eventually
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
 

@@ -6,7 +6,9 @@ import json
 import math
 import os
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +22,6 @@ from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.faults import NotFinite
 from mo_deepdrive.simulation.state import VEHICLE
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA, make_agent, same
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 ONE_LINE = r"^[^\n]+$"
 SHORT = {"time_limit": 0.3}

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from algorithms.files.fronts import FrontsFile
 from mo_deepdrive.evaluation.front import Front
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def make_front(k: int, seed: int) -> Front:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from algorithms.files.metrics import MetricsFile, read_metrics
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_metrics_are_read_back_to_the_last_bit(tmp_path: Path) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import random
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,9 +24,6 @@ from algorithms.networks.compiled.distributions import (
 from algorithms.networks.compiled.perceptron import Perceptron
 from algorithms.networks.modules import mlp
 from algorithms.networks.optimiser import Adam
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 # A test that samples with a fixed seed passes or fails for good; a correct sampler fails one seed in ten thousand.
 SIGNIFICANCE = 1e-4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +14,6 @@ from torch import nn
 
 from algorithms.hyperparameters import NetworkSettings
 from algorithms.networks.modules import CommandNetwork, make_network, mlp
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def seeded(seed: int) -> torch.Generator:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numba
 import pytest
@@ -19,9 +19,6 @@ from algorithms.networks.threads import limited_threads, one_blas_thread, set_th
 from mo_deepdrive.evaluation.env_adapter import make_env
 from mo_deepdrive.scenarios import SCENARIOS
 from mo_deepdrive.utilities import make_utility
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 BLAS = ThreadpoolController().select(user_api="blas").lib_controllers
 

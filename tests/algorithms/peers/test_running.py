@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +18,6 @@ from algorithms.peers import PEERS
 from algorithms.peers.running import evaluate_front, prepare, run_peer
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.peers import ONE_WAYPOINT, constant_policies, fake_adapter, make_task
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture

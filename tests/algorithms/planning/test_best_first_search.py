@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
 from algorithms.planning.best_first_search import estimated_costs, solve_scenario
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 FAR = ((19.5, 46.0), (20.5, 46.0))  # a bicycle at the edge of the map
 STRAIGHT_AHEAD = (30.0, 25.5)

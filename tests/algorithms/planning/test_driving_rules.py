@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from algorithms.planning.driving_rules import (
     AFTER_DISTANCE,
@@ -18,11 +20,6 @@ from algorithms.planning.driving_rules import (
 from algorithms.planning.plan_evaluation import PlanEvaluator
 from algorithms.planning.plans import FULL_SCALE
 from mo_deepdrive.actions import INCREASE, MAINTAIN, action_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 
 @pytest.mark.slow

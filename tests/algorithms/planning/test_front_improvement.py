@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import moocore
+import numpy as np
 import pytest
 
 from algorithms.planning import front_search
@@ -16,12 +19,6 @@ from mo_deepdrive.action_sequences import replay as replay_sequences
 from mo_deepdrive.reference_fronts import GAMMA, front_config
 from mo_deepdrive.reference_fronts import read as read_front
 from mo_deepdrive.reference_points import reference_point
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    import numpy as np
 
 
 def replayed_returns(file: Path) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +11,6 @@ from PIL import Image
 from algorithms.reporting.animated_gif import write_gif
 from algorithms.reporting.video_grid import GAP
 from algorithms.reporting.videos import CAPTION_PIXELS, Frame
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RED, BLUE = (220, 20, 30), (30, 40, 200)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import imageio.v3 as iio
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from algorithms.reporting import front_plots
 from algorithms.reporting.front_plots import BARS, draw_front
@@ -19,11 +20,6 @@ from algorithms.reporting.front_view import FrontView
 from algorithms.reporting.style import DPI
 from mo_deepdrive.evaluation.metrics import joint_objectives
 from tests.helpers.fronts import driving, front_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from matplotlib.figure import Figure
 
 FIGURES = ("importance", "reduction", "parallel", "scatter", "bars")
 MINUS = "\N{MINUS SIGN}"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
@@ -18,9 +19,6 @@ from algorithms.reporting import learning_curves
 from algorithms.reporting.learning_curves import CurveGroup, curve, curve_panels, drawn, load_groups, plot
 from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.style import ALGORITHM_COLOURS, MAX_POINTS, MINIMUM_SPAN
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Make = Callable[..., Path]
 

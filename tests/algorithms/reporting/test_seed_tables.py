@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +25,6 @@ from algorithms.reporting.seed_tables import (
     without_empty_columns,
 )
 from mo_deepdrive.evaluation.evaluation import Evaluation
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import matplotlib
 import pytest
@@ -20,9 +20,6 @@ from algorithms.reporting.style import (
     save_figure,
     widened,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_every_algorithm_has_one_colour_that_no_other_has() -> None:

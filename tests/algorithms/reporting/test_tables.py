@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,6 @@ from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.evaluation_files import write_evaluation
 from mo_deepdrive.evaluation.statistics import Estimate
 from mo_deepdrive.utilities import Utility, make_utility
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 OBJECTIVES = ("distance", "jerk")
 

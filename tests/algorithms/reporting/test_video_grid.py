@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -11,10 +12,6 @@ from numpy.typing import NDArray
 
 from algorithms.reporting.video_grid import GAP, MAX_WIDTH, scaled, write_video_grid
 from algorithms.reporting.videos import CAPTION_PIXELS, caption_strip
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 Frame = NDArray[np.uint8]
 FPS = 10

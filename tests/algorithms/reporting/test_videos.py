@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rich.console import Console
 
+from algorithms.actor_critic import ActorCritic
 from algorithms.experiments.agent_report import film
 from algorithms.experiments.build import build
 from algorithms.experiments.config import Experiment, make_experiment
@@ -24,15 +28,7 @@ from algorithms.reporting.videos import (
 )
 from mo_deepdrive.actions import action_names
 from mo_deepdrive.atomic_io import leftovers
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from algorithms.actor_critic import ActorCritic
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 
 ONE, TWO = "mo-deepdrive-one-waypoint-v0", "mo-deepdrive-intersection-v0"
 UTILITIES = {ONE: "one_waypoint_linear", TWO: "intersection_linear"}

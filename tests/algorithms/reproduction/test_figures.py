@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -11,9 +11,6 @@ from algorithms.reproduction.figures import CURVE_FIGURES, draw_curves
 from algorithms.reproduction.plan import load_plan
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, evenly_spread, make_results
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_figure_shows_every_seed_in_the_colours_of_both_algorithms(tmp_path: Path) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -15,10 +17,6 @@ from algorithms.reproduction.report import QUICK, verdict_table
 from algorithms.reproduction.results import ReproductionResults, gather
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PLAN, TINY, make_results
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import ModuleType
 
 
 @pytest.fixture

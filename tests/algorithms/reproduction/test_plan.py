@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -11,9 +11,6 @@ from algorithms.reproduction.claims import CLAIMS
 from algorithms.reproduction.figures import CURVE_FIGURES, FRONT_FIGURES
 from algorithms.reproduction.plan import QUICK_SEEDS, load_plan, planned_runs
 from tests.helpers.reproduction import PLAN, TINY
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_every_run_of_the_plan_has_a_valid_config_and_a_unique_folder(tmp_path: Path) -> None:

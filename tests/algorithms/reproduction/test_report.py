@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from rich.console import Console
 
@@ -10,9 +10,6 @@ from algorithms.reproduction.plan import load_plan
 from algorithms.reproduction.report import print_verdicts, verdict_table, write_report
 from algorithms.reproduction.results import ReproductionResults
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, evenly_spread, make_results
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_report_of_some_tasks_omits_the_others(tmp_path: Path) -> None:

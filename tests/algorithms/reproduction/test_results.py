@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -14,9 +14,6 @@ from algorithms.reproduction.plan import load_plan, planned_runs
 from algorithms.reproduction.results import ReproductionResults, gather
 from tests.helpers.paths import REPOSITORY
 from tests.helpers.reproduction import PLAN, PUBLISHED, SOLVED, TINY, evenly_spread, make_results
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_results_are_read_as_they_were_written_and_equal_results_give_equal_bytes(tmp_path: Path) -> None:

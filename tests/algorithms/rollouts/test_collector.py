@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import mo_gymnasium
@@ -16,13 +17,9 @@ from gymnasium.vector import AutoresetMode
 
 from algorithms.rollouts.buffers import Episodes, Rollout, Samples
 from algorithms.rollouts.collector import Act, Collector
+from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from tests.helpers.toy_env import toy_worlds
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

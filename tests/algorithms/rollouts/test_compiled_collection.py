@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 from gymnasium.error import ResetNeeded
 
 from algorithms import A2C, MAPPO, MOA2C, MOCAC, MOPPO, PPO
+from algorithms.actor_critic import ActorCritic
 from algorithms.mo_a2c import MOA2CLearner
 from algorithms.networks.actors import CategoricalActor
 from algorithms.networks.threads import set_threads
@@ -26,11 +28,6 @@ from tests.helpers.agents import (
     same,
     state,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from algorithms.actor_critic import ActorCritic
 
 SHORT = {"time_limit": 0.5}  # episodes of five decisions, so that random numbers run out again and again
 CHARGED = SHORT | {"action_delay": 2, "charge_remaining_time": True, "harmful_g_force": 0.05}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +22,6 @@ from mo_deepdrive.evaluation.team import Population
 from mo_deepdrive.utilities import make_utility
 from tests.helpers.agents import INTERSECTION
 from tests.helpers.short_agents import check_resumed, pair_experiment, trained
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 GUIDED = {"vehicle_0": {"driver": "rule:gap_6", "decisions": 12}}
 MARK = 21  # the action of the guide below

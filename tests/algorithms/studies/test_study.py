@@ -7,12 +7,16 @@ import dataclasses
 import json
 import re
 import shutil
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from algorithms.commands.study import main
+from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.jobs import Job
 from algorithms.studies.plan import StudyPlan
 from algorithms.studies.runner import StudyRunner
 from algorithms.studies.settings import load_study
@@ -21,13 +25,6 @@ from algorithms.sweeps.runner import Backend
 from mo_deepdrive.suite import read_rows
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import broken_utility, forked_workers, status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from algorithms.experiments.dashboard import Dashboard
-    from algorithms.experiments.jobs import Job
 
 RATE = "algorithm.learning_rate"
 

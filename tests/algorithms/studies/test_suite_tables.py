@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -12,9 +12,6 @@ from algorithms.commands.suite_results import plan_of
 from algorithms.studies.suite_tables import Scoreboard
 from mo_deepdrive import suite
 from mo_deepdrive.suite import Row, write_rows
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 VERSION = suite.load().version
 

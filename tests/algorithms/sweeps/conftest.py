@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import pytest
 
-from tests.helpers.made_up_sweeps import config_of, make_row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import ModuleType
-
-    from algorithms.sweeps.manifest import ManifestRow
-    from tests.helpers.made_up_sweeps import Script
+from algorithms.sweeps.manifest import ManifestRow
+from tests.helpers.made_up_sweeps import Script, config_of, make_row
 
 
 @pytest.fixture(scope="session")

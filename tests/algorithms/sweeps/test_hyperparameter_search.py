@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import statistics
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import optuna
@@ -14,9 +15,6 @@ import pytest
 from algorithms.sweeps.hyperparameter_search import propose_points
 from algorithms.sweeps.sweep_settings import HyperparameterSearchSettings
 from mo_deepdrive.config import parse
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 RATE = "algorithm.learning_rate"
 METRIC = "greedy/utility_esr"

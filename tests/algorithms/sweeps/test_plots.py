@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +13,7 @@ from algorithms.sweeps.collection import collect
 from algorithms.sweeps.manifest import ManifestRow, write_manifest
 from algorithms.sweeps.plots import best_curves, varied_scores
 from algorithms.sweeps.ranking import rank
-from tests.helpers.made_up_sweeps import config_of, end, log, make_row, make_sweep, scores_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.helpers.made_up_sweeps import Script
+from tests.helpers.made_up_sweeps import Script, config_of, end, log, make_row, make_sweep, scores_of
 
 
 @pytest.mark.slow

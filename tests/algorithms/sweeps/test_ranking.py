@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
@@ -10,9 +11,6 @@ import pytest
 from algorithms.sweeps.collection import collect
 from algorithms.sweeps.ranking import cell_labels, check_metric, rank, short_names, totals, value_labels, varying_keys
 from tests.helpers.made_up_sweeps import config_of, end, make_row, make_sweep, scores_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SCORES = pl.DataFrame(
     [("greedy", "", "success"), ("greedy", "vehicle_0", "utility_esr"), ("front", "", "hypervolume")],

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import queue
 import threading
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,9 +17,6 @@ from algorithms.sweeps.manifest import write_manifest
 from algorithms.sweeps.sweep_settings import load_sweep
 from tests.helpers.short_runs import VALUES, quiet
 from tests.helpers.sweep_files import write_sweep
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytest.importorskip("ray.tune", reason="Ray is not installed: pip install 'mo-deepdrive[sweep]'")
 

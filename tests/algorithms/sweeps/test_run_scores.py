@@ -6,7 +6,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -14,9 +14,6 @@ from algorithms.experiments.jobs import Job, perform
 from algorithms.reporting.run_records import final_metrics
 from algorithms.sweeps.run_scores import read_scores
 from tests.helpers.short_runs import job
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 METRIC = "greedy/utility_esr"
 

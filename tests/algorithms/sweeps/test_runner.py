@@ -7,22 +7,19 @@ import json
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
+from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.jobs import Job
 from algorithms.sweeps.manifest import read_manifest
 from algorithms.sweeps.runner import Backend, SweepRunner
 from algorithms.sweeps.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from algorithms.experiments.dashboard import Dashboard
-    from algorithms.experiments.jobs import Job
 
 RATE = "algorithm.learning_rate"
 SEARCH = {"space": {RATE: {"low": 1e-4, "high": 1e-2}}, "metric": "greedy/utility_esr", "trials": 6, "batch": 2}

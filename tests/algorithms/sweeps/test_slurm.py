@@ -9,7 +9,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -19,17 +19,14 @@ from tests.helpers.sweep_files import write_sweep
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
 
 
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
 from algorithms.experiments.dashboard import Dashboard
+from algorithms.experiments.jobs import Job
 from algorithms.sweeps import runner, slurm, slurm_script
 from algorithms.sweeps.manifest import expand, read_manifest, write_manifest
-from algorithms.sweeps.sweep_settings import load_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from algorithms.experiments.jobs import Job
-    from algorithms.sweeps.sweep_settings import SweepSettings
+from algorithms.sweeps.sweep_settings import SweepSettings, load_sweep
 
 
 @dataclass

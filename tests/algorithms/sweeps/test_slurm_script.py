@@ -13,12 +13,10 @@ from tests.helpers.sweep_files import write_sweep
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'mo-deepdrive[sweep]'")
 
-from typing import TYPE_CHECKING
+
+from pathlib import Path
 
 from algorithms.sweeps.slurm_script import START, batch_script, sbatch_options
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_task_requests_the_resources_of_all_its_concurrent_runs(tmp_path: Path) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from algorithms.sweeps.manifest import expand
 from algorithms.sweeps.sweep_settings import load_sweep
 from tests.helpers.sweep_files import write_sweep
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RATE = "algorithm.learning_rate"
 METRIC = "greedy/utility_esr"

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import csv
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
+from algorithms.sweeps.manifest import ManifestRow
 from algorithms.sweeps.tables import print_sweep
-from tests.helpers.made_up_sweeps import config_of, make_row, make_sweep
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from algorithms.sweeps.manifest import ManifestRow
-    from tests.helpers.made_up_sweeps import Script
+from tests.helpers.made_up_sweeps import Script, config_of, make_row, make_sweep
 
 
 def read(path: Path) -> list[dict[str, str]]:

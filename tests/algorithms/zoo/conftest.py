@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from algorithms import zoo
+from algorithms.experiments.run_directory import Run
 from tests.helpers.zoo import (
     ACTOR_CRITICS,
     FRONTS,
@@ -17,13 +21,6 @@ from tests.helpers.zoo import (
     Trained,
     train,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-    from types import ModuleType
-
-    from algorithms.experiments.run_directory import Run
 
 
 @pytest.fixture(scope="session")

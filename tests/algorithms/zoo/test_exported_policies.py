@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,9 +36,6 @@ from tests.helpers.zoo import (
     train,
     whole_agent,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def is_pcn(kind: str) -> bool:

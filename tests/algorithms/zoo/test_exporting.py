@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,9 +17,6 @@ from tests.helpers.zoo import (
     Trained,
     contents,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_an_export_replaces_an_existing_policy(trained: Trained, home: Path) -> None:

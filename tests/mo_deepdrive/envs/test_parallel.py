@@ -9,7 +9,8 @@ import copy
 import itertools
 import math
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,6 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test, seed_test
 
 import mo_deepdrive
 from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 AGENTS = ["vehicle_0", "vehicle_1"]
 EVERY = [

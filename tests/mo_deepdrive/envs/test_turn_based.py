@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.helpers.interfaces import ACTION_TYPES, PLANS, record
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Turn = tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import mo_gymnasium
@@ -13,16 +14,12 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from algorithms import A2C, MOA2C
+from algorithms.actor_critic import ActorCritic
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.utilities import Utility, make_utility
 from tests.helpers.agents import diversified
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from algorithms.actor_critic import ActorCritic
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 STATIC_OBSTACLE = "mo-deepdrive-static-obstacle-v0"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +15,6 @@ from algorithms.reporting.run_records import experiment_record
 from algorithms.reporting.seed_tables import group_runs
 from mo_deepdrive.evaluation import Evaluation, evaluate
 from mo_deepdrive.utilities import make_utility
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"

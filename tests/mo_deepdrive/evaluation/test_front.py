@@ -6,18 +6,16 @@ import csv
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mo_deepdrive.evaluation.evaluation import Evaluation
 from mo_deepdrive.evaluation.front import Front
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 NAMES = ("speed", "comfort")
 ARRAYS = ("returns", "low", "high", "discounted", "success", "length", "conditions")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,6 @@ from mo_deepdrive.evaluation import evaluate
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.utilities import make_utility
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ONE_WAYPOINT = "mo-deepdrive-one-waypoint-v0"
 INTERSECTION = "mo-deepdrive-intersection-v0"

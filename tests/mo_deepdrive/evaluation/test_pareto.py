@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mo_gymnasium
 import numpy as np
@@ -23,9 +24,6 @@ from mo_deepdrive.evaluation.pareto import (
     igd_plus,
     non_dominated,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 SIZE = 5  # of the grid of whole numbers on which points lie
 

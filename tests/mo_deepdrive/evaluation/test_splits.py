@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,9 +21,6 @@ from mo_deepdrive.evaluation.splits import (
     first_seed,
 )
 from tests.helpers.short_runs import VALUES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_no_scenario_is_in_two_splits() -> None:

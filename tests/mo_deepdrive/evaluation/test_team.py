@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from algorithms import A2C, MOA2C
 from mo_deepdrive.evaluation.accrued_reward import AccruedReward
@@ -14,9 +15,6 @@ from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
 from mo_deepdrive.evaluation.episodes import evaluate
 from mo_deepdrive.evaluation.team import Population, Team
 from tests.helpers.agents import INTERSECTION, ONE_WAYPOINT, diversified, make_agent
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SHORT = {"time_limit": 3.0}
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mo_deepdrive import suite
 from mo_deepdrive.suite.scorers import SCORERS, controllability, policies_of
 from mo_deepdrive.suite.scoring import Row
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 TASKS = suite.load().tasks
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +13,6 @@ import pytest
 from algorithms.reporting.explorer.explorable_front import ExplorableFront
 from algorithms.reporting.explorer.page import FORMAT, SCRIPTS, SOURCES, as_json, explorer_page, write_page
 from algorithms.reporting.style import COLOURS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 HOSTILE = "</script><!-- <script>alert(1)</script> & \u2028 <!-- vega -->"
 
