@@ -7,13 +7,6 @@ from types import ModuleType
 
 import pytest
 
-TABLE = """<!-- numbers: SELECT 12345.678 AS "a [b, c]", 'above' AS verdict, 3 AS missing -->
-
-| seed | a [b, c] | verdict | missing |
-|---|---|---|---|
-| 1 | {} | below | |
-"""
-
 
 @pytest.fixture
 def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
@@ -24,42 +17,12 @@ def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
 @pytest.mark.slow
 def test_the_documentation_has_the_numbers_of_its_files(script: ModuleType) -> None:
     database = script.open_results()
-    marked = 0
+    made = 0
     for path in script.documents():
         text = path.read_text(encoding="utf-8")
         assert script.refresh(text, database) == text, f"python scripts/result_tables.py changes {path}"
-        marked += len(script.MARKED.findall(text))
-    assert marked
-
-
-@pytest.mark.parametrize(
-    ("cell", "filled"),
-    [
-        ("9.9", "12345.7"),
-        ("`x_2` 1,000 of 5 (layers 64-32)", "`x_2` 12,346 of 5 (layers 64-32)"),
-        ("12345.678", "12345.678"),
-        ("12,345.7", "12,345.7"),
-    ],
-)
-def test_numbers_are_replaced_with_the_decimals_of_their_cell(script: ModuleType, cell: str, filled: str) -> None:
-    after = script.refresh(TABLE.format(cell), script.sqlite3.connect(":memory:"))
-    assert after.splitlines()[-1] == f"| 1 | {filled} | above |  |"
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (TABLE.format("1 2"), r"'1 2' has 2 numbers, the result has 1: 12345\.678"),
-        (TABLE.format("1").replace("12345.678", "x"), "no such column: x"),
-        (TABLE.format("1").replace("verdict,", "other,"), "'other' is not in list"),
-        (TABLE.format("1").replace("missing -->", "missing WHERE 0 -->"), "not enough values"),
-    ],
-)
-def test_a_query_that_does_not_fit_is_refused_with_its_row(script: ModuleType, text: str, message: str) -> None:
-    database = script.sqlite3.connect(":memory:")
-    with pytest.raises(ValueError, match=message) as refusal:
-        script.refresh(text, database)
-    assert "in | 1 |" in str(refusal.value)
+        made += len(script.MADE.findall(text))
+    assert made
 
 
 def test_a_table_is_made_whole_from_a_query(script: ModuleType) -> None:
