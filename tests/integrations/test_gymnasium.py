@@ -114,9 +114,10 @@ def drive(env: Any, shape: tuple[int, ...]) -> int:
 
 @row("`check_env`", how="its one warning is that the reward is not a float")
 def test_the_checker_warns_of_the_vector_reward_alone() -> None:
+    env = single().unwrapped
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        check_env(single().unwrapped, skip_render_check=True)
+        check_env(env, skip_render_check=True)
     messages = [str(warning.message) for warning in found]
     assert [message for message in messages if "The reward returned by `step()` must be" not in message] == []
 

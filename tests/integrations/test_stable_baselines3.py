@@ -41,9 +41,10 @@ ALGORITHMS: dict[str, tuple[str, dict[str, Any]]] = {
 def test_the_checker_has_no_objections(action_type: str) -> None:
     from stable_baselines3.common.env_checker import check_env
 
+    env = scalar(action_type=action_type)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(scalar(action_type=action_type))
+        check_env(env)
 
 
 @row("A2C, PPO (discrete and continuous actions), DQN, SAC, TD3, DDPG")
