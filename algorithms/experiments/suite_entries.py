@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from algorithms.reporting.run_records import read_evaluation
 from mo_deepdrive import suite
 from mo_deepdrive.config import parse_arguments
 from mo_deepdrive.evaluation.env_adapter import find_spec
 from mo_deepdrive.evaluation.front import EVALUATION_FILE
-from mo_deepdrive.evaluation.metrics import SUITE
+from mo_deepdrive.evaluation.metrics import SUITE, split_name
 from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.importing import import_named
 from mo_deepdrive.names import nearest
@@ -200,36 +200,27 @@ def _found_from(table: Path, row: Row) -> Row:
 
 
 def _rows_of_run(path: Path) -> list[Row]:
-    entry = open_entry(str(path))
-    file = path / EVALUATION_FILE
-    try:
-        values = json.loads(file.read_text(encoding="utf-8"))
-        task_id = values["task"] if "task" in values else _task_of_run(path)
-        return [
-            suite.Row(
-                task_id,
-                entry.learner,
-                entry.seed,
-                kind,
-                name.removeprefix(SUITE),
-                **{key: found[key] for key in ("value", "low", "high")},
-                source=str(path),
-                version=values["suite_version"],
-            )
-            for kind, metrics in values["policies"].items()
-            for name, found in metrics.items()
-            if name.startswith(SUITE)
-        ]
-    except FileNotFoundError:
-        raise ValueError(f"{str(path)!r} has no final evaluation: there is no {EVALUATION_FILE}") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{str(file)!r} has no scores of the suite: {type(error).__name__}: {error}") from None
-
-
-def _task_of_run(path: Path) -> str:
     from algorithms.experiments.run_directory import Run
 
-    return str(Run.open(path, device="cpu").experiment.evaluation.task)
+    experiment, evaluation = Run.open(path, device="cpu").experiment, read_evaluation(path)
+    if evaluation is None:
+        raise ValueError(f"{str(path)!r} has no final evaluation: there is no {EVALUATION_FILE}")
+    return [
+        suite.Row(
+            str(experiment.evaluation.task),
+            experiment.algorithm.name,
+            experiment.training.seed,
+            name.policy,
+            name.metric.removeprefix(SUITE),
+            found.value,
+            found.low,
+            found.high,
+            source=str(path),
+            version=evaluation.suite_version or 0,
+        )
+        for name, found in ((split_name(key), found) for key, found in evaluation.scores.items())
+        if name.metric.startswith(SUITE)
+    ]
 
 
 def fresh_seed(number: int, episodes: int) -> int:

@@ -11,6 +11,7 @@ from algorithms.studies.results import FAILED, FINISHED
 from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.statistics import Estimate, improvement_over_tasks, iqm, iqm_over_tasks
 from mo_deepdrive.names import nearest
+from mo_deepdrive.suite.scorers import SCORE
 from mo_deepdrive.suite.tasks import LOWEST
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from algorithms.reporting.wide_tables import Rows
     from mo_deepdrive.suite import Row, Suite, Task
 
-SCORE = "score"  # the column of the results with the raw score
 BASELINE = "lintune"  # which others are compared with, if there are results of it
 NOTE = (
     "Scores between floor (0) and ceiling (1) of each task: interquartile means over seeds with 95% bootstrap "

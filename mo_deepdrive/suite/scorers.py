@@ -126,7 +126,7 @@ def single(policy: Any) -> Single:
     """
     found = policies_of(policy)
     if not isinstance(found, list) or len(found) != 1:
-        raise ValueError("a front, or a policy that is told weights, cannot be scored where the utility is known")
+        raise ValueError("a front, or a policy that is told weights, has no place where the utility is known")
     return found[0]
 
 

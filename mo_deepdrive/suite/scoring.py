@@ -14,9 +14,10 @@ from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter
 from mo_deepdrive.evaluation.episodes import as_policy
 from mo_deepdrive.evaluation.function_policy import FunctionPolicy
+from mo_deepdrive.evaluation.metrics import GREEDY, STOCHASTIC
 from mo_deepdrive.evaluation.splits import SPLITS, first_seed
 from mo_deepdrive.evaluation.statistics import Estimate, resample
-from mo_deepdrive.suite.scorers import SCORE, SCORERS, Scorer, make_drives, policies_of
+from mo_deepdrive.suite.scorers import SCORE, SCORERS, Scorer, make_drives, policies_of, single
 from mo_deepdrive.suite.tasks import load
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
     from mo_deepdrive.suite.scorers import Drives
     from mo_deepdrive.suite.tasks import Task
-
-GREEDY, STOCHASTIC = "greedy", "stochastic"
 
 
 @dataclass(frozen=True)
@@ -168,8 +167,8 @@ def check_policy(policy: Any, task_id: str) -> None:
         members = _members(policy, task)
         if not members:
             raise ValueError("the front has no policy")
-        if task.utility is not None and (len(members) > 1 or hasattr(policy, "for_preference")):
-            raise ValueError("a front, or a policy that is told weights, has no place where the utility is known")
+        if task.utility is not None:
+            single(policy)
         adapter = EnvAdapter(drives.env)
         observations = adapter.reset([drives.seed, drives.seed + 1])
         nothing = AccruedReward.begin(2, adapter.vehicles, len(adapter.objectives))
