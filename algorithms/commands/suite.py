@@ -67,7 +67,7 @@ def task_table(suite: Suite, minutes: Mapping[str, float]) -> Table:
             task.track if task.counted else "(not counted)",
             task.title,
             f"{task.steps / 1e6:g} M",
-            f"{minutes[name]:.0f}" if name in minutes else "",
+            f"{minutes[name]:.1f}" if name in minutes else "",
             f"{task.floor.value:.4g}",
             f"{task.ceiling.value:.4g}",
             task.ceiling.kind,

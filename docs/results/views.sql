@@ -33,7 +33,7 @@ SELECT '`' || task || '`' AS task, printf('%.4g', t.floor) || ' (' || floor_by |
   printf('%.4g', t.ceiling) || ' (' || CASE kind WHEN 'best known' THEN ceiling_by ELSE kind END || ')' AS ceiling,
   best.learner AS "best learner",
   decimals(best.score, 2) AS "its score", CASE WHEN best.learner IS NULL THEN NULL WHEN board."clearly best" = '' THEN 'no'
-    ELSE 'yes' END AS "clearly best", seeds, decimals(minutes, 0) AS "CPU minutes a run"
+    ELSE 'yes' END AS "clearly best", seeds, decimals(minutes, 1) AS "CPU minutes a run"
 FROM suite_tasks AS t LEFT JOIN best USING (task) LEFT JOIN suite_board AS board USING (task) WHERE counted;
 
 CREATE VIEW suite_core AS -- README: the tasks to begin with
