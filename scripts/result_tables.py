@@ -4,9 +4,9 @@
 
 A table after ``<!-- table: SELECT ... -->``, a query of SQLite, is made whole: its header has the names of the columns
 of the query, its rows are the results. ``docs/results/runs.csv`` is the table ``runs``, a file in a folder has the name
-``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. The tasks of the suite are the table
-``suite_tasks``, what ``suite table`` prints of them ``suite_board``; views of ``docs/results/views.sql`` are tables,
-too.
+``folder_file``, and what follows an empty line in ``scores.csv`` is ``scores_1``. Of the suite there are the tables
+``suite_tasks``, ``suite_learners``, ``suite_normalised`` (a score of every run) and ``suite_board`` (as ``suite table``
+prints it); views of ``docs/results/views.sql`` are tables, too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from paired_benchmark import REPOSITORY
 
+from algorithms.commands.suite import minutes_per_run
+from algorithms.commands.suite_results import REFERENCE
 from algorithms.experiments.cli import make_parser
+from algorithms.studies.settings import load_study
 from algorithms.studies.suite_tables import Scoreboard
 from mo_deepdrive import suite
 from mo_deepdrive.atomic_io import atomic_write
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-MADE = re.compile(r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)(?:\|[^\n]*\n)*\n?", re.DOTALL)
+MADE = re.compile(r"(?P<comment><!-- table:(?P<query>.*?)-->\n\n)(?:(?:\|[^\n]*\n)+\n?)*", re.DOTALL)
 
 
 class InterquartileMean:
@@ -76,9 +79,7 @@ def open_results() -> sqlite3.Connection:
         for k, part in enumerate(path.read_text(encoding="utf-8").split("\n\n")):
             header, *rows = csv.reader(io.StringIO(part))
             fill(database, f"{name}_{k}" if k else name, header, rows)
-    fill(database, "suite_tasks", *suite_tasks())
-    header, *rows = Scoreboard(suite.read_rows(folder / "suite.csv"), suite.load()).task_table()
-    fill(database, "suite_board", header, rows)
+    fill_suite(database, suite.read_rows(folder / "suite.csv"))
     database.create_function("decimals", 2, decimals, deterministic=True)
     aggregate: Any = InterquartileMean
     database.create_aggregate("interquartile_mean", 1, aggregate)
@@ -86,14 +87,27 @@ def open_results() -> sqlite3.Connection:
     return database
 
 
-def suite_tasks() -> tuple[list[str], list[list[Any]]]:
-    """Columns and rows of the table of the suite's tasks, in order."""
-    fields = ["title", "tests", "track", "core", "counted", "steps", "score", "policy"]
-    rows = []
+def fill_suite(database: sqlite3.Connection, results: list[suite.Row]) -> None:
+    """Make the tables of the suite: its tasks, every normalised score, the learners' labels and the scoreboard."""
+    board, minutes = Scoreboard(results, suite.load()), minutes_per_run(results)
+    fields = ["title", "tests", "track", "core", "counted", "steps", "policy"]
+    tasks: list[list[Any]] = []
+    scores: list[list[Any]] = []
     for name, task in suite.load().tasks.items():
-        bounds = [task.floor.value, task.floor.by, task.ceiling.value, task.ceiling.by, task.ceiling.kind]
-        rows.append([name, *(getattr(task, field) for field in fields), *bounds])
-    return ["task", *fields, "floor", "floor_by", "ceiling", "ceiling_by", "kind"], rows
+        values = [task.floor.value, task.floor.by, task.ceiling.value, task.ceiling.by, task.ceiling.kind]
+        tasks.append([name, *(getattr(task, field) for field in fields), *values, minutes.get(name)])
+        if task.counted and name in board.tasks:
+            found = [(learner, board.scores(name, learner)) for learner in board.learners]
+            scores += [[learner, name, task.track, each] for learner, its in found if its for each in its.values]
+    bounds = ["floor", "floor_by", "ceiling", "ceiling_by", "kind", "minutes"]
+    fill(database, "suite_tasks", ["task", *fields, *bounds], tasks)
+    fill(database, "suite_normalised", ["learner", "task", "track", "score"], scores)
+    study = load_study(REFERENCE)
+    learners = [study.learners, *(task.learners for task in study.tasks.values())]
+    labels = {name: learner.label for each in learners for name, learner in each.items() if learner.label}
+    fill(database, "suite_learners", ["learner", "label"], [[name, labels.get(name, name)] for name in board.learners])
+    header, *rows = board.task_table()
+    fill(database, "suite_board", header, rows)
 
 
 def fill(database: sqlite3.Connection, table: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

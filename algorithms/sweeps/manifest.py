@@ -275,7 +275,7 @@ def iterate_manifest(sweep: Path) -> Iterator[ManifestRow]:
     """
     path, rows = sweep / FILE, TypeAdapter(ManifestRow)
     if not path.is_file():
-        raise ValueError(f"{str(sweep)!r} is not a sweep: it has no {FILE}")
+        raise ValueError(f"{str(sweep)!r} is neither a sweep nor a study: it has no {FILE}")
     with path.open("rb") as lines:
         for number, line in enumerate(lines, 1):
             try:

@@ -1,22 +1,14 @@
 -- What the made tables of the documentation select from: views of the CSV files in this folder and of the suite's tasks.
 
-CREATE VIEW suite_normalised AS -- every run, by the policy that its task ranks; one that failed has the lowest score
-SELECT learner, task, track, core, seed, cpu_seconds, max(-1.0, (value - floor) / (ceiling - floor)) AS score
-FROM suite JOIN suite_tasks USING (task, policy)
-WHERE suite."column" = 'score' AND value <> '' AND counted
-UNION ALL
-SELECT DISTINCT learner, task, track, core, seed, NULL, -1.0
-FROM suite JOIN suite_tasks USING (task) WHERE state = 'failed' AND counted;
-
 CREATE VIEW suite_tracks AS -- README: learners by tracks
 WITH cells AS (
   SELECT learner, track, printf('%.2f (%d)', interquartile_mean(score), count(DISTINCT task)) AS cell
   FROM suite_normalised GROUP BY learner, track)
-SELECT learner,
+SELECT label AS learner,
   max(CASE track WHEN 'known utility' THEN cell END) AS "known utility",
   max(CASE track WHEN 'unknown utility' THEN cell END) AS "unknown utility",
   max(CASE track WHEN 'many vehicles' THEN cell END) AS "many vehicles"
-FROM cells GROUP BY learner
+FROM cells JOIN suite_learners USING (learner) GROUP BY learner
 ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
 CREATE VIEW suite_list AS -- scoreboard: what the tasks are
@@ -26,13 +18,13 @@ FROM suite_tasks WHERE counted;
 
 CREATE VIEW suite_bounds AS -- scoreboard: floors, ceilings and the best learner of each task
 WITH means AS (
-  SELECT task, learner, interquartile_mean(score) AS score, count(*) AS seeds, avg(cpu_seconds) / 60 AS minutes
+  SELECT task, learner, interquartile_mean(score) AS score, count(*) AS seeds
   FROM suite_normalised GROUP BY task, learner),
-best AS (SELECT task, learner, max(score) AS score, seeds, minutes FROM means GROUP BY task)
+best AS (SELECT task, label, max(score) AS score, seeds FROM means JOIN suite_learners USING (learner) GROUP BY task)
 SELECT '`' || task || '`' AS task, printf('%.4g', t.floor) || ' (' || floor_by || ')' AS floor,
   printf('%.4g', t.ceiling) || ' (' || CASE kind WHEN 'best known' THEN ceiling_by ELSE kind END || ')' AS ceiling,
-  best.learner AS "best learner",
-  decimals(best.score, 2) AS "its score", CASE WHEN best.learner IS NULL THEN NULL WHEN board."clearly best" = '' THEN 'no'
+  best.label AS "best learner",
+  decimals(best.score, 2) AS "its score", CASE WHEN best.label IS NULL THEN NULL WHEN board."clearly best" = '' THEN 'no'
     ELSE 'yes' END AS "clearly best", seeds, decimals(minutes, 1) AS "CPU minutes a run"
 FROM suite_tasks AS t LEFT JOIN best USING (task) LEFT JOIN suite_board AS board USING (task) WHERE counted;
 
@@ -43,25 +35,25 @@ FROM suite_list AS list JOIN suite_bounds USING (task) WHERE " " = 'core';
 CREATE VIEW suite_scores AS -- scoreboard: learners by tasks
 WITH cells AS (
   SELECT learner, task, printf('%.2f', interquartile_mean(score)) AS cell FROM suite_normalised GROUP BY learner, task)
-SELECT learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE task WHEN 'K2' THEN cell END) AS K2,
+SELECT label AS learner, max(CASE task WHEN 'K1' THEN cell END) AS K1, max(CASE task WHEN 'K2' THEN cell END) AS K2,
   max(CASE task WHEN 'K3' THEN cell END) AS K3, max(CASE task WHEN 'K4' THEN cell END) AS K4,
   max(CASE task WHEN 'K5' THEN cell END) AS K5, max(CASE task WHEN 'K6-ESR' THEN cell END) AS "K6-ESR",
   max(CASE task WHEN 'K6-SER' THEN cell END) AS "K6-SER", max(CASE task WHEN 'U1' THEN cell END) AS U1,
   max(CASE task WHEN 'U2' THEN cell END) AS U2, max(CASE task WHEN 'U3' THEN cell END) AS U3,
   max(CASE task WHEN 'V1' THEN cell END) AS V1
-FROM cells GROUP BY learner
+FROM cells JOIN suite_learners USING (learner) GROUP BY learner
 ORDER BY (SELECT interquartile_mean(score) FROM suite_normalised AS n WHERE n.learner = cells.learner) DESC;
 
 CREATE VIEW suite_generalisation AS -- scoreboard: scores where no learner has trained
 WITH scored AS (
   SELECT task, learner, suite."column" AS setting, max(-1.0, (value - floor) / (ceiling - floor)) AS score
   FROM suite JOIN suite_tasks USING (task, policy) WHERE value <> '' AND counted)
-SELECT '`' || task || '`' AS task, learner,
+SELECT '`' || task || '`' AS task, label AS learner,
   decimals(interquartile_mean(CASE setting WHEN 'score' THEN score END), 2) AS "as trained",
   decimals(interquartile_mean(CASE setting WHEN 'yaw_friction' THEN score END), 2) AS "less grip",
   decimals(interquartile_mean(CASE setting WHEN 'action_delay' THEN score END), 2) AS "delayed actions",
   decimals(interquartile_mean(CASE setting WHEN 'hidden_car' THEN score END), 2) AS "a hidden car"
-FROM scored GROUP BY task, learner;
+FROM scored JOIN suite_learners USING (learner) GROUP BY task, learner;
 
 CREATE VIEW speed AS -- README
 SELECT CASE WHEN measurement LIKE '%make_vec%'

@@ -7,6 +7,8 @@ from types import ModuleType
 
 import pytest
 
+from mo_deepdrive import suite
+
 
 @pytest.fixture
 def script(load_script: Callable[[str], ModuleType]) -> ModuleType:
@@ -37,12 +39,18 @@ def test_a_table_is_made_whole_from_a_query(script: ModuleType) -> None:
 
 @pytest.mark.slow
 def test_the_scoreboard_normalises_and_counts_failed_runs(script: ModuleType) -> None:
+    ceiling = suite.load().tasks["K1"].ceiling.value
+    run = {"task": "K1", "learner": "a", "state": "finished", "cpu_seconds": 60.0}
+    results = [suite.Row(**run, seed=seed, policy="stochastic", column="score", value=ceiling) for seed in range(2)]
+    results += [suite.Row(**run, seed=0, policy="greedy", column="score", value=100.0)]
+    results += [suite.Row(**{**run, "state": "failed", "cpu_seconds": None}, seed=2, policy="", column="", value=None)]
     database = script.open_results()
-    scored = [["K1", "a", seed, "stochastic", "score", 6.7, "finished", 60] for seed in range(2)]
-    failed = [["K1", "a", 2, "", "", "", "failed", ""]]
-    other = [["K1", "a", 0, "greedy", "score", 100.0, "finished", 60]]
-    header = ["task", "learner", "seed", "policy", "column", "value", "state", "cpu_seconds"]
-    script.fill(database, "suite", header, [*scored, *failed, *other])
-    database.execute("UPDATE suite_tasks SET floor = 0, ceiling = 6.7")
-    assert database.execute("SELECT seed, score FROM suite_normalised").fetchall() == [(0, 1.0), (1, 1.0), (2, -1.0)]
+    for table in ("tasks", "normalised", "learners", "board"):
+        database.execute(f"DROP TABLE suite_{table}")
+    script.fill_suite(database, results)
+    assert database.execute("SELECT learner, score FROM suite_normalised").fetchall() == [
+        ("a", 1.0),
+        ("a", 1.0),
+        ("a", -1.0),
+    ]
     assert database.execute("SELECT * FROM suite_tracks").fetchall() == [("a", "0.33 (1)", None, None)]

@@ -143,8 +143,8 @@ def test_the_default_directory_is_named_after_the_file(call: Call, tmp_path: Pat
         (["--dry-run", "--on", "ray"], "--dry-run is for --on slurm, not ray"),
         (["--no-wait"], "--no-wait is for --on slurm, not local"),
         (["--remake", "--on", "manifest"], "--remake is for --on local and ray and slurm, not manifest"),
-        (["--status"], "is not a sweep: it has no manifest.jsonl"),
-        (["--verify"], "is not a sweep: it has no manifest.jsonl"),
+        (["--status"], "is neither a sweep nor a study: it has no manifest.jsonl"),
+        (["--verify"], "is neither a sweep nor a study: it has no manifest.jsonl"),
         (["--output", "base.yaml"], "--output 'base.yaml'"),
     ],
 )

@@ -397,7 +397,7 @@ def test_a_sweep_in_which_a_link_leads_elsewhere_is_read_but_not_written(tmp_pat
 
 
 def test_a_directory_without_a_manifest_is_not_a_sweep(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"is not a sweep: it has no manifest\.jsonl"):
+    with pytest.raises(ValueError, match=r"is neither a sweep nor a study: it has no manifest\.jsonl"):
         read_manifest(tmp_path)
 
 
