@@ -65,8 +65,11 @@ class TrainingSettings(Settings):
     """Number of parallel environments."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of everything random in training."""
+    seeds: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)] | None = None
+    """Seeds that are trained side by side in one process, each as a run of its own; None for ``seed`` alone."""
     device: str = "cpu"
-    """The device of the networks, in PyTorch's notation."""
+    """The device of the training, in PyTorch's notation; on a GPU worlds and learners stay there, and several ``seeds``
+    take little longer than one."""
     threads: int = Field(default=1, ge=1, le=1024)
     """How many collect samples and compute gradients; each needs a core of its own, or training becomes slower. A run
     is the same, bit for bit, for the same number."""
@@ -171,6 +174,18 @@ class Experiment(Settings):
         """Whether the algorithm learns for a known utility, rather than a front for every utility."""
         return find_algorithm(self.algorithm.name).known_utility
 
+    @property
+    def is_resident(self) -> bool:
+        """Whether world and learners stay on the device, with the seeds as an axis (:mod:`algorithms.device`)."""
+        return self.training.seeds is not None or self.training.device != "cpu"
+
+    def of_seeds(self) -> list[Experiment]:
+        """The experiments of the seeds that are trained side by side, each that of a run of its own."""
+        if self.training.seeds is None:
+            return [self]
+        updates = [{"seed": seed, "seeds": [seed]} for seed in self.training.seeds]
+        return [self.model_copy(update={"training": self.training.model_copy(update=each)}) for each in updates]
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values, from which :func:`make_experiment` makes an equal experiment."""
         return self.model_dump(mode="json")
@@ -226,6 +241,7 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
     algorithm = experiment.algorithm.name
     arguments = attempt(lambda: _environment_arguments(experiment.environment))
     attempt(lambda: check_device("training.device", experiment.training.device, here))
+    attempt(lambda: _check_seeds(experiment.training))
     attempt(lambda: _check_episodes(experiment.evaluation))
     attempt(lambda: _check_task(experiment))
     if algorithm:
@@ -391,6 +407,16 @@ def _front_evaluation(experiment: Experiment, arguments: Mapping[str, Any]) -> d
     except ValueError as error:
         raise ValueError(f"evaluation.reference_point must be given: {error}") from None
     return {"gamma": gamma, "reference_point": point.values.tolist()}
+
+
+def _check_seeds(settings: TrainingSettings) -> None:
+    seeds = settings.seeds
+    if seeds is None:
+        return
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"training.seeds = {seeds} must differ from one another")
+    if "seed" in settings.model_fields_set and settings.seed not in seeds:
+        raise ValueError(f"training.seed = {settings.seed} must be one of training.seeds = {seeds}")
 
 
 def _check_episodes(settings: EvaluationSettings) -> None:

@@ -152,7 +152,7 @@ def test_a_run_can_be_opened_on_another_device(tmp_path: Path) -> None:
     write_json(tmp_path / "config.yaml", write)  # JSON is YAML
     with pytest.raises(ValueError, match="cuda:99"):
         Run.open(tmp_path)
-    assert Run.open(tmp_path, device="cpu").experiment.training.device == "cpu"
+    assert Run.open(tmp_path).experiment.training.device == "cpu"
 
 
 @pytest.mark.parametrize("name", [".lock", "metrics.csv", "checkpoint.safetensors", "tensorboard", "train.log"])
