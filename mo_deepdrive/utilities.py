@@ -10,6 +10,7 @@ given by its path, ``package.module:function``.
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -47,6 +48,7 @@ class Utility:
         self.weights = None if weights is None else tuple(float(w) for w in weights)
         self.arguments: Mapping[str, Any] | None = None
         self._function = function
+        self._checked = True
 
     def __call__(self, returns: Any) -> Any:
         """Utility of ``returns`` (..., d): shape (...).
@@ -62,8 +64,15 @@ class Utility:
             )
         with np.errstate(all="ignore"):  # what is not finite is refused
             values = self._function(_real(returns))
-        self._check_finite(returns, values)
+        if self._checked:
+            self._check_finite(returns, values)
         return values
+
+    def unchecked(self) -> Utility:
+        """The same without a check that utilities are finite, for which a GPU would have to be waited for."""
+        found = copy.copy(self)
+        found._checked = False
+        return found
 
     def _check_finite(self, returns: Any, values: Any) -> None:
         try:
