@@ -151,7 +151,7 @@ class Agent(ABC):
     known_utility: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
     trains_with_guides: ClassVar[bool] = False
-    varying_shapes: ClassVar[tuple[str, ...]] = ("optimiser.",)
+    varying_shapes: ClassVar[tuple[str, ...]] = ()
     config: Any
 
     def __init_subclass__(cls, **options: Any):
@@ -183,6 +183,11 @@ class Agent(ABC):
         self.step = 0
         self.updates = 0
         self.episodes: list[Episodes] = []
+
+    def update_generator(self, stream: int) -> torch.Generator:
+        """The random numbers of this update: a function of the seed, a stream and the number of updates so far."""
+        words = np.random.SeedSequence([self.seed, stream, self.updates]).generate_state(2, np.uint64)
+        return torch.Generator().manual_seed(int(words[0]) >> 1)
 
     @classmethod
     def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:

@@ -75,7 +75,6 @@ O. Klimov, "Proximal policy optimization algorithms", arXiv:1707.06347, 2017.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -98,24 +97,19 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_change, squared_error
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
 from algorithms.networks.trained import TrainedNetworks
-from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
 from algorithms.rollouts.buffers import Samples
 from algorithms.rollouts.collector import Collector
 from algorithms.rollouts.guides import Guides
 from algorithms.rollouts.preferences import CHEBYSHEV, COMFORT_BUDGET, LINEAR, Preferences, PreferenceSettings
 from mo_deepdrive.evaluation.accrued_reward import SMALLEST_DISCOUNT
 from mo_deepdrive.evaluation.metrics import (
-    APPROX_KL,
-    CLIP_FRACTION,
-    ENTROPY,
     ENTROPY_COEFFICIENT,
     LEARNING_RATE,
-    POLICY_LOSS,
-    VALUE_LOSS,
     vehicle_prefix,
 )
 from mo_deepdrive.evaluation.policy import check_same_task
@@ -191,9 +185,12 @@ class ConditionedLearner(TrainedNetworks):
         config: hyperparameters.
         generator: draws the initial weights.
         device: of the networks.
+
+    Attributes:
+        static_shapes: as of :class:`algorithms.actor_critic.Learner`.
     """
 
-    shuffle: torch.Generator
+    static_shapes = False
 
     def __init__(
         self,
@@ -213,11 +210,9 @@ class ConditionedLearner(TrainedNetworks):
         # Which components X_t has.
         self.has_objectives = config.vector_critic and LINEAR in preferences.used
         self.has_increases = not self.has_objectives or preferences.used != [LINEAR]
-        components = self.has_objectives * len(env.objectives) + self.has_increases
-        self.critic = make_network(config, self.input_size, components, generator).to(device)
+        self.value_size = self.has_objectives * len(env.objectives) + self.has_increases
+        self.critic = make_network(config, self.input_size, self.value_size, generator).to(device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-        # Shuffles the minibatches.
-        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
 
     def inputs(
         self,
@@ -231,7 +226,12 @@ class ConditionedLearner(TrainedNetworks):
         return torch.cat([observations / self.observation_scales, features], dim=-1)
 
     def update(
-        self, rollout: VehicleRollout, preferences: torch.Tensor, learning_rate: float, entropy_coefficient: float
+        self,
+        rollout: VehicleRollout,
+        preferences: torch.Tensor,
+        learning_rate: float,
+        entropy_coefficient: float,
+        generator: torch.Generator,
     ) -> dict[str, float]:
         """Epochs of minibatch steps of eq. 9 on a rollout of T steps in N environments; mean losses by name.
 
@@ -240,77 +240,76 @@ class ConditionedLearner(TrainedNetworks):
             preferences: (T, N, m) under which it acted.
             learning_rate: of Adam.
             entropy_coefficient: c_e.
+            generator: shuffles the samples.
         """
-        samples = self.samples(rollout, preferences)
+        config, samples, steps = self.config, self.samples(rollout, preferences).acted(), []
         if len(samples.actions) == 0:
             return {}
-        losses, log_ratios = zip(
-            *(
-                self.gradient_step(minibatch, learning_rate, entropy_coefficient)
-                for _ in range(self.config.epochs)
-                for minibatch in samples.shuffled(self.shuffle).split(self.config.minibatches)
-            ),
-            strict=True,
-        )
-        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
-        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
-        return means
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        for minibatch in samples.minibatches(config.epochs, config.minibatches, generator):
+            losses = self.loss(minibatch, entropy_coefficient)
+            self.optimiser.zero_grad()
+            losses.total.backward()
+            self.optimiser.clip(config.max_grad_norm, losses.parts)
+            self.optimiser.step()
+            steps.append(losses)
+        return {**means(steps), **policy_change(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout, preferences: torch.Tensor) -> Samples:
-        """The samples in which the vehicle acted, with B_t, Y_t and log pi_old of the networks as they are now."""
+        """What is learnt from a rollout, (T N, ...): B_t, Y_t and log pi_old of the networks as they are now.
+
+        Args:
+            rollout: of this vehicle.
+            preferences: (T, N, m) under which it acted.
+        """
         # V(S_T) is not used where the episode ends with the rollout, else it is that under the preference so far.
         followed = torch.cat([preferences, preferences[-1:]])
         inputs = self.inputs(rollout.observations, followed, rollout.accrued, rollout.discounts)
-        values = self.critic(inputs)
-        switched = (followed[1:] != followed[:-1]).any(-1) & ~(rollout.terminated | rollout.truncated)
-        next_values = self.next_values(rollout, preferences, values, switched)
-        advantages = self.advantages(rollout, preferences, values[:-1], next_values, switched)
-        targets = advantages + values[:-1]
-        scalars = (self.component_weights(preferences) * advantages).sum(-1)
-        weights = rollout.acted.to(scalars.dtype)
-        normalised = normalise(scalars, weights / weights.sum().clamp(min=1.0))
-        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        all_samples = Samples(inputs[:-1], inputs[:-1], rollout.actions, log_prob, normalised, targets)
-        return all_samples.at(rollout.acted)
+        values, states = self.critic(inputs), inputs[:-1]
+        # Where the preference changes within an episode, S_{t+1} has the one of S_t.
+        ended = rollout.terminated | rollout.truncated
+        switched = (followed[1:] != followed[:-1]).any(-1) & ~ended
+        elsewhere = rollout.truncated | switched
+        final_values = self.final_values(rollout, preferences, elsewhere)
+        following = next_values(values[1:], final_values, rollout.terminated, elsewhere)
+        # Equations 7 and 8; the sum ends where the preference switches.
+        gamma = self.config.gamma
+        deltas = self.components(rollout, preferences) + gamma * following - values[:-1]
+        advantages = generalised_advantages(deltas, (ended | switched).unsqueeze(-1), gamma * self.config.gae_lambda)
+        weights = rollout.acted.to(advantages.dtype)
+        weighed = normalise((self.component_weights(preferences) * advantages).sum(-1), weights)
+        log_prob, _ = self.actor(states, rollout.actions)
+        return Samples(states, states, rollout.actions, weighed, advantages + values[:-1], weights, log_prob).flat()
 
-    def next_values(
-        self, rollout: VehicleRollout, preferences: torch.Tensor, values: torch.Tensor, switched: torch.Tensor
-    ) -> torch.Tensor:
-        """V(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
+    def final_values(self, rollout: VehicleRollout, preferences: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
+        """V (T, N, K) of the true states after the steps of a mask, under the preferences (T, N, m) before them.
 
-        Args:
-            rollout: T steps of this vehicle.
-            preferences: (T, N, m) under which it acted.
-            values: (T + 1, N, K) V of the states in which it acted.
-            switched: (T, N) whether another preference follows in the same episode; S_{t+1} has the one of S_t.
+        Elsewhere it is anything.
         """
-        next_values = values[1:].clone()
-        next_values[rollout.terminated] = 0.0
-        truncated = rollout.truncated & ~rollout.terminated
-        if truncated.any():
-            observations, accrued, discounts = rollout.final_states(truncated, self.config.gamma)
-            final = self.inputs(observations, preferences[truncated], accrued, discounts)
-            next_values[truncated] = self.critic(final)
-        if switched.any():
-            after = (each[1:][switched] for each in (rollout.accrued, rollout.discounts))
-            states = self.inputs(rollout.observations[1:][switched], preferences[switched], *after)
-            next_values[switched] = self.critic(states)
-        return next_values
 
-    def advantages(
-        self,
-        rollout: VehicleRollout,
-        preferences: torch.Tensor,
-        values: torch.Tensor,
-        next_values: torch.Tensor,
-        switched: torch.Tensor,
-    ) -> torch.Tensor:
-        """A_t (T, N, K) of eqs. 7 and 8 from V(S_t) and V(S_{t+1}); the sum ends where the preference switches."""
-        config = self.config
-        not_done = (~(rollout.terminated | rollout.truncated | switched)).to(values.dtype).unsqueeze(-1)
-        deltas = self.components(rollout, preferences) + config.gamma * next_values - values
-        return generalised_advantages(deltas, not_done, config.gamma * config.gae_lambda)
+        def values(where: torch.Tensor | slice) -> torch.Tensor:
+            observations, accrued, discounts = rollout.final_states(where, self.config.gamma)
+            found: torch.Tensor = self.critic(self.inputs(observations, preferences[where], accrued, discounts))
+            return found
+
+        if self.static_shapes:
+            return values(slice(None))
+        found = torch.zeros((*where.shape, self.value_size), device=where.device)
+        if where.any():
+            found[where] = values(where)
+        return found
+
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 9, a function of tensors that autograd differentiates."""
+        config, weights = self.config, samples.weights
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        log_ratio = log_prob - samples.log_prob
+        policy_loss = -clipped_surrogate(log_ratio, samples.advantages, config.clip, weights)
+        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets, weights)
+        entropy = mean(entropies, weights)
+        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return Losses(total, policy_loss, value_loss, entropy, log_ratio)
 
     def components(self, rollout: VehicleRollout, preferences: torch.Tensor) -> torch.Tensor:
         """X_t (T, N, K) of a rollout that acted under preferences (T, N, m)."""
@@ -335,22 +334,6 @@ class ConditionedLearner(TrainedNetworks):
         if self.has_increases:
             parts.append((~linear if self.has_objectives else torch.ones_like(linear)).to(preferences.dtype))
         return torch.cat(parts, dim=-1)
-
-    def gradient_step(
-        self, samples: Samples, learning_rate: float, entropy_coefficient: float
-    ) -> tuple[dict[str, float], torch.Tensor]:
-        """One gradient step of eq. 9; its losses, and log f of the samples before it."""
-        config = self.config
-        with self.optimiser.recording():
-            log_prob, entropies = self.actor.log_prob_and_entropy(samples.inputs, samples.actions)
-            values = self.critic(samples.inputs)
-        policy_loss = -clipped_surrogate(log_prob, samples.log_prob, samples.advantages, config.clip)
-        value_loss = squared_error(values, samples.targets)
-        entropy = mean(entropies)
-        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
-        return losses, log_prob.detach() - samples.log_prob
 
 
 class ConditionedMOPPO(FrontAgent):
@@ -435,7 +418,8 @@ class ConditionedMOPPO(FrontAgent):
         followed = torch.from_numpy(np.stack(preferences)).to(self.device)
         for v, learner in enumerate(self.learners):
             own = rollout.of_vehicle(v, self.device, others=False)
-            losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient)
+            generator = self.update_generator(v)
+            losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient, generator)
             prefix = vehicle_prefix(v, len(self.learners))
             metrics |= {prefix + name: value for name, value in losses.items()}
         self.preferences.note_episodes(episodes.discounted)

@@ -25,7 +25,6 @@ The actors do not see the accrued rewards R_{v,t}. Where u or J is not linear, a
 
 from __future__ import annotations
 
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
 import torch
@@ -46,12 +45,11 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import clipped_surrogate, mean, policy_change, squared_error
+from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_change, squared_error
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
-from algorithms.rollouts.advantages import generalised_advantages, normalise
+from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
 from algorithms.rollouts.buffers import Samples
-from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -224,7 +222,6 @@ class MAPPOLearner(Learner):
     """MAPPO for one vehicle; the arguments are those of :class:`algorithms.actor_critic.Learner`."""
 
     config: MAPPOConfig
-    shuffle: torch.Generator
 
     def __init__(
         self,
@@ -240,97 +237,69 @@ class MAPPOLearner(Learner):
         state_size = env.vehicles * (env.observation_size + len(env.objectives) + 1)
         self.actor = make_actor(config, self.input_size, env.actions, generator, continuous=env.continuous).to(device)
         self.critic = make_network(config, state_size, 1, generator).to(device)
+        self.value_scales = torch.tensor([config.value_scale], device=device)
         self.optimiser = Adam([*self.actor.parameters(), *self.critic.parameters()])
-        # Shuffles the minibatches.
-        self.shuffle = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=generator)))
         self.team: TeamRollout  # of the rollout that is learnt from
-
-    # ------------------------------------------------------------------------------------------- what the networks see
-
-    def values(self, states: torch.Tensor) -> torch.Tensor:
-        """v(S) (...), in the units of the team's utility."""
-        outputs: torch.Tensor = self.critic(states)
-        return self.config.value_scale * outputs.squeeze(-1)
 
     # ------------------------------------------------------------------------------------------------------ the update
 
-    def update(self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
+    def update(
+        self, rollout: VehicleRollout, learning_rate: float, entropy_coefficient: float, generator: torch.Generator
+    ) -> dict[str, float]:
         """Epochs of minibatch steps of eq. 5 on a rollout of T steps in N environments; mean losses by name."""
-        acted, everything = self.samples(rollout)
-        if len(acted.actions) == 0:
+        config, samples, steps = self.config, self.samples(rollout), []
+        if not rollout.acted.any():
             return {}
-        losses, log_ratios = zip(
-            *(
-                self.gradient_step(own, team, learning_rate, entropy_coefficient)
-                for _ in range(self.config.epochs)
-                # A vehicle that hardly acted has fewer parts; the critic then learns from as many.
-                for own, team in zip(self._minibatches(acted), self._minibatches(everything), strict=False)
-            ),
-            strict=True,
-        )
-        means = {name: fmean(each[name] for each in losses) for name in losses[0]}
-        means[CLIP_FRACTION], means[APPROX_KL] = policy_change(torch.cat(log_ratios), self.config.clip)
-        return means
-
-    def _minibatches(self, samples: Samples) -> list[Samples]:
-        return samples.shuffled(self.shuffle).split(self.config.minibatches)
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        for minibatch in samples.minibatches(config.epochs, config.minibatches, generator):
+            losses = self.loss(minibatch, entropy_coefficient)
+            self.optimiser.zero_grad()
+            losses.total.backward()
+            self.optimiser.clip(config.max_grad_norm, losses.parts)
+            self.optimiser.step()
+            steps.append(losses)
+        return {**means(steps), **policy_change(steps, config.clip)}
 
     @torch.no_grad()
-    def samples(self, rollout: VehicleRollout) -> tuple[Samples, Samples]:
-        """The samples in which the vehicle acted, and all, with A_t, y_t and log pi_old of the networks as they are."""
-        inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
-        values = self.values(self.team.states[:-1])
-        advantages = self.advantages(values, self.next_values(values))
-        targets = advantages + values
-        weights = rollout.acted.to(advantages.dtype)
-        advantages = normalise(advantages, weights / weights.sum().clamp(min=1.0))
-        log_prob, _ = self.actor.log_prob_and_entropy(inputs[:-1], rollout.actions)
-        samples = Samples(inputs[:-1], self.team.states[:-1], rollout.actions, log_prob, advantages, targets)
-        return samples.at(rollout.acted), samples.at(torch.ones_like(rollout.acted))
+    def samples(self, rollout: VehicleRollout) -> Samples:
+        """What is learnt from a rollout, (T N, ...): A_t, y_t and log pi_old of the networks as they are now.
 
-    @torch.no_grad()
-    def next_values(self, values: torch.Tensor) -> torch.Tensor:
-        """v(S_{t+1}) (T, N): 0 after termination, the value of the true final state after truncation.
-
-        Args:
-            values: (T, N) v(S_t).
+        All count for the critic, and those in which the vehicle acted for the actor.
         """
-        team = self.team
-        next_values = torch.cat([values[1:], self.values(team.states[-1:])])
-        next_values[team.terminated] = 0.0
-        if team.truncated.any():
-            next_values[team.truncated] = self.values(team.final_states[team.truncated])
-        return next_values
+        team, inputs = self.team, self.inputs(rollout.observations[:-1], rollout.accrued[:-1], rollout.discounts[:-1])
+        values = self.values(team.states)
+        final_values = self.final_values(rollout)
+        following = next_values(values[1:], final_values, team.terminated, team.truncated)
+        # Equations 2 and 3.
+        ended, gamma = (team.terminated | team.truncated).unsqueeze(-1), self.config.gamma
+        deltas = team.rewards.unsqueeze(-1) + gamma * following - values[:-1]
+        vector = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
+        weights = rollout.acted.to(values.dtype)
+        advantages, targets = normalise(vector.squeeze(-1), weights), (vector + values[:-1]) / self.value_scales
+        log_prob, _ = self.actor(inputs, rollout.actions)
+        return Samples(inputs, team.states[:-1], rollout.actions, advantages, targets, weights, log_prob).flat()
 
-    def advantages(self, values: torch.Tensor, next_values: torch.Tensor) -> torch.Tensor:
-        """A_t of eqs. 2 and 3 (T, N), from v(S_t) and v(S_{t+1}), each (T, N)."""
-        gamma = self.config.gamma
-        not_done = (~(self.team.terminated | self.team.truncated)).to(values.dtype)
-        deltas = self.team.rewards + gamma * next_values - values
-        return generalised_advantages(deltas, not_done, gamma * self.config.gae_lambda)
+    def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
+        """V (T, N, 1) of the true states after steps that truncated a team's episode; anything after other steps."""
+        del rollout  # this vehicle's
+        truncated, states = self.team.truncated, self.team.final_states
+        if self.static_shapes:
+            return self.values(states)
+        found = torch.zeros((*truncated.shape, 1), device=self.device)
+        if truncated.any():
+            found[truncated] = self.values(states[truncated])
+        return found
 
-    def gradient_step(
-        self, own: Samples, team: Samples, learning_rate: float, entropy_coefficient: float
-    ) -> tuple[dict[str, float], torch.Tensor]:
-        """One gradient step of eq. 5; its losses, and log rho of the samples before it.
-
-        Args:
-            own: steps in which the vehicle acted, for the actor.
-            team: steps of the team, for the critic.
-            learning_rate: of the step.
-            entropy_coefficient: c_e.
-        """
-        config = self.config
-        with self.optimiser.recording():
-            log_prob, entropies = self.actor.log_prob_and_entropy(own.inputs, own.actions)
-            values = self.critic(team.critic_inputs)
-        policy_loss = -clipped_surrogate(log_prob, own.log_prob, own.advantages, config.clip)
-        value_loss = squared_error(values, (team.targets / config.value_scale).unsqueeze(-1))
-        entropy = mean(entropies)
-        loss = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        losses = {POLICY_LOSS: float(policy_loss), VALUE_LOSS: float(value_loss), ENTROPY: float(entropy)}
-        self.optimiser.minimise(loss, learning_rate, config.max_grad_norm, losses)
-        return losses, log_prob.detach() - own.log_prob
+    def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
+        """L of eq. 5, a function of tensors that autograd differentiates."""
+        config, weights = self.config, samples.weights
+        log_prob, entropies = self.actor(samples.inputs, samples.actions)
+        log_ratio = log_prob - samples.log_prob
+        policy_loss = -clipped_surrogate(log_ratio, samples.advantages, config.clip, weights)
+        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets)
+        entropy = mean(entropies, weights)
+        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+        return Losses(total, policy_loss, value_loss, entropy, log_ratio)
 
 
 class MAPPO(ActorCritic):

@@ -32,6 +32,7 @@ continuous actions (eq. 2) have Gaussian exploration noise.
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -132,7 +133,7 @@ class PCN(FrontAgent):
 
     name = "pcn"
     Config = PCNConfig
-    varying_shapes = ("optimiser.", "store.", "attained.")
+    varying_shapes = ("store.", "attained.")
 
     def __init__(self, env: VectorEnv, **options: Any):
         super().__init__(env, **options)
@@ -299,7 +300,11 @@ class PCN(FrontAgent):
             if self.env.continuous
             else nn.functional.cross_entropy(outputs, targets)
         )
-        self.optimiser.minimise(loss, learning_rate, parts={metrics.POLICY_LOSS: float(loss.detach())})
+        self.optimiser.param_groups[0]["lr"] = learning_rate
+        self.optimiser.zero_grad()
+        loss.backward()
+        self.optimiser.clip(math.inf, lambda: {metrics.POLICY_LOSS: float(loss.detach())})
+        self.optimiser.step()
         return loss.detach()
 
     def _scaled(
