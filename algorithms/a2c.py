@@ -155,3 +155,4 @@ class A2C(ActorCritic):
     name = "a2c"
     Config = A2CConfig
     learner = A2CLearner
+    trains_on_devices = True

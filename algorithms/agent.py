@@ -129,6 +129,7 @@ class Agent(ABC):
         known_utility: whether the agent learns for a known utility, or a front for every utility.
         trains_with_partners: whether its constructor takes ``partners``, which drive vehicles that do not learn.
         trains_with_guides: whether it takes ``guides``, which begin episodes of vehicles that learn.
+        trains_on_devices: whether :mod:`algorithms.device` can train it, with several seeds side by side.
         varying_shapes: parts of the names of tensors whose shapes are not known before a checkpoint is read;
             ``set_state`` and ``set_policy`` check them.
         config: the hyperparameters.
@@ -151,6 +152,7 @@ class Agent(ABC):
     known_utility: ClassVar[bool] = True
     trains_with_partners: ClassVar[bool] = False
     trains_with_guides: ClassVar[bool] = False
+    trains_on_devices: ClassVar[bool] = False
     varying_shapes: ClassVar[tuple[str, ...]] = ()
     config: Any
 

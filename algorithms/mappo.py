@@ -45,7 +45,7 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_change, squared_error
+from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_changes, squared_error
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
@@ -258,7 +258,7 @@ class MAPPOLearner(Learner):
             self.optimiser.clip(config.max_grad_norm, losses.parts)
             self.optimiser.step()
             steps.append(losses)
-        return {**means(steps), **policy_change(steps, config.clip)}
+        return {**means(steps), **policy_changes(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout) -> Samples:
@@ -308,6 +308,7 @@ class MAPPO(ActorCritic):
     name = "mappo"
     Config = MAPPOConfig
     learner = MAPPOLearner
+    trains_on_devices = True
     trains_with_guides = False  # the team's return would go on where the guide's decisions are not learnt from
 
     def __init__(self, env: VectorEnv, utility: UtilityLike | Sequence[UtilityLike], **options: Any):

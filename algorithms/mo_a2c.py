@@ -233,6 +233,7 @@ class MOA2C(ActorCritic):
     name = "mo_a2c"
     Config = MOA2CConfig
     learner = MOA2CLearner
+    trains_on_devices = True
 
     @property
     def accrued_discount(self) -> float:

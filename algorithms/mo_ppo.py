@@ -51,7 +51,7 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_change, squared_error
+from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_changes, squared_error
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import (
@@ -176,7 +176,7 @@ class MOPPOLearner(Learner):
             self.optimiser.clip(config.max_grad_norm, losses.parts)
             self.optimiser.step()
             steps.append(losses)
-        return {**means(steps), **policy_change(steps, config.clip)}
+        return {**means(steps), **policy_changes(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout) -> Samples:
@@ -231,6 +231,7 @@ class MOPPO(ActorCritic):
     name = "mo_ppo"
     Config = MOPPOConfig
     learner = MOPPOLearner
+    trains_on_devices = True
 
     @property
     def accrued_discount(self) -> float:

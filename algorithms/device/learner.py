@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from algorithms.device.networks import SeedNetworks
-from algorithms.rollouts.buffers import Rollout
+from algorithms.networks.losses import policy_change
+from algorithms.rollouts.buffers import Rollout, Samples
 from algorithms.rollouts.running_mean import MEMORY
+from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,14 +36,16 @@ class SeedLearner:
 
     def __init__(self, learner: Any, learners: Sequence[Any], num_envs: int, device: torch.device):
         config = learner.config
+        learner.static_shapes = True
         self.learner, self.config, self.vehicle = learner, config, learner.vehicle
         self.networks = SeedNetworks(learner, learners)
         seeds, samples = len(learners), config.steps * num_envs
         self.epochs, self.minibatches = getattr(config, "epochs", 1), min(getattr(config, "minibatches", 1), samples)
-        width = learner.actor.noise_width
+        width = learner.actor.noise(1, torch.Generator(device)).shape[1]
         self.noise = torch.zeros(seeds, config.steps, num_envs, width, device=device)
         self.keys = torch.zeros(seeds, self.epochs, samples, device=device)
         self.losses: dict[str, torch.Tensor] = {}
+        self.mean_returns = hasattr(learner, "expected_return")
         self.expected_return = torch.zeros(seeds, len(learner.objective_scales), device=device)
         self.episodes = torch.zeros(seeds, device=device)
         for seed, each in enumerate(learners):
@@ -49,55 +53,85 @@ class SeedLearner:
 
     def draw(self, seed: int, generator: torch.Generator) -> None:
         """Draw the random numbers of an update of the seed with this index."""
-        self.learner.actor.fill_noise(self.noise[seed], generator)
+        noise = self.noise[seed]
+        noise.copy_(self.learner.actor.noise(noise[..., 0].numel(), generator).view(noise.shape))
         self.keys[seed].uniform_(generator=generator)
 
     @torch.no_grad()
     def act(self, t: int, now: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Actions (S, N) or (S, N, k) of step t of a rollout."""
         own = (now[name][:, :, self.vehicle] for name in ("observations", "accrued", "discounts"))
-        x = self.learner.inputs(*own)
-        actions: torch.Tensor = self.networks.call(self.learner.actor.choose, x, self.noise[:, t])
+        actor = self.learner.actor
+        actions: torch.Tensor = self.networks.call(
+            lambda x, noise: actor.choose(actor.body(x), noise), self.learner.inputs(*own), self.noise[:, t]
+        )
         return actions
 
     def update(
-        self, rollout: dict[str, torch.Tensor], learning_rate: torch.Tensor, entropy_coefficient: torch.Tensor
+        self,
+        rollout: Mapping[str, torch.Tensor],
+        learning_rate: torch.Tensor,
+        entropy_coefficient: torch.Tensor,
+        *team: Any,
     ) -> None:
-        """Learn from a rollout (S, T, N, V, ...)."""
-        learner, config = self.learner, self.config
-        others = learner.others_size > 0
+        """Learn from a rollout (S, T, N, V, ...).
 
-        def prepare(own: dict[str, torch.Tensor], expected_return: torch.Tensor) -> Any:
+        Args:
+            rollout: the fields of :class:`algorithms.rollouts.buffers.Rollout`.
+            learning_rate: of Adam.
+            entropy_coefficient: c_e.
+            *team: what the learners of a team share, (S, ...).
+        """
+        learner, config = self.learner, self.config
+        others = getattr(learner, "others_size", 0) > 0
+
+        def prepare(own: dict[str, torch.Tensor], expected_return: torch.Tensor, *team: Any) -> dict[str, torch.Tensor]:
             part = Rollout(**own).of_vehicle(self.vehicle, expected_return.device, others=others)
-            return learner.masked_samples(part, expected_return)
+            if self.mean_returns:
+                learner.expected_return.value = expected_return
+            if team:
+                (learner.team,) = team
+            found = learner.samples(part)._asdict()
+            return {name: each for name, each in found.items() if each is not None}
+
+        def loss(own: dict[str, torch.Tensor]) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+            losses = learner.loss(Samples(**own), entropy_coefficient)
+            parts = {POLICY_LOSS: losses.policy, VALUE_LOSS: losses.value, ENTROPY: losses.entropy}
+            if losses.log_ratio is not None:
+                change = policy_change(losses.log_ratio, config.clip, own["weights"])
+                parts |= dict(zip((CLIP_FRACTION, APPROX_KL), change, strict=True))
+            return losses.total, parts
 
         with torch.no_grad():
-            samples = self.networks.call(prepare, rollout, self.expected_return)
-        found: list[dict[str, torch.Tensor]] = []
-        for epoch in range(self.epochs):
-            for minibatch in self._minibatches(samples, self.keys[:, epoch]):
-                found.append(
-                    self.networks.minimise(
-                        lambda own: learner.masked_loss(own, entropy_coefficient),
-                        learning_rate,
-                        config.max_grad_norm,
-                        minibatch,
-                    )
-                )
-        self.losses = {name: torch.stack([each[name] for each in found], dim=1).mean(1).detach() for name in found[0]}
+            samples = self.networks.call(prepare, dict(rollout), self.expected_return, *team)
+        steps = [
+            self.networks.minimise(loss, minibatch, learning_rate, config.max_grad_norm)
+            for epoch in range(self.epochs)
+            for minibatch in self._minibatches(samples, self.keys[:, epoch])
+        ]
+        self.losses = {name: torch.stack([step[name] for step in steps], dim=1).mean(1) for name in steps[0]}
 
-    def _minibatches(self, samples: Any, keys: torch.Tensor) -> list[Any]:
-        """The samples in the order of their keys in parts that have, but for one, as many that count."""
+    def _minibatches(self, samples: dict[str, torch.Tensor], keys: torch.Tensor) -> list[dict[str, torch.Tensor]]:
+        """The samples in the order of their keys, in parts that have, but for one, as many of weight 1."""
         if self.minibatches == 1:
             return [samples]
-        order = (keys + 2.0 * (samples.weights == 0.0)).argsort(dim=-1)
+        order = (keys + (samples["weights"] == 0.0)).argsort(dim=-1)
         rows = torch.arange(len(order), device=order.device).unsqueeze(1)
-        parts = (order[:, part :: self.minibatches] for part in range(self.minibatches))
-        return [type(samples)(*(each[rows, part] for each in samples)) for part in parts]
+        shuffled: dict[int, torch.Tensor] = {}  # by address: where the critic sees what the actor sees, it is kept once
+        for tensor in samples.values():
+            if tensor.data_ptr() not in shuffled:
+                shuffled[tensor.data_ptr()] = tensor[rows, order]
+        whole = {name: shuffled[tensor.data_ptr()] for name, tensor in samples.items()}
+        return [
+            {name: tensor[:, part :: self.minibatches] for name, tensor in whole.items()}
+            for part in range(self.minibatches)
+        ]
 
     @torch.no_grad()
     def note_episodes(self, values: torch.Tensor, ended: torch.Tensor) -> None:
         """Update E[R] with the accrued rewards (S, T, N, d) of the episodes that ended, where a mask (S, T, N) says."""
+        if not self.mean_returns:
+            return
         number = ended.sum((1, 2)).float()
         mean = values.masked_fill(~ended.unsqueeze(-1), 0.0).sum((1, 2)) / number.clamp(min=1.0).unsqueeze(-1)
         keep = torch.where(self.episodes > 0, MEMORY**number, (number == 0).float()).unsqueeze(-1)
@@ -109,15 +143,13 @@ class SeedLearner:
     def read(self, seed: int, learner: Any) -> None:
         """Take over the state of a learner as that of the seed with this index."""
         self.networks.read(seed, learner)
+        if self.mean_returns:
+            mean = learner.expected_return
+            self.expected_return[seed], self.episodes[seed] = mean.value, mean.count
 
-    def write(self, seed: int, learner: Any, *, optimiser: bool = False) -> None:
+    def write(self, seed: int, learner: Any) -> None:
         """Give a learner the state of the seed with this index."""
-        self.networks.write(seed, learner, optimiser=optimiser)
-
-    def get_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """What continues of the seed with this index and is not part of a learner."""
-        return {"expected_return": self.expected_return[seed], "episodes": self.episodes[seed]}
-
-    def set_state(self, seed: int, state: Mapping[str, torch.Tensor]) -> None:
-        """Resume from :meth:`get_state`."""
-        self.expected_return[seed], self.episodes[seed] = state["expected_return"], state["episodes"]
+        self.networks.write(seed, learner)
+        if self.mean_returns:
+            mean = learner.expected_return
+            mean.value, mean.count = self.expected_return[seed].cpu(), int(self.episodes[seed])

@@ -8,8 +8,6 @@ import torch
 from torch import nn
 from torch.func import functional_call, grad_and_value, vmap
 
-from algorithms.files.checkpoints import strip_prefix
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -49,23 +47,17 @@ class SeedNetworks:
     def __init__(self, learner: TrainedNetworks, learners: Sequence[TrainedNetworks]):
         self.learner = learner
         self._networks = _Networks(learner)
-        shapes = {name: each.shape for name, each in self._networks.named_parameters()}
+        self._shapes = {name: each.shape for name, each in self._networks.named_parameters()}
+        self._size = sum(shape.numel() for shape in self._shapes.values())
         device = next(self._networks.parameters()).device
         # Padded, so that every number of a seed is in the lane of a vector instruction in which it is alone.
-        size = -(-sum(shape.numel() for shape in shapes.values()) // LANES) * LANES
-        self.vector, self.mean, self.mean_square = torch.zeros(3, len(learners), size, device=device)
-        self._padding = self.vector[:, sum(shape.numel() for shape in shapes.values()) :].clone()
+        padded = -(-self._size // LANES) * LANES
+        self.vector, self.mean, self.mean_square = torch.zeros(3, len(learners), padded, device=device)
+        self._padding = torch.zeros(len(learners), padded - self._size, device=device)
         self.count = torch.zeros((), device=device)
-        self._shapes = shapes
-        self.parameters = self._parts(self.vector)
-        self.means, self.mean_squares = self._parts(self.mean), self._parts(self.mean_square)
-        for seed, each in enumerate(learners):
-            self.read(seed, each)
-
-    def _parts(self, matrix: torch.Tensor) -> dict[str, torch.Tensor]:
         sizes = [shape.numel() for shape in self._shapes.values()]
-        parts = zip(self._shapes.items(), matrix[:, : sum(sizes)].split(sizes, dim=1), strict=True)
-        return {name: part.unflatten(1, shape) for (name, shape), part in parts}
+        parts = zip(self._shapes.items(), self.vector[:, : self._size].split(sizes, dim=1), strict=True)
+        self.parameters = {name: part.unflatten(1, shape) for (name, shape), part in parts}
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """``function`` of every seed's networks and its part of the arguments, trees of tensors (S, ...)."""
@@ -75,28 +67,28 @@ class SeedNetworks:
 
     def minimise(
         self,
-        loss: Callable[..., tuple[torch.Tensor, dict[str, torch.Tensor]]],
+        loss: Callable[[dict[str, torch.Tensor]], tuple[torch.Tensor, dict[str, torch.Tensor]]],
+        samples: Mapping[str, torch.Tensor],
         learning_rate: torch.Tensor,
         max_grad_norm: float,
-        *arguments: Any,
     ) -> dict[str, torch.Tensor]:
         """One step of every seed down the gradient of its loss, whose norm is clipped.
 
         Args:
-            loss: the loss and its parts by name, of a seed's part of the arguments.
+            loss: the loss, and its parts by name, of a seed's samples.
+            samples: by name, (S, ...).
             learning_rate: of Adam, a scalar.
             max_grad_norm: of each seed.
-            *arguments: trees of tensors (S, ...).
 
         Returns:
             The parts (S,).
         """
 
-        def of_parameters(parameters: dict[str, torch.Tensor], *own: Any) -> Any:
-            return functional_call(self._networks, parameters, (loss, *own))
+        def of_parameters(parameters: dict[str, torch.Tensor], own: dict[str, torch.Tensor]) -> Any:
+            return functional_call(self._networks, parameters, (loss, own))
 
         differentiate = vmap(grad_and_value(of_parameters, has_aux=True))
-        gradients, (_, parts) = differentiate(self.parameters, *arguments)
+        gradients, (_, parts) = differentiate(self.parameters, dict(samples))
         gradient = torch.cat([*(gradients[name].flatten(1) for name in self._shapes), self._padding], dim=1)
         norms = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
         gradient *= (max_grad_norm / (norms + TINY)).clamp(max=1.0)
@@ -117,34 +109,21 @@ class SeedNetworks:
             amsgrad=False,
             maximize=False,
         )
-        found: dict[str, torch.Tensor] = parts
-        return found
+        return {name: part.detach() for name, part in parts.items()}
 
     # ------------------------------------------------------------------------------- from and to a learner of one seed
 
     def read(self, seed: int, learner: TrainedNetworks) -> None:
         """Take the parameters and the optimiser's state of a learner as those of a seed."""
-        for name, tensor in _Networks(learner).named_parameters():
-            self.parameters[name][seed] = tensor.detach()
         state = learner.optimiser.get_state()
-        for number, name in enumerate(self._shapes if state else ()):
-            own = strip_prefix(state, f"{number}.")
-            self.means[name][seed], self.mean_squares[name][seed] = own["exp_avg"], own["exp_avg_sq"]
-            self.count.fill_(own["step"])
+        self.vector[seed, : self._size] = learner.optimiser.vector.detach()
+        self.mean[seed, : self._size], self.mean_square[seed, : self._size] = state["exp_avg"], state["exp_avg_sq"]
+        self.count.copy_(state["step"])
 
-    def write(self, seed: int, learner: TrainedNetworks, *, optimiser: bool = False) -> None:
-        """Give a learner the parameters of a seed, and the optimiser's state if it is wanted."""
+    def write(self, seed: int, learner: TrainedNetworks) -> None:
+        """Give a learner the parameters of a seed, and the optimiser's state."""
+        matrices = (self.vector, self.mean, self.mean_square)
+        parameters, mean, mean_square = (matrix[seed, : self._size].cpu() for matrix in matrices)
         with torch.no_grad():
-            for name, tensor in _Networks(learner).named_parameters():
-                tensor.copy_(self.parameters[name][seed])
-        if optimiser and float(self.count):
-            state: Mapping[str, torch.Tensor] = {
-                f"{number}.{entry}": tensor
-                for number, name in enumerate(self._shapes)
-                for entry, tensor in (
-                    ("step", self.count),
-                    ("exp_avg", self.means[name][seed]),
-                    ("exp_avg_sq", self.mean_squares[name][seed]),
-                )
-            }
-            learner.optimiser.set_state({name: tensor.cpu() for name, tensor in state.items()})
+            learner.optimiser.vector.copy_(parameters)
+        learner.optimiser.set_state({"step": self.count.cpu(), "exp_avg": mean, "exp_avg_sq": mean_square})

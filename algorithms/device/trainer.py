@@ -6,13 +6,13 @@ from contextlib import contextmanager
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 
 from algorithms.agent import EvaluationPlan
 from algorithms.device.collection import Collection
 from algorithms.device.learner import SeedLearner
 from algorithms.files.checkpoints import STEP, UPDATES, read_checkpoint, strip_prefix, write_checkpoint
+from algorithms.networks.compiled import plain_torch
 from algorithms.networks.optimiser import geometric_schedule, linear_schedule
 from mo_deepdrive.evaluation.metrics import (
     ENTROPY_COEFFICIENT,
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    import numpy as np
     from gymnasium.vector import VectorEnv
     from numpy.typing import NDArray
 
@@ -59,6 +60,9 @@ class SeedTrainer:
         self.device: torch.device = template.device
         self.env = template.env
         self.step = self.updates = 0
+        for learner in template.learners:  # a check would have to wait for the device
+            learner.utility = learner.utility.unchecked()
+        utilities = [utility.unchecked() for utility in template.utilities]
         count = len(self.agents)
         self.collection = Collection(
             self.env,
@@ -67,7 +71,7 @@ class SeedTrainer:
             num_envs,
             self.config.steps,
             template.accrued_discount,
-            template.utilities,
+            utilities,
             self.device,
         )
         self.learners = [
@@ -94,9 +98,10 @@ class SeedTrainer:
         if config.cost_growth:
             self.collection.cost_share.fill_(min(1.0, progress / config.cost_growth))
         for seed, agent in enumerate(self.agents):
-            self._generator.manual_seed(_seed_of(agent.seed, self.updates))
+            agent.updates = self.updates
             for learner in self.learners:
-                learner.draw(seed, self._generator)
+                numbers = agent.update_generator(learner.vehicle).initial_seed()
+                learner.draw(seed, self._generator.manual_seed(numbers))
         self._run()
         self.step += config.steps * self.num_envs
         self.updates += 1
@@ -114,6 +119,10 @@ class SeedTrainer:
         self._graph.replay()
 
     def _update(self) -> None:
+        with plain_torch():
+            self._collect_and_learn()
+
+    def _collect_and_learn(self) -> None:
         collection = self.collection
         collection.collect(self._act)
         for learner in self.learners:
@@ -248,9 +257,8 @@ class SeedTrainer:
         agent = self.agents[seed]
         tensors: dict[str, torch.Tensor] = {}
         for learner, own in zip(self.learners, agent.learners, strict=True):
-            learner.write(seed, own, optimiser=True)
+            learner.write(seed, own)
             tensors |= {f"vehicle_{own.vehicle}.{name}": each for name, each in own.get_state().items()}
-            tensors |= {f"{KEPT}vehicle_{own.vehicle}.{name}": each for name, each in learner.get_state(seed).items()}
         tensors |= {f"{KEPT}{name}": each for name, each in self.collection.get_state(seed).items()}
         counts = {STEP: self.step, UPDATES: self.updates}
         with self._of_seed(seed, f"at step {self.step:,}"):
@@ -270,7 +278,6 @@ class SeedTrainer:
                 for learner, own in zip(self.learners, agent.learners, strict=True):
                     own.set_state(strip_prefix(tensors, f"vehicle_{own.vehicle}."))
                     learner.read(seed, own)
-                    learner.set_state(seed, strip_prefix(tensors, f"{KEPT}vehicle_{own.vehicle}."))
                 states.append(strip_prefix(tensors, KEPT))
             except (KeyError, RuntimeError) as error:
                 raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None
@@ -282,8 +289,3 @@ class SeedTrainer:
 
     def _identity(self, agent: Any) -> dict[str, Any]:
         return {**agent.identity(), "num_envs": self.num_envs, "resident": True}
-
-
-def _seed_of(seed: int, update: int) -> int:
-    """What seeds the random numbers of an update."""
-    return int(np.random.SeedSequence((seed, update)).generate_state(1, np.uint64)[0] >> 1)

@@ -70,14 +70,23 @@ def clipped_surrogate(
     return mean(torch.minimum(ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages), weights)
 
 
-def policy_change(losses: Sequence[Losses], clip: float) -> dict[str, float]:
-    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), by names of metrics.
+def policy_change(
+    log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), in a gradient step.
 
     Args:
-        losses: of the gradient steps on samples of pi_old.
+        log_ratio: (M,) log rho of samples of pi_old.
         clip: epsilon.
+        weights: of the samples.
     """
-    log_ratio = torch.cat([each.log_ratio.detach() for each in losses if each.log_ratio is not None])
     ratio = log_ratio.clamp(max=LARGEST_LOG_RATIO).exp()
     clipped = ((ratio - 1.0).abs() > clip).to(ratio.dtype)
-    return {CLIP_FRACTION: float(clipped.mean()), APPROX_KL: float((ratio - 1.0 - log_ratio).mean())}
+    return mean(clipped, weights), mean(ratio - 1.0 - log_ratio, weights)
+
+
+def policy_changes(losses: Sequence[Losses], clip: float) -> dict[str, float]:
+    """:func:`policy_change` over the samples of several gradient steps, by the names of metrics."""
+    log_ratio = torch.cat([each.log_ratio.detach() for each in losses if each.log_ratio is not None])
+    clipped, divergence = policy_change(log_ratio, clip)
+    return {CLIP_FRACTION: float(clipped), APPROX_KL: float(divergence)}

@@ -106,7 +106,7 @@ class Samples(NamedTuple):
 
     def flat(self) -> Samples:
         """Samples (T, N, ...) as (T N, ...)."""
-        return self._each(lambda tensor: tensor.flatten(0, 1))
+        return self.each(lambda tensor: tensor.flatten(0, 1))
 
     def acted(self) -> Samples:
         """The samples of weight 1, without weights."""
@@ -117,7 +117,7 @@ class Samples(NamedTuple):
 
     def at(self, rows: torch.Tensor) -> Samples:
         """The samples of some numbers (m,), in their order."""
-        return self._each(lambda tensor: tensor.index_select(0, rows))
+        return self.each(lambda tensor: tensor.index_select(0, rows))
 
     def minibatches(self, epochs: int, parts: int, generator: torch.Generator) -> Iterator[Samples]:
         """``parts`` of nearly equal size of the samples in a new random order, ``epochs`` times.
@@ -131,9 +131,10 @@ class Samples(NamedTuple):
     def split(self, parts: int) -> list[Samples]:
         """Consecutive parts of nearly equal size; fewer than ``parts`` if there are fewer samples."""
         ends = [0, *np.cumsum([len(part) for part in self.actions.tensor_split(min(parts, len(self.actions)))])]
-        return [self._each(itemgetter(slice(first, last))) for first, last in pairwise(ends)]
+        return [self.each(itemgetter(slice(first, last))) for first, last in pairwise(ends)]
 
-    def _each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
+    def each(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Samples:
+        """What a function makes of every tensor."""
         named = {name: tensor for name, tensor in self._asdict().items() if tensor is not None}
         # Where the critic sees what the actor sees, it is not kept twice.
         done = {number: function(tensor) for number, tensor in {id(each): each for each in named.values()}.items()}
