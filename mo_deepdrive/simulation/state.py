@@ -20,6 +20,7 @@ Records: TypeAlias = NDArray[Any]
 KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
 
 MAX_VEHICLES = 2
+MAX_OBJECTIVES = 32  # of a vehicle's reward
 MAX_WAYPOINTS = 3
 NEAREST_CARS = 2  # oncoming cars that an observation has room for: the next ones that have not passed the crossing
 
@@ -211,11 +212,12 @@ PARAMS = np.dtype(
             ("charge_remaining_time", np.bool_),
             ("has_obstacle", np.bool_),
             ("has_lanes", np.bool_),
-            # the objectives of the kernel that are emitted: indices, columns of the reward, and signs
+            # the objectives that are emitted: columns of the reward, and signs; first the ``n_objectives`` that the
+            # kernel measures, with their indices, then those with a measure of their own
             ("n_objectives", np.int64),
             ("objective_index", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_column", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_sign", _FLOAT, (len(KERNEL_NAMES),)),
+            ("objective_column", np.int64, (MAX_OBJECTIVES,)),
+            ("objective_sign", _FLOAT, (MAX_OBJECTIVES,)),
             # the scenario: see scenarios.py
             ("n_waypoints", np.int64, (MAX_VEHICLES,)),
             ("starts", _FLOAT, (MAX_VEHICLES, 3)),
