@@ -14,7 +14,7 @@ from numba.cuda import libdevice
 from numba.cuda.core.errors import NumbaPerformanceWarning
 from numba.cuda.extending import overload
 
-from mo_deepdrive.device.kernels import Buffers, Form, Launcher, Scratch, after_decision, before_decision, restart
+from mo_deepdrive.device.kernels import Buffers, Form, Launcher, Scratch, after_decision, before_decision, begin_episode
 from mo_deepdrive.simulation import dynamics, observation, traffic
 from mo_deepdrive.simulation.kernel import deciding
 from mo_deepdrive.simulation.trigonometry import floor
@@ -79,7 +79,7 @@ def kernels(form: Form) -> tuple[Any, Any]:
                 cuda.local.array(1, spawn),
                 cuda.local.array((1, draws), float64),
             )
-            restart(
+            begin_episode(
                 i, place, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
                 b.observations, b.ended, b.timed_out, b.acted, b.terminated, b.truncated, b.over, b.ends, b.fault,
             )  # fmt: skip
@@ -98,9 +98,9 @@ def _compiled(form: Form, buffers: Any, mode: int) -> tuple[Any, Any]:
     Raises:
         ValueError: naming the objective whose measure does not compile for the GPU.
     """
-    step, begin = kernels(form)
+    step, restart = kernels(form)
     try:
-        return compile_kernel(step, buffers, mode), compile_kernel(begin, buffers, True)
+        return compile_kernel(step, buffers, mode), compile_kernel(restart, buffers, True)
     except Exception:  # Numba raises errors of many kinds
         for name, measure in zip(form.measured, form.measures, strict=True):
             try:
@@ -123,7 +123,7 @@ def make_launcher(form: Form, buffers: Buffers, mode: int, device: torch.device)
         ValueError: naming an objective whose measure does not compile for the GPU.
     """
     with cuda.gpus[device.index]:
-        step, begin = _compiled(form, buffers, mode)
+        step, restart = _compiled(form, buffers, mode)
     blocks = -(-buffers.worlds.shape[0] // THREADS)
     streams: dict[int, tuple[Any, Any]] = {}
 
@@ -134,7 +134,7 @@ def make_launcher(form: Form, buffers: Buffers, mode: int, device: torch.device)
                 stream = cuda.external_stream(handle) if handle else 0  # the default stream has no handle
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", NumbaPerformanceWarning)  # of few worlds
-                    streams[handle] = step[blocks, THREADS, stream], begin[blocks, THREADS, stream]
+                    streams[handle] = step[blocks, THREADS, stream], restart[blocks, THREADS, stream]
             streams[handle][which](buffers, argument)
 
     return Launcher(lambda: launch(0, mode), lambda place: launch(1, place))

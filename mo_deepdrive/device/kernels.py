@@ -227,7 +227,7 @@ def after_decision(
 
 
 @jit
-def restart(
+def begin_episode(
     i: int, place: bool, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
     unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
     observations: NDArray[np.float32], ended: NDArray[np.bool_], timed_out: NDArray[np.bool_],
@@ -256,20 +256,24 @@ class Launcher(NamedTuple):
     restart: Callable[[bool], None]
 
 
-# Loops of the CPU. Every use of a field counts a reference, so they are not used within a loop.
+# The loops of the CPU take arrays one by one: every use of a field of a tuple would count a reference.
 @separate_jit
-def _before_decisions(b: Buffers, mode: int) -> None:
-    waiting, actions, choices, fault = b.waiting, b.actions, b.table.shape[0], b.fault
-    for i in range(b.worlds.shape[0]):
+def _before_decisions(
+    mode: int, waiting: NDArray[np.bool_], actions: NDArray[Any], choices: int, fault: NDArray[np.int64]
+) -> None:
+    for i in range(len(waiting)):
         before_decision(i, mode, waiting, actions, choices, fault)
 
 
 @separate_jit
-def _after_decisions(b: Buffers, s: Scratch, mode: int) -> None:
-    worlds, streams, waiting, redraws, unfair, _mask, _actions, _table, params, pins, _controls, ended, timed_out = b[:13]
-    observations, final, _rewards, _acted, terminated, truncated, over, ends, fault = b[13:]
-    _motion, _cars, _path, sight, spawn, drawn = s
-    for i in range(worlds.shape[0]):
+def _after_decisions(
+    mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
+    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
+    observations: NDArray[np.float32], final: NDArray[np.float32], ended: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
+    ends: NDArray[np.int8], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    for i in range(len(worlds)):
         after_decision(
             i, mode, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, final,
             ended, timed_out, terminated, truncated, over, ends, fault,
@@ -277,13 +281,16 @@ def _after_decisions(b: Buffers, s: Scratch, mode: int) -> None:
 
 
 @separate_jit
-def _restart(b: Buffers, s: Scratch, place: bool) -> None:
-    worlds, streams, waiting, redraws, unfair, mask, _actions, _table, params, pins, _controls, ended, timed_out = b[:13]
-    observations, _final, _rewards, acted, terminated, truncated, over, ends, fault = b[13:]
-    _motion, _cars, _path, sight, spawn, drawn = s
-    for i in range(worlds.shape[0]):
+def _restart(
+    mask: NDArray[np.bool_], place: bool, worlds: Records, streams: Records, waiting: NDArray[np.bool_],
+    redraws: NDArray[np.int64], unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records,
+    spawn: Records, sight: Records, observations: NDArray[np.float32], ended: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_], acted: NDArray[np.bool_], terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_], over: NDArray[np.bool_], ends: NDArray[np.int8], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    for i in range(len(worlds)):
         if mask[i]:
-            restart(
+            begin_episode(
                 i, place, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
                 timed_out, acted, terminated, truncated, over, ends, fault,
             )  # fmt: skip
@@ -297,11 +304,20 @@ def host_launcher(form: Form, buffers: Buffers, mode: int, _device: Any) -> Laun
     s = Scratch(motion, traffic.make_scratch(form.cars), path, sight, spawn, np.zeros((1, form.draws)))
 
     def step() -> None:
-        _before_decisions(b, mode)
+        _before_decisions(mode, b.waiting, b.actions, b.table.shape[0], b.fault)
         decide(
             b.worlds, b.actions, b.table, b.params, b.controls, s.motion, s.cars, s.path, s.sight,
             b.final_observations, b.rewards, b.acted, b.ended, b.timed_out,
         )  # fmt: skip
-        _after_decisions(b, s, mode)
+        _after_decisions(
+            mode, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
+            b.observations, b.final_observations, b.ended, b.timed_out, b.terminated, b.truncated, b.over, b.ends, b.fault,
+        )  # fmt: skip
 
-    return Launcher(step, lambda place: _restart(b, s, place))
+    def restart(place: bool) -> None:
+        _restart(
+            b.mask, place, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
+            b.observations, b.ended, b.timed_out, b.acted, b.terminated, b.truncated, b.over, b.ends, b.fault,
+        )  # fmt: skip
+
+    return Launcher(step, restart)
