@@ -14,6 +14,7 @@ from mo_deepdrive.simulation.map import MAP_CENTRE
 from mo_deepdrive.simulation.state import (
     BRAKE_FRICTION,
     KERNEL_NAMES,
+    MAX_OBJECTIVES,
     PARAMS,
     SPEED_FRICTION,
     VEHICLE,
@@ -81,7 +82,7 @@ def make_params(config: EnvConfig) -> np.ndarray:
     """The parameters of a configuration, shape (1,) of dtype PARAMS.
 
     Raises:
-        ValueError: if a setting has no effect in the scenario.
+        ValueError: if a setting has no effect in the scenario, or there are too many objectives.
     """
     scenario = SCENARIOS[config.scenario]
     settings = _has_effect(scenario)
@@ -105,9 +106,12 @@ def make_params(config: EnvConfig) -> np.ndarray:
         row[name] = getattr(config, name)
     row.has_obstacle = scenario.obstacles > 0
     row.has_lanes = scenario.lanes
-    columns = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
-    row.n_objectives = len(columns)
-    row.objective_index[: len(columns)] = [INDEX[names[column]] for column in columns]
+    if len(names) > MAX_OBJECTIVES:
+        raise ValueError(f"objectives has {len(names)} names; at most {MAX_OBJECTIVES} are allowed")
+    kernel = [column for column, name in enumerate(names) if name in KERNEL_NAMES]
+    columns = [*kernel, *(column for column in range(len(names)) if column not in kernel)]
+    row.n_objectives = len(kernel)
+    row.objective_index[: len(kernel)] = [INDEX[names[column]] for column in kernel]
     row.objective_column[: len(columns)] = columns
     row.objective_sign[: len(columns)] = reward_signs(config)[columns]
     for v, route in enumerate(scenario.routes):

@@ -19,6 +19,7 @@ from mo_deepdrive.evaluation.metrics import vehicle_name
 from mo_deepdrive.evaluation.splits import SPLITS, Split, check_episodes
 from mo_deepdrive.extras import EXTRAS
 from mo_deepdrive.importing import import_module
+from mo_deepdrive.machine import check_device
 from mo_deepdrive.names import nearest
 from mo_deepdrive.scenarios import SCENARIOS
 
@@ -452,22 +453,3 @@ def check_loggers(experiment: Experiment) -> None:
     """
     if experiment.logging.wandb is not None and importlib.util.find_spec("wandb") is None:
         raise ValueError(f"logging.wandb needs wandb: pip install 'mo-deepdrive[{EXTRAS['wandb']}]'")
-
-
-def check_device(argument: str, name: str, here: bool = True) -> None:
-    """Refuse a device that the networks cannot be on; ``here`` means on this machine.
-
-    Raises:
-        ValueError: with the name of the ``argument``.
-    """
-    import torch  # as late as this, because it takes seconds and much memory
-
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        raise ValueError(f"{argument} = {name!r} is not a valid device; write cpu, cuda or cuda:0") from None
-    count = torch.cuda.device_count()
-    if here and device.type == "cuda" and (device.index or 0) >= count:
-        raise ValueError(f"{argument} = {name!r} does not exist; PyTorch finds {count} CUDA devices")
-    if device.type not in ("cpu", "cuda"):
-        raise ValueError(f"{argument} = {name!r} is not supported; write cpu, cuda or cuda:0")

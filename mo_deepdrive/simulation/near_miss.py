@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mo_deepdrive.simulation.geometry import time_to_collision
+from mo_deepdrive.simulation.jit import jit
 from mo_deepdrive.simulation.state import COLLISION, RUNNING
 from mo_deepdrive.simulation.traffic import COS, SIN
 
@@ -14,6 +15,7 @@ from mo_deepdrive.simulation.traffic import COS, SIN
 CONFLICT_TIME = 1.5  # s
 
 
+@jit
 def near_miss(vehicles: Any, v: int, params: Any) -> float:  # noqa: ARG001  (the signature of a measure)
     """1 if the least time to collision with another vehicle or an oncoming car is below CONFLICT_TIME, else 0.
 

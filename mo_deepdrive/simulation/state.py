@@ -20,6 +20,7 @@ Records: TypeAlias = NDArray[Any]
 KERNEL_NAMES = ("distance", "destination", "g_force", "collision", "jerk", "lane_violation")
 
 MAX_VEHICLES = 2
+MAX_OBJECTIVES = 32  # of a vehicle's reward
 MAX_WAYPOINTS = 3
 NEAREST_CARS = 2  # oncoming cars that an observation has room for: the next ones that have not passed the crossing
 
@@ -70,6 +71,15 @@ TIME_LIMIT = ENDS.index("time_limit")
 OTHER_VEHICLE = ENDS.index("other_vehicle")
 
 _FLOAT = np.float64
+
+
+def aligned(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The same record with every number at a multiple of its size, from where alone a GPU can load it."""
+    if dtype.names is None:
+        return dtype
+    fields = [(name, aligned(dtype[name].base), dtype[name].shape) for name in dtype.names]
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
 
 # What is drawn of the driver of an oncoming car, and hidden (m/s, s, m/s^2); see traffic.py.
 DRIVER = np.dtype((np.record, [("desired_speed", _FLOAT), ("headway", _FLOAT), ("yielding", _FLOAT)]))
@@ -177,7 +187,7 @@ def with_room(dtype: np.dtype[Any], obstacles: int, cars: int, delay: int) -> np
         "pending": (delay, 3),
     }
     fields = ((name, dtype[name].base, shapes.get(name, dtype[name].shape)) for name in dtype.names or ())
-    return np.dtype((np.record, list(fields)))
+    return aligned(np.dtype(list(fields)))
 
 
 # The part of an environment's configuration that the kernel needs.
@@ -202,11 +212,12 @@ PARAMS = np.dtype(
             ("charge_remaining_time", np.bool_),
             ("has_obstacle", np.bool_),
             ("has_lanes", np.bool_),
-            # the objectives of the kernel that are emitted: indices, columns of the reward, and signs
+            # the objectives that are emitted: columns of the reward, and signs; first the ``n_objectives`` that the
+            # kernel measures, with their indices, then those with a measure of their own
             ("n_objectives", np.int64),
             ("objective_index", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_column", np.int64, (len(KERNEL_NAMES),)),
-            ("objective_sign", _FLOAT, (len(KERNEL_NAMES),)),
+            ("objective_column", np.int64, (MAX_OBJECTIVES,)),
+            ("objective_sign", _FLOAT, (MAX_OBJECTIVES,)),
             # the scenario: see scenarios.py
             ("n_waypoints", np.int64, (MAX_VEHICLES,)),
             ("starts", _FLOAT, (MAX_VEHICLES, 3)),
@@ -225,3 +236,4 @@ PARAMS = np.dtype(
         ],
     )
 )
+PARAMS = aligned(PARAMS)

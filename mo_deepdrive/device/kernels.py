@@ -1,0 +1,323 @@
+"""What a launch does with its worlds, for both kinds of device.
+
+The functions of :mod:`mo_deepdrive.simulation` are compiled for a GPU as they are: one thread moves one world, with scratch
+of one lane in its own memory. On the CPU a loop calls the same functions for blocks of worlds.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mo_deepdrive.simulation import observation, philox, traffic
+from mo_deepdrive.simulation.autoreset import DONE, NEXT_STEP, SAME_STEP, is_over, resetting
+from mo_deepdrive.simulation.dynamics import make_scratch
+from mo_deepdrive.simulation.jit import jit, separate_jit
+from mo_deepdrive.simulation.kernel import batch_step, observe_worlds
+from mo_deepdrive.simulation.state import SPAWN, Records, with_room
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+# What a launch cannot refuse, because nobody waits for it: 4 times the world plus one of these is left in ``fault``.
+NO_FAULT, WRONG_ACTION, RESET_NEEDED, NO_SCENARIO = range(4)
+
+
+class Buffers(NamedTuple):
+    """The arrays of N worlds that a launch reads and writes, of NumPy or of a GPU.
+
+    Attributes:
+        worlds: (N, V) of VEHICLE.
+        streams: (N,) of STREAM: whose random numbers, and the number of the next episode.
+        waiting: (N,) whether the episode is over and the world has not been reset.
+        redraws: (N,) int64, how often the scenario of the episode has been drawn.
+        unfair: (N,) int64, how many of these draws in a row were not fair.
+        mask: (N,) in which worlds a restart starts an episode.
+        actions: (N, V) int64, or (N, V, 3) float32; those that are not allowed are replaced by zeros.
+        table: (actions, 4) of the discrete actions.
+        params: (1,) of PARAMS.
+        pins: (1,) of SPAWN, which pins nothing.
+        controls: (N, V, 3) scratch.
+        ended: (N, V) whether a vehicle has ended before its time limit, as its world is now.
+        timed_out: (N, V) likewise, by the time limit.
+        observations: (N, V, size) float32 for the next decision.
+        final_observations: (N, V, size) after the decision, before an autoreset in the same step.
+        rewards: (N, V, d) float32.
+        acted: (N, V) whether the vehicle was on the road before the decision.
+        terminated: (N, V) of the decision; so is truncated.
+        truncated: (N, V).
+        over: (N,) whether no vehicle is on the road after the decision.
+        ends: (N, V) int8, why vehicles have ended.
+        fault: (1,) int64.
+    """
+
+    worlds: Any
+    streams: Any
+    waiting: Any
+    redraws: Any
+    unfair: Any
+    mask: Any
+    actions: Any
+    table: Any
+    params: Any
+    pins: Any
+    controls: Any
+    ended: Any
+    timed_out: Any
+    observations: Any
+    final_observations: Any
+    rewards: Any
+    acted: Any
+    terminated: Any
+    truncated: Any
+    over: Any
+    ends: Any
+    fault: Any
+
+
+class Scratch(NamedTuple):
+    """What one thread needs for itself; the lanes of a block of worlds, or one."""
+
+    motion: Any
+    cars: Any
+    path: Any
+    sight: Any
+    spawn: Any
+    drawn: Any
+
+
+class Form(NamedTuple):
+    """What the compiled functions of a configuration depend on, besides the types of the arrays.
+
+    Attributes:
+        vehicles: V.
+        obstacles: how many bicycles.
+        cars: how many oncoming cars.
+        draws: how many uniforms an episode takes.
+        physics_steps: of a decision.
+        measures: of the objectives that the kernel does not measure.
+        measured: their names.
+    """
+
+    vehicles: int
+    obstacles: int
+    cars: int
+    draws: int
+    physics_steps: int
+    measures: tuple[Any, ...]
+    measured: tuple[str, ...]
+
+    @property
+    def spawn(self) -> np.dtype[Any]:
+        """SPAWN with the room that the scenario needs."""
+        return with_room(SPAWN, self.obstacles, self.cars, 0)
+
+
+@jit
+def draw(streams: NDArray[Any], redraws: NDArray[np.int64], i: int, drawn: NDArray[np.float64]) -> bool:
+    """Draw a scenario of the next episode of world ``i``; :func:`mo_deepdrive.simulation.autoreset.resetting` calls it."""
+    philox.draw(streams[i], redraws[i], drawn, 0)
+    redraws[i] += 1
+    return True
+
+
+@jit
+def allow(actions: NDArray[Any], choices: int, i: int) -> bool:
+    """Replace the actions of world ``i`` by zeros if one is not allowed; whether all were.
+
+    Args:
+        actions: (N, V) integers that must be in [0, choices), or (N, V, 3) numbers that must be finite.
+        choices: how many actions there are, if they are discrete.
+        i: which world.
+    """
+    fine = True
+    if actions.ndim == 2:
+        for v in range(actions.shape[1]):
+            fine = fine and 0 <= actions[i, v] < choices
+        if not fine:
+            for v in range(actions.shape[1]):
+                actions[i, v] = 0
+    else:
+        for v in range(actions.shape[1]):
+            for axis in range(3):
+                fine = fine and math.isfinite(actions[i, v, axis])
+        if not fine:
+            for v in range(actions.shape[1]):
+                for axis in range(3):
+                    actions[i, v, axis] = 0.0
+    return fine
+
+
+@jit
+def report(fault: NDArray[np.int64], i: int, what: int) -> None:
+    """Leave word of what is wrong with world ``i``, unless there is word of something already."""
+    if fault[0] == NO_FAULT:
+        fault[0] = 4 * i + what
+
+
+_reset = resetting(draw)
+
+
+@jit
+def before_decision(
+    i: int, mode: int, waiting: NDArray[np.bool_], actions: NDArray[Any], choices: int, fault: NDArray[np.int64]
+) -> None:
+    """Report what is wrong with a step of world ``i``."""
+    if not allow(actions, choices, i):
+        report(fault, i, WRONG_ACTION)
+    if mode != NEXT_STEP and waiting[i]:
+        report(fault, i, RESET_NEEDED)
+
+
+@jit
+def record(
+    i: int, worlds: Records, ended: NDArray[np.bool_], timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_], over: NDArray[np.bool_], ends: NDArray[np.int8],
+) -> None:  # fmt: skip
+    """Write in which state world ``i`` is."""
+    over[i] = is_over(ended, timed_out, i)
+    for v in range(ended.shape[1]):
+        terminated[i, v] = ended[i, v]
+        truncated[i, v] = timed_out[i, v]
+        ends[i, v] = worlds[i, v].end
+
+
+@jit
+def renew(
+    i: int, mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
+    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
+    observations: NDArray[np.float32], ended: NDArray[np.bool_], timed_out: NDArray[np.bool_], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Start the next episode in world ``i`` if the autoreset mode says so."""
+    redraws[i] = 0
+    problem = _reset(
+        worlds, i, mode, waiting, streams, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
+        timed_out,
+    )  # fmt: skip
+    if problem != DONE:
+        report(fault, i, NO_SCENARIO)
+    elif redraws[i] > 0:
+        streams[i].episode += philox.ONE
+
+
+@jit
+def after_decision(
+    i: int, mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
+    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
+    observations: NDArray[np.float32], final: NDArray[np.float32], ended: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
+    ends: NDArray[np.int8], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Write how the decision has left world ``i``, and reset it if the autoreset mode says so."""
+    if mode == SAME_STEP:
+        record(i, worlds, ended, timed_out, terminated, truncated, over, ends)
+        for v in range(final.shape[1]):
+            for k in range(final.shape[2]):
+                observations[i, v, k] = final[i, v, k]
+    renew(
+        i, mode, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
+        timed_out, fault,
+    )  # fmt: skip
+    if mode != SAME_STEP:  # of the new episode, if one has begun
+        record(i, worlds, ended, timed_out, terminated, truncated, over, ends)
+
+
+@jit
+def begin_episode(
+    i: int, place: bool, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
+    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
+    observations: NDArray[np.float32], ended: NDArray[np.bool_], timed_out: NDArray[np.bool_],
+    acted: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
+    ends: NDArray[np.int8], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Start a new episode in world ``i``, or with ``place`` = False only look at the state that it is in."""
+    if place:
+        waiting[i] = True
+        renew(
+            i, NEXT_STEP, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations,
+            ended, timed_out, fault,
+        )  # fmt: skip
+    else:
+        observe_worlds(worlds, i, i + 1, params[0], sight, observations, ended, timed_out)
+        waiting[i] = is_over(ended, timed_out, i)
+    record(i, worlds, ended, timed_out, terminated, truncated, over, ends)
+    for v in range(acted.shape[1]):
+        acted[i, v] = False
+
+
+class Launcher(NamedTuple):
+    """One call for all worlds: ``step()``, and ``restart(place)`` for those in the mask."""
+
+    step: Callable[[], None]
+    restart: Callable[[bool], None]
+
+
+# The loops of the CPU take arrays one by one: every use of a field of a tuple would count a reference.
+@separate_jit
+def _before_decisions(
+    mode: int, waiting: NDArray[np.bool_], actions: NDArray[Any], choices: int, fault: NDArray[np.int64]
+) -> None:
+    for i in range(len(waiting)):
+        before_decision(i, mode, waiting, actions, choices, fault)
+
+
+@separate_jit
+def _after_decisions(
+    mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
+    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
+    observations: NDArray[np.float32], final: NDArray[np.float32], ended: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
+    ends: NDArray[np.int8], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    for i in range(len(worlds)):
+        after_decision(
+            i, mode, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, final,
+            ended, timed_out, terminated, truncated, over, ends, fault,
+        )  # fmt: skip
+
+
+@separate_jit
+def _restart(
+    mask: NDArray[np.bool_], place: bool, worlds: Records, streams: Records, waiting: NDArray[np.bool_],
+    redraws: NDArray[np.int64], unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records,
+    spawn: Records, sight: Records, observations: NDArray[np.float32], ended: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_], acted: NDArray[np.bool_], terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_], over: NDArray[np.bool_], ends: NDArray[np.int8], fault: NDArray[np.int64],
+) -> None:  # fmt: skip
+    for i in range(len(worlds)):
+        if mask[i]:
+            begin_episode(
+                i, place, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
+                timed_out, acted, terminated, truncated, over, ends, fault,
+            )  # fmt: skip
+
+
+def host_launcher(form: Form, buffers: Buffers, mode: int, _device: Any) -> Launcher:
+    """The launcher of the CPU, which does every part of a decision for all worlds; buffers of NumPy."""
+    decide, b = batch_step(form.measures), buffers
+    motion, path = make_scratch(form.vehicles + form.cars, form.physics_steps)
+    sight, spawn = np.zeros(1, dtype=observation.SIGHT), np.zeros(1, dtype=form.spawn)
+    s = Scratch(motion, traffic.make_scratch(form.cars), path, sight, spawn, np.zeros((1, form.draws)))
+
+    def step() -> None:
+        _before_decisions(mode, b.waiting, b.actions, b.table.shape[0], b.fault)
+        decide(
+            b.worlds, b.actions, b.table, b.params, b.controls, s.motion, s.cars, s.path, s.sight,
+            b.final_observations, b.rewards, b.acted, b.ended, b.timed_out,
+        )  # fmt: skip
+        _after_decisions(
+            mode, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
+            b.observations, b.final_observations, b.ended, b.timed_out, b.terminated, b.truncated, b.over, b.ends, b.fault,
+        )  # fmt: skip
+
+    def restart(place: bool) -> None:
+        _restart(
+            b.mask, place, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
+            b.observations, b.ended, b.timed_out, b.acted, b.terminated, b.truncated, b.over, b.ends, b.fault,
+        )  # fmt: skip
+
+    return Launcher(step, restart)
