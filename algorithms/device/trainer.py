@@ -199,6 +199,7 @@ class SeedTrainer:
             self.update(before / total_timesteps)
             last = self.step >= total_timesteps
             if self.updates % log_interval == 0 or last:
+                self.collection.worlds.check()
                 rows = self.metrics()  # waits for the device
                 rate = {STEPS_PER_SECOND: (self.step - first) / (perf_counter() - started)}
                 for log_row, row in zip(log, rows, strict=True):

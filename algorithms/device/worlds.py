@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from mo_deepdrive.device.worlds import TensorWorlds
 
+from mo_deepdrive.device.worlds import TensorWorlds
+from mo_deepdrive.simulation.philox import STREAM
 from mo_deepdrive.simulation.state import ARRIVED
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class SeedWorlds:
     def step(self, actions: torch.Tensor) -> WorldStep:
         """Act: indices (S, N, V), or (S, N, V, k) with each axis in [-1, 1], to which it is clipped."""
         worlds = self._worlds
-        worlds.step((actions.clamp(-1.0, 1.0) if worlds.continuous else actions).flatten(0, 1))
+        worlds.step(actions.flatten(0, 1))
         # A vehicle keeps its flags until the reset; here they mark the step of the end.
         terminated, truncated = worlds.terminated & worlds.acted, worlds.truncated & worlds.acted
         succeeded = (terminated | truncated) & (worlds.ends == ARRIVED)
@@ -78,13 +79,11 @@ class SeedWorlds:
     def _by_seed(self, tensor: torch.Tensor) -> torch.Tensor:
         return tensor.view(len(self._seeds), self._num_envs, *tensor.shape[1:])
 
-    def _rows(self, seed: int) -> slice:
-        return slice(seed * self._num_envs, (seed + 1) * self._num_envs)
-
     def get_state(self, seed: int) -> dict[str, torch.Tensor]:
-        """What continues of the worlds of the seed with this index, as named tensors."""
-        rows = self._rows(seed)
-        return {name: torch.from_numpy(array[rows]) for name, array in self._worlds.get_state().items()}
+        """What continues of the worlds of the seed with this index, as named tensors of bytes."""
+        first, last = seed * self._num_envs, (seed + 1) * self._num_envs
+        arrays = {"state": self._worlds.read_state(), "streams": self._worlds.read_streams()}
+        return {name: torch.from_numpy(each[first:last, ..., None].view(np.uint8)) for name, each in arrays.items()}
 
     def set_state(self, states: Sequence[Mapping[str, torch.Tensor]]) -> None:
         """Resume from the states of all seeds.
@@ -92,4 +91,5 @@ class SeedWorlds:
         Raises:
             ValueError: for one that no world can have.
         """
-        self._worlds.set_state({name: np.concatenate([each[name].numpy() for each in states]) for name in states[0]})
+        state, streams = (np.concatenate([each[name].numpy() for each in states]) for name in ("state", "streams"))
+        self._worlds.write(state.view(self._worlds.read_state().dtype)[..., 0], streams.view(STREAM)[..., 0])

@@ -10,9 +10,9 @@ from algorithms import ALGORITHMS
 from algorithms.device.trainer import SeedTrainer
 from algorithms.device.worlds import SeedWorlds
 from algorithms.experiments.build import MANY_ENVS, build, training_memory
-from algorithms.experiments.config import check_device, find_environment, is_ours
+from algorithms.experiments.config import find_environment, is_ours
 from algorithms.experiments.registry import agent_class
-from mo_deepdrive.machine import check_memory
+from mo_deepdrive.machine import check_device, check_memory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
