@@ -178,21 +178,26 @@ class TeamEpisodes:
         self, env: EnvAdapter, joint: JointUtility, utilities: Sequence[Utility], objective_scales: torch.Tensor
     ):
         self._joint = joint
-        self._utilities = utilities
-        self._observation_scales = torch.from_numpy(env.observation_scales)
-        self._objective_scales = objective_scales.cpu()
-        d = len(env.objectives)
+        self.utilities = utilities
+        device = objective_scales.device
+        self._observation_scales = torch.from_numpy(env.observation_scales).to(device)
+        self._objective_scales = objective_scales
+        self.begin(env.num_envs, env.vehicles)
+
+    def begin(self, *shape: int) -> None:
+        """Begin episodes of vehicles of this shape, (N, V) or with further axes before them."""
+        d, device = len(self._objective_scales), self._objective_scales.device
         # R_{v,t} of the running episodes, and whether the vehicle has ended.
-        self.returns = torch.zeros(env.num_envs, env.vehicles, d)
-        self.ended = torch.zeros(env.num_envs, env.vehicles, dtype=torch.bool)
+        self.returns = torch.zeros(*shape, d, device=device)
+        self.ended = torch.zeros(shape, dtype=torch.bool, device=device)
 
     def follow(self, rollout: Rollout) -> TeamRollout:
         """The team's part of a rollout that continues the last one."""
-        steps, n = rollout.acted.shape[:2]
-        before, after = (torch.empty(steps, *self.returns.shape) for _ in range(2))
-        ended = torch.empty(steps + 1, *self.ended.shape, dtype=torch.bool)
-        finally_ended = torch.empty(steps, *self.ended.shape, dtype=torch.bool)
-        terminated, truncated = (torch.zeros(steps, n, dtype=torch.bool) for _ in range(2))
+        steps = len(rollout.acted)
+        before, after = (self.returns.new_empty(steps, *self.returns.shape) for _ in range(2))
+        ended = self.ended.new_empty(steps + 1, *self.ended.shape)
+        finally_ended = self.ended.new_empty(steps, *self.ended.shape)
+        terminated, truncated = (self.ended.new_zeros(steps, *self.ended.shape[:-1]) for _ in range(2))
         for t in range(steps):
             acted, cut = rollout.acted[t], rollout.truncated[t] & ~rollout.terminated[t]
             before[t], ended[t] = self.returns, self.ended
@@ -203,11 +208,11 @@ class TeamEpisodes:
             over = self.ended.all(dim=-1)
             truncated[t] = over & (acted & cut).any(dim=-1)
             terminated[t] = over & ~truncated[t]
-            self.returns = after[t].masked_fill(over[:, None, None], 0.0)
+            self.returns = after[t].masked_fill(over[..., None, None], 0.0)
             self.ended = self.ended & ~over.unsqueeze(-1)
         ended[steps] = self.ended
         # Equation 1.
-        utilities = [joint_utility(self._joint, self._utilities, returns) for returns in (before, after)]
+        utilities = [joint_utility(self._joint, self.utilities, returns) for returns in (before, after)]
         states = self._states(rollout.observations, torch.cat([before, self.returns.unsqueeze(0)]), ended)
         final_states = self._states(rollout.final, after, finally_ended)
         return TeamRollout(utilities[1] - utilities[0], states, final_states, terminated, truncated)
@@ -321,12 +326,11 @@ class MAPPO(ActorCritic):
     def begin(self) -> None:
         """Reset the environments."""
         super().begin()
-        self.team.returns.zero_()
-        self.team.ended.zero_()
+        self.team.begin(self.env.num_envs, self.env.vehicles)
 
     def learn(self, rollout: Rollout, learning_rate: float, entropy_coefficient: float) -> dict[str, float]:
         """Each learner learns from its vehicle's part of the rollout and from the team's."""
-        team = TeamRollout(*(tensor.to(self.device) for tensor in self.team.follow(rollout)))
+        team = self.team.follow(rollout)
         for learner in self.learners:
             cast("MAPPOLearner", learner).team = team
         return super().learn(rollout, learning_rate, entropy_coefficient)

@@ -93,7 +93,6 @@ class SeedNetworks:
         norms = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
         gradient *= (max_grad_norm / (norms + TINY)).clamp(max=1.0)
         self.count += 1
-        on_cpu = self.vector.device.type == "cpu"
         torch._fused_adam_(
             [self.vector],
             [gradient],
@@ -101,7 +100,7 @@ class SeedNetworks:
             [self.mean_square],
             [],
             [self.count],
-            lr=float(learning_rate) if on_cpu else learning_rate,
+            lr=learning_rate,
             beta1=BETA1,
             beta2=BETA2,
             weight_decay=0.0,

@@ -11,7 +11,9 @@ import torch
 from algorithms.agent import EvaluationPlan
 from algorithms.device.collection import Collection
 from algorithms.device.learner import SeedLearner
+from algorithms.device.team import SeedTeams
 from algorithms.files.checkpoints import STEP, UPDATES, read_checkpoint, strip_prefix, write_checkpoint
+from algorithms.mappo import MAPPO
 from algorithms.networks.compiled import plain_torch
 from algorithms.networks.optimiser import geometric_schedule, linear_schedule
 from mo_deepdrive.evaluation.metrics import (
@@ -78,6 +80,10 @@ class SeedTrainer:
             SeedLearner(learner, [agent.learners[k] for agent in self.agents], num_envs, self.device)
             for k, learner in enumerate(template.learners)
         ]
+        self.teams = None
+        if isinstance(template, MAPPO):
+            template.team.utilities = utilities
+            self.teams = SeedTeams(template.team, count, num_envs, self.env.vehicles)
         self._generator = torch.Generator(self.device)
         self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
         self._graph: Any = None
@@ -125,10 +131,11 @@ class SeedTrainer:
     def _collect_and_learn(self) -> None:
         collection = self.collection
         collection.collect(self._act)
+        team = [] if self.teams is None else [self.teams.follow(collection.rollout)]
         for learner in self.learners:
             v = learner.vehicle
             learner.note_episodes(collection.ended_values[:, :, :, v], collection.ended[:, :, :, v])
-            learner.update(collection.rollout, self._learning_rate, self._entropy_coefficient)
+            learner.update(collection.rollout, self._learning_rate, self._entropy_coefficient, *team)
 
     def _act(self, t: int, now: Mapping[str, torch.Tensor]) -> torch.Tensor:
         return torch.stack([learner.act(t, now) for learner in self.learners], dim=2)
