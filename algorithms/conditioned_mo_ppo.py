@@ -355,6 +355,7 @@ class ConditionedMOPPO(FrontAgent):
 
     name = "conditioned_mo_ppo"
     Config = ConditionedMOPPOConfig
+    trains_on_devices = True
     trains_with_guides = True
 
     def __init__(self, env: VectorEnv, *, guides: Sequence[Guide] = (), **options: Any):

@@ -27,9 +27,7 @@ class Collection:
     Args:
         env: one with the shapes of the worlds.
         worlds: of S seeds.
-        seeds: S.
-        num_envs: N.
-        steps: T, length of a rollout.
+        shape: S, T (the length of a rollout) and N.
         accrued_discount: g.
         utilities: one per vehicle; empty where none is known.
         device: of the tensors.
@@ -49,13 +47,12 @@ class Collection:
         self,
         env: EnvAdapter,
         worlds: SeedWorlds,
-        seeds: int,
-        num_envs: int,
-        steps: int,
+        shape: tuple[int, int, int],
         accrued_discount: float,
         utilities: Sequence[Utility],
         device: torch.device,
     ):
+        seeds, steps, num_envs = shape
         v, o, d = env.vehicles, env.observation_size, len(env.objectives)
         self.worlds, self.steps, self.objectives = worlds, steps, env.objectives
         self._accrued_discount, self._utilities = accrued_discount, list(utilities)

@@ -15,6 +15,11 @@ from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, P
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from algorithms.rollouts.buffers import VehicleRollout
+
+
+SEEN = ("observations", "accrued", "discounts")  # of what an actor sees
+
 
 class SeedLearner:
     """The learner of one vehicle, with the seeds as an axis.
@@ -46,7 +51,8 @@ class SeedLearner:
         self.keys = torch.zeros(seeds, self.epochs, samples, device=device)
         self.losses: dict[str, torch.Tensor] = {}
         self.mean_returns = hasattr(learner, "expected_return")
-        self.expected_return = torch.zeros(seeds, len(learner.objective_scales), device=device)
+        width = len(learner.expected_return.value) if self.mean_returns else 0
+        self.expected_return = torch.zeros(seeds, width, device=device)
         self.episodes = torch.zeros(seeds, device=device)
         for seed, each in enumerate(learners):
             self.read(seed, each)
@@ -58,21 +64,43 @@ class SeedLearner:
         self.keys[seed].uniform_(generator=generator)
 
     @torch.no_grad()
-    def act(self, t: int, now: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Actions (S, N) or (S, N, k) of step t of a rollout."""
-        own = (now[name][:, :, self.vehicle] for name in ("observations", "accrued", "discounts"))
+    def act(self, t: int, now: Mapping[str, torch.Tensor], *shared: Any) -> torch.Tensor:
+        """Actions (S, N) or (S, N, k) of step t of a rollout.
+
+        Args:
+            t: the step.
+            now: observations, accrued rewards and discounts, (S, N, V, ...).
+            *shared: what :meth:`inputs` also takes, (S, ...).
+        """
+        own = {name: now[name][:, :, self.vehicle] for name in SEEN}
         actor = self.learner.actor
-        actions: torch.Tensor = self.networks.call(
-            lambda x, noise: actor.choose(actor.body(x), noise), self.learner.inputs(*own), self.noise[:, t]
-        )
+
+        def choose(own: dict[str, torch.Tensor], noise: torch.Tensor, *shared: Any) -> torch.Tensor:
+            chosen: torch.Tensor = actor.choose(actor.body(self.inputs(own, *shared)), noise)
+            return chosen
+
+        actions: torch.Tensor = self.networks.call(choose, own, self.noise[:, t], *shared)
         return actions
+
+    def inputs(self, own: dict[str, torch.Tensor], *shared: Any) -> torch.Tensor:
+        """What the actor of a seed sees."""
+        del shared
+        found: torch.Tensor = self.learner.inputs(*(own[name] for name in SEEN))
+        return found
+
+    def samples(self, rollout: VehicleRollout, *shared: Any) -> Samples:
+        """What a seed learns from its rollout."""
+        if shared:
+            (self.learner.team,) = shared
+        found: Samples = self.learner.samples(rollout)
+        return found
 
     def update(
         self,
         rollout: Mapping[str, torch.Tensor],
         learning_rate: torch.Tensor,
         entropy_coefficient: torch.Tensor,
-        *team: Any,
+        *shared: Any,
     ) -> None:
         """Learn from a rollout (S, T, N, V, ...).
 
@@ -80,18 +108,18 @@ class SeedLearner:
             rollout: the fields of :class:`algorithms.rollouts.buffers.Rollout`.
             learning_rate: of Adam.
             entropy_coefficient: c_e.
-            *team: what the learners of a team share, (S, ...).
+            *shared: what :meth:`samples` also takes, (S, ...).
         """
         learner, config = self.learner, self.config
         others = getattr(learner, "others_size", 0) > 0
 
-        def prepare(own: dict[str, torch.Tensor], expected_return: torch.Tensor, *team: Any) -> dict[str, torch.Tensor]:
+        def prepare(
+            own: dict[str, torch.Tensor], expected_return: torch.Tensor, *shared: Any
+        ) -> dict[str, torch.Tensor]:
             part = Rollout(**own).of_vehicle(self.vehicle, expected_return.device, others=others)
             if self.mean_returns:
                 learner.expected_return.value = expected_return
-            if team:
-                (learner.team,) = team
-            found = learner.samples(part)._asdict()
+            found = self.samples(part, *shared)._asdict()
             return {name: each for name, each in found.items() if each is not None}
 
         def loss(own: dict[str, torch.Tensor]) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
@@ -103,7 +131,7 @@ class SeedLearner:
             return losses.total, parts
 
         with torch.no_grad():
-            samples = self.networks.call(prepare, dict(rollout), self.expected_return, *team)
+            samples = self.networks.call(prepare, dict(rollout), self.expected_return, *shared)
         steps = [
             self.networks.minimise(loss, minibatch, learning_rate, config.max_grad_norm)
             for epoch in range(self.epochs)
@@ -153,3 +181,20 @@ class SeedLearner:
         if self.mean_returns:
             mean = learner.expected_return
             mean.value, mean.count = self.expected_return[seed].cpu(), int(self.episodes[seed])
+
+
+class ConditionedSeedLearner(SeedLearner):
+    """The learner of conditioned MO-PPO; preferences and ideal points are shared."""
+
+    def inputs(self, own: dict[str, torch.Tensor], *shared: Any) -> torch.Tensor:
+        """What the actor of a seed sees under preferences (N, V, m), with an ideal point (d,)."""
+        preferences, self.learner.preferences.ideal = shared
+        observations, *past = (own[name] for name in SEEN)
+        found: torch.Tensor = self.learner.inputs(observations, preferences[:, self.vehicle], *past)
+        return found
+
+    def samples(self, rollout: VehicleRollout, *shared: Any) -> Samples:
+        """What a seed learns from its rollout under preferences (T, N, V, m), with an ideal point (d,)."""
+        preferences, self.learner.preferences.ideal = shared
+        found: Samples = self.learner.samples(rollout, preferences[:, :, self.vehicle])
+        return found

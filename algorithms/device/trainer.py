@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from algorithms.agent import EvaluationPlan
+from algorithms.conditioned_mo_ppo import ConditionedMOPPO
 from algorithms.device.collection import Collection
-from algorithms.device.learner import SeedLearner
+from algorithms.device.learner import ConditionedSeedLearner, SeedLearner
+from algorithms.device.preferences import SeedPreferences
 from algorithms.device.team import SeedTeams
 from algorithms.files.checkpoints import STEP, UPDATES, read_checkpoint, strip_prefix, write_checkpoint
 from algorithms.mappo import MAPPO
@@ -62,28 +64,25 @@ class SeedTrainer:
         self.device: torch.device = template.device
         self.env = template.env
         self.step = self.updates = 0
-        for learner in template.learners:  # a check would have to wait for the device
-            learner.utility = learner.utility.unchecked()
-        utilities = [utility.unchecked() for utility in template.utilities]
-        count = len(self.agents)
+        count, steps = len(self.agents), self.config.steps
+        utilities = [utility.unchecked() for utility in template.utilities]  # a check would wait for the device
+        for learner in template.learners if utilities else ():
+            learner.utility = utilities[learner.vehicle]
         self.collection = Collection(
-            self.env,
-            worlds,
-            count,
-            num_envs,
-            self.config.steps,
-            template.accrued_discount,
-            utilities,
-            self.device,
+            self.env, worlds, (count, steps, num_envs), template.accrued_discount, utilities, self.device
         )
-        self.learners = [
-            SeedLearner(learner, [agent.learners[k] for agent in self.agents], num_envs, self.device)
-            for k, learner in enumerate(template.learners)
-        ]
-        self.teams = None
+        self.teams = self.preferences = None
+        kind: type[SeedLearner] = SeedLearner
         if isinstance(template, MAPPO):
             template.team.utilities = utilities
             self.teams = SeedTeams(template.team, count, num_envs, self.env.vehicles)
+        elif isinstance(template, ConditionedMOPPO):
+            kind, shape = ConditionedSeedLearner, (count, steps, num_envs, self.env.vehicles)
+            self.preferences = SeedPreferences(template.preferences, shape, self.config.switching, self.device)
+        self.learners = [
+            kind(learner, [agent.learners[k] for agent in self.agents], num_envs, self.device)
+            for k, learner in enumerate(template.learners)
+        ]
         self._generator = torch.Generator(self.device)
         self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
         self._graph: Any = None
@@ -102,12 +101,13 @@ class SeedTrainer:
             geometric_schedule(config.entropy_start, config.entropy_end, progress / config.entropy_until)
         )
         if config.cost_growth:
-            self.collection.cost_share.fill_(min(1.0, progress / config.cost_growth))
+            grown = self.preferences or self.collection
+            grown.cost_share.fill_(min(1.0, progress / config.cost_growth))
         for seed, agent in enumerate(self.agents):
             agent.updates = self.updates
-            for learner in self.learners:
-                numbers = agent.update_generator(learner.vehicle).initial_seed()
-                learner.draw(seed, self._generator.manual_seed(numbers))
+            drawing: list[Any] = [*self.learners, *([self.preferences] if self.preferences else [])]
+            for stream, each in enumerate(drawing):
+                each.draw(seed, self._generator.manual_seed(agent.update_generator(stream).initial_seed()))
         self._run()
         self.step += config.steps * self.num_envs
         self.updates += 1
@@ -131,14 +131,23 @@ class SeedTrainer:
     def _collect_and_learn(self) -> None:
         collection = self.collection
         collection.collect(self._act)
-        team = [] if self.teams is None else [self.teams.follow(collection.rollout)]
+        shared: list[Any] = []
+        if self.teams is not None:
+            shared = [self.teams.follow(collection.rollout)]
+        if self.preferences is not None:
+            shared = [self.preferences.rollout, self.preferences.running["ideal"]]
         for learner in self.learners:
             v = learner.vehicle
             learner.note_episodes(collection.ended_values[:, :, :, v], collection.ended[:, :, :, v])
-            learner.update(collection.rollout, self._learning_rate, self._entropy_coefficient, *team)
+            learner.update(collection.rollout, self._learning_rate, self._entropy_coefficient, *shared)
+        if self.preferences is not None:
+            self.preferences.note_episodes(collection.ended_values, collection.ended)
 
     def _act(self, t: int, now: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        return torch.stack([learner.act(t, now) for learner in self.learners], dim=2)
+        shared: list[Any] = []
+        if self.preferences is not None:
+            shared = [self.preferences.follow(t, now["lengths"]), self.preferences.running["ideal"]]
+        return torch.stack([learner.act(t, now, *shared) for learner in self.learners], dim=2)
 
     def metrics(self) -> list[dict[str, float]]:
         """Of every seed: the losses of the last update, and means over the episodes since the last call.
@@ -254,6 +263,8 @@ class SeedTrainer:
             agent.step, agent.updates = self.step, self.updates
             for learner, own in zip(self.learners, agent.learners, strict=True):
                 learner.write(seed, own)
+            if self.preferences is not None:
+                self.preferences.write(seed, agent.preferences)
         return self.agents
 
     def save(self, seed: int, path: str | Path) -> None:
@@ -262,15 +273,14 @@ class SeedTrainer:
         Raises:
             NotFinite: naming the seed, if a number is not finite; a file of before is left as it was.
         """
-        agent = self.agents[seed]
-        tensors: dict[str, torch.Tensor] = {}
-        for learner, own in zip(self.learners, agent.learners, strict=True):
-            learner.write(seed, own)
+        agent = self.hand_over()[seed]
+        tensors: dict[str, torch.Tensor] = agent.get_policy()
+        for own in agent.learners:
             tensors |= {f"vehicle_{own.vehicle}.{name}": each for name, each in own.get_state().items()}
         tensors |= {f"{KEPT}{name}": each for name, each in self.collection.get_state(seed).items()}
-        counts = {STEP: self.step, UPDATES: self.updates}
+        tensors |= {f"{KEPT}{name}": each[seed] for name, each in self._running().items()}
         with self._of_seed(seed, f"at step {self.step:,}"):
-            write_checkpoint(path, tensors, {**self._identity(agent), **counts})
+            write_checkpoint(path, tensors, {**self._identity(agent), STEP: self.step, UPDATES: self.updates})
 
     def load(self, paths: Sequence[str | Path]) -> None:
         """Resume from the checkpoints of all seeds, in their order.
@@ -287,6 +297,8 @@ class SeedTrainer:
                     own.set_state(strip_prefix(tensors, f"vehicle_{own.vehicle}."))
                     learner.read(seed, own)
                 states.append(strip_prefix(tensors, KEPT))
+                for name, each in self._running().items():
+                    each[seed] = states[-1][name]
             except (KeyError, RuntimeError) as error:
                 raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None
         if len(counts) > 1:
@@ -294,6 +306,11 @@ class SeedTrainer:
             raise ValueError(f"the checkpoints are of the steps {steps}; resume those of the same step together")
         self.collection.set_state(states)
         self.step, self.updates = counts.pop()
+
+    def _running(self) -> dict[str, torch.Tensor]:
+        """What teams or preferences keep of running episodes, (S, ...)."""
+        parts = [each.running for each in (self.teams, self.preferences) if each is not None]
+        return parts[0] if parts else {}
 
     def _identity(self, agent: Any) -> dict[str, Any]:
         return {**agent.identity(), "num_envs": self.num_envs, "resident": True}

@@ -50,11 +50,11 @@ class Rollout:
         """
         own = {name: tensor[:, :, v].to(device) for name, tensor in vars(self).items()}
         rest = [each for each in range(self.observations.shape[2]) if others and each != v]
-        seen_by_rest = {
+        seen_by_rest = {}
+        for name, tensor in (("others", self.observations), ("final_others", self.final)):
             # Not by a list of indices, which would have to be copied to the device.
-            name: torch.cat([tensor[:, :, :1, :0], *(tensor[:, :, each : each + 1] for each in rest)], dim=-1).flatten(2)
-            for name, tensor in (("others", self.observations), ("final_others", self.final))
-        }
+            parts = [tensor[:, :, :1, :0], *(tensor[:, :, each : each + 1] for each in rest)]
+            seen_by_rest[name] = torch.cat(parts, dim=-1).flatten(2).to(device)
         return VehicleRollout(**own, **seen_by_rest)
 
 
