@@ -309,8 +309,8 @@ class SeedTrainer:
 
     def _running(self) -> dict[str, torch.Tensor]:
         """What teams or preferences keep of running episodes, (S, ...)."""
-        parts = [each.running for each in (self.teams, self.preferences) if each is not None]
-        return parts[0] if parts else {}
+        parts = [("team.", self.teams), ("preferences.", self.preferences)]
+        return {prefix + name: each for prefix, part in parts if part for name, each in part.running.items()}
 
     def _identity(self, agent: Any) -> dict[str, Any]:
         return {**agent.identity(), "num_envs": self.num_envs, "resident": True}

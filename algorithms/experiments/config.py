@@ -254,8 +254,12 @@ def make_experiment(values: Mapping[str, Any], what: str = "experiment", *, here
         raise ValueError(f"invalid {what}: " + "; ".join(problems))
     default = a_twentieth(experiment.training.total_timesteps)
     evaluation, logging = experiment.evaluation, experiment.logging
+    training = experiment.training
+    if training.seeds is not None and training.seed not in training.seeds:
+        training = training.model_copy(update={"seed": training.seeds[0]})
     return experiment.model_copy(
         update={
+            "training": training,
             "environment": experiment.environment.model_copy(update={"arguments": arguments}),
             "evaluation": evaluation.model_copy(update={"interval": evaluation.interval or default, **front}),
             "logging": logging.model_copy(update={"checkpoint_interval": logging.checkpoint_interval or default}),

@@ -69,6 +69,8 @@ def check_resident(experiment: Experiment) -> None:
     training, name = experiment.training, experiment.algorithm.name
     key = "seeds" if training.device == "cpu" else "device"
     here = f"training.{key} = {getattr(training, key)!r}"
+    if len(training.seeds or [0]) > 1:
+        raise ValueError(f"training.seeds = {training.seeds}: mo-deepdrive train alone trains several side by side")
     if name not in ALGORITHMS or not agent_class(name).trains_on_devices:
         able = ", ".join(each for each in sorted(ALGORITHMS) if ALGORITHMS[each].trains_on_devices)
         raise ValueError(f"{here}: algorithm {name!r} trains on the CPU, one seed at a time; {able} can")
