@@ -15,6 +15,7 @@ from numba.cuda.core.errors import NumbaPerformanceWarning
 from numba.cuda.extending import overload
 
 from mo_deepdrive.device.kernels import Buffers, Form, Launcher, Scratch, after_decision, before_decision, begin_episode
+from mo_deepdrive.measures import reason
 from mo_deepdrive.simulation import dynamics, observation, traffic
 from mo_deepdrive.simulation.kernel import deciding
 from mo_deepdrive.simulation.trigonometry import floor
@@ -34,11 +35,9 @@ def _one_lane(dtype: np.dtype[Any]) -> Any:
 
 @functools.cache
 def kernels(form: Form) -> tuple[Any, Any]:
-    """The kernels ``step(buffers, mode)`` and ``restart(buffers, place)``, which are compiled when they are first used."""
+    """The kernels ``step(buffers, mode)`` and ``restart(buffers, place)``, not compiled yet."""
     decide = deciding(form.measures)
-    motion, pose, sight, driver = map(
-        _one_lane, (dynamics.MOTION, dynamics.POSE, observation.SIGHT, traffic.TRAFFIC)
-    )
+    motion, pose, sight, driver = map(_one_lane, (dynamics.MOTION, dynamics.POSE, observation.SIGHT, traffic.TRAFFIC))
     spawn = numba.from_dtype(form.spawn)
     bodies, rows = form.vehicles + form.cars, form.physics_steps + 1
     drivers, draws = max(form.cars, 1), form.draws  # no array may be empty

@@ -1,7 +1,7 @@
 """What a launch does with its worlds, for both kinds of device.
 
-The functions of :mod:`mo_deepdrive.simulation` are compiled for a GPU as they are: one thread moves one world, with scratch
-of one lane in its own memory. On the CPU a loop calls the same functions for blocks of worlds.
+The functions of :mod:`mo_deepdrive.simulation` are compiled for a GPU as they are: one thread moves one world, with
+scratch of one lane in its own memory. On the CPU loops call the same functions.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Form(NamedTuple):
 
 @jit
 def draw(streams: NDArray[Any], redraws: NDArray[np.int64], i: int, drawn: NDArray[np.float64]) -> bool:
-    """Draw a scenario of the next episode of world ``i``; :func:`mo_deepdrive.simulation.autoreset.resetting` calls it."""
+    """Draw a scenario of the next episode of world ``i``, as ``resetting`` calls it."""
     philox.draw(streams[i], redraws[i], drawn, 0)
     redraws[i] += 1
     return True

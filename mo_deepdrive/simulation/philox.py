@@ -32,8 +32,10 @@ ONE = np.uint64(1)
 
 
 @jit
-def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
-    """Four words from the counter (c0, c1, c2, c3) and the key (k0, k1), all words in uint64."""
+def philox(
+    c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
+) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+    """Four words from the counter (c0, c1, c2, c3) and the key (k0, k1)."""
     for _ in range(ROUNDS):
         first = MULTIPLIER_0 * c0
         second = MULTIPLIER_1 * c2
