@@ -55,16 +55,12 @@ def kernels(form: Form) -> tuple[Any, Any]:
                 cuda.local.array(1, spawn),
                 cuda.local.array((1, draws), float64),
             )
-            before_decision(i, mode, b.waiting, b.actions, b.table.shape[0], b.fault)
+            before_decision(b, i, mode)
             decide(
                 b.worlds, i, i + 1, b.actions, b.table, b.params, b.controls, s.motion, s.cars, s.path, s.sight,
                 b.final_observations, b.rewards, b.acted, b.ended, b.timed_out,
             )  # fmt: skip
-            after_decision(
-                i, mode, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
-                b.observations, b.final_observations, b.ended, b.timed_out, b.terminated, b.truncated, b.over, b.ends,
-                b.fault,
-            )  # fmt: skip
+            after_decision(b, s, i, mode)
 
     @cuda.jit  # type: ignore[untyped-decorator]
     def restart_kernel(b: Buffers, place: bool) -> None:
@@ -78,10 +74,7 @@ def kernels(form: Form) -> tuple[Any, Any]:
                 cuda.local.array(1, spawn),
                 cuda.local.array((1, draws), float64),
             )
-            begin_episode(
-                i, place, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
-                b.observations, b.ended, b.timed_out, b.acted, b.terminated, b.truncated, b.over, b.ends, b.fault,
-            )  # fmt: skip
+            begin_episode(b, s, i, place)
 
     return step_kernel, restart_kernel
 

@@ -40,8 +40,8 @@ class Outputs(NamedTuple):
 
     Attributes:
         observations: (N, V, size) float32 for the next decision.
-        final_observations: (N, V, size) after this one, which differ where an episode was over and the next one has begun
-            in the same step; ``observations`` themselves in other autoreset modes.
+        final_observations: (N, V, size) after this one: others where an episode was over and the next one has begun in
+            the same step; ``observations`` themselves in other autoreset modes.
         rewards: (N, V, d) float32; zero for vehicles that had ended before.
         acted: (N, V) bool, which vehicles were on the road before the decision.
         terminated: (N, V) bool, after it, before a reset in the same step.
@@ -268,8 +268,8 @@ class TensorWorlds:
         world, kind = divmod(fault, 4)
         if kind == WRONG_ACTION:
             raise ValueError(
-                f"an action of world {world} was not allowed, and zeros were taken instead; expected "
-                f"{self.allowed_actions}. It may be of an earlier step: check_actions=True finds it before a world moves"
+                f"an action of world {world}, perhaps of an earlier step, is not allowed; expected "
+                f"{self.allowed_actions}. Zeros were taken instead; check_actions=True refuses it before a world moves"
             )
         if kind == RESET_NEEDED:
             raise ResetNeeded(

@@ -52,9 +52,9 @@ class DeviceVectorEnv(VectorBase):
     ## Infos
 
     Nothing waits for the device, so infos are tensors, too, and there in every step: ``end`` (int8, positions in
-    :data:`mo_deepdrive.simulation.state.ENDS`), ``success``, with several vehicles ``acted`` and ``arrived``; valid where
-    the mask of the same name with an underscore says so. With SAME_STEP ``end`` and ``success`` are in ``final_info``,
-    beside ``final_obs``, all of whose rows are valid.
+    :data:`mo_deepdrive.simulation.state.ENDS`) and ``success``, with several vehicles ``acted`` and ``arrived``; each is
+    valid where the mask of the same name with an underscore says so. With SAME_STEP ``end`` and ``success`` are in
+    ``final_info``, beside ``final_obs``, all of whose rows are valid.
 
     ## Errors
 
@@ -144,7 +144,7 @@ class DeviceVectorEnv(VectorBase):
         return self._shaped(self.worlds.observations.clone()), {}
 
     def _start(self, rows: NDArray[np.int64], seeds: list[int | None], pins: Any, listed: bool) -> None:
-        """Start episodes in the worlds ``rows``, some of which are placed on the CPU: where seeds are listed, or pinned.
+        """Start episodes in the worlds ``rows``; those with a seed of their own, or pins, are placed on the CPU.
 
         Args:
             rows: (k,) which worlds.

@@ -309,7 +309,7 @@ def make_vector_env(num_envs: int = 1, *, device: str | None = None, **arguments
     Args:
         num_envs: N.
         device: None for NumPy's arrays, "cpu" or "cuda" for tensors of PyTorch on that device.
-        **arguments: of :class:`DrivingVectorEnv`, or with a device of :class:`mo_deepdrive.envs.device.DeviceVectorEnv`.
+        **arguments: of :class:`DrivingVectorEnv`, or of :class:`mo_deepdrive.envs.device.DeviceVectorEnv`.
 
     Raises:
         ImportError: if the device needs packages that are not installed.
