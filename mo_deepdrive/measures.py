@@ -47,6 +47,10 @@ def _compile(name: str, function: Any, config: EnvConfig) -> Any:
     try:
         batch_rewards((function,))(nothing, make_params(config), flags, rewards)
     except Exception as error:  # Numba raises KeyError for a field that does not exist
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
-        raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason}") from None
+        raise ValueError(f"objective {name!r}: its measure cannot be compiled: {reason(error)}") from None
     return function
+
+
+def reason(error: Exception) -> str:
+    """An error of Numba in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]

@@ -15,6 +15,7 @@ from numba.cuda.core.errors import NumbaPerformanceWarning
 from numba.cuda.extending import overload
 
 from mo_deepdrive.device.kernels import Buffers, Form, Launcher, Scratch, after_decision, before_decision, begin_episode
+from mo_deepdrive.measures import reason
 from mo_deepdrive.simulation import dynamics, observation, traffic
 from mo_deepdrive.simulation.kernel import deciding
 from mo_deepdrive.simulation.trigonometry import floor
@@ -34,11 +35,9 @@ def _one_lane(dtype: np.dtype[Any]) -> Any:
 
 @functools.cache
 def kernels(form: Form) -> tuple[Any, Any]:
-    """The kernels ``step(buffers, mode)`` and ``restart(buffers, place)``, which are compiled when they are first used."""
+    """The kernels ``step(buffers, mode)`` and ``restart(buffers, place)``, not compiled yet."""
     decide = deciding(form.measures)
-    motion, pose, sight, driver = map(
-        _one_lane, (dynamics.MOTION, dynamics.POSE, observation.SIGHT, traffic.TRAFFIC)
-    )
+    motion, pose, sight, driver = map(_one_lane, (dynamics.MOTION, dynamics.POSE, observation.SIGHT, traffic.TRAFFIC))
     spawn = numba.from_dtype(form.spawn)
     bodies, rows = form.vehicles + form.cars, form.physics_steps + 1
     drivers, draws = max(form.cars, 1), form.draws  # no array may be empty
@@ -56,16 +55,12 @@ def kernels(form: Form) -> tuple[Any, Any]:
                 cuda.local.array(1, spawn),
                 cuda.local.array((1, draws), float64),
             )
-            before_decision(i, mode, b.waiting, b.actions, b.table.shape[0], b.fault)
+            before_decision(b, i, mode)
             decide(
                 b.worlds, i, i + 1, b.actions, b.table, b.params, b.controls, s.motion, s.cars, s.path, s.sight,
                 b.final_observations, b.rewards, b.acted, b.ended, b.timed_out,
             )  # fmt: skip
-            after_decision(
-                i, mode, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
-                b.observations, b.final_observations, b.ended, b.timed_out, b.terminated, b.truncated, b.over, b.ends,
-                b.fault,
-            )  # fmt: skip
+            after_decision(b, s, i, mode)
 
     @cuda.jit  # type: ignore[untyped-decorator]
     def restart_kernel(b: Buffers, place: bool) -> None:
@@ -79,10 +74,7 @@ def kernels(form: Form) -> tuple[Any, Any]:
                 cuda.local.array(1, spawn),
                 cuda.local.array((1, draws), float64),
             )
-            begin_episode(
-                i, place, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
-                b.observations, b.ended, b.timed_out, b.acted, b.terminated, b.truncated, b.over, b.ends, b.fault,
-            )  # fmt: skip
+            begin_episode(b, s, i, place)
 
     return step_kernel, restart_kernel
 

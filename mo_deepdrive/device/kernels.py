@@ -1,7 +1,7 @@
 """What a launch does with its worlds, for both kinds of device.
 
-The functions of :mod:`mo_deepdrive.simulation` are compiled for a GPU as they are: one thread moves one world, with scratch
-of one lane in its own memory. On the CPU a loop calls the same functions for blocks of worlds.
+The functions of :mod:`mo_deepdrive.simulation` are compiled for a GPU as they are: one thread moves one world, with
+scratch of one lane in its own memory. On the CPU loops call the same functions.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from mo_deepdrive.simulation import observation, philox, traffic
 from mo_deepdrive.simulation.autoreset import DONE, NEXT_STEP, SAME_STEP, is_over, resetting
 from mo_deepdrive.simulation.dynamics import make_scratch
-from mo_deepdrive.simulation.jit import jit, separate_jit
+from mo_deepdrive.simulation.jit import jit, uncounted_jit
 from mo_deepdrive.simulation.kernel import batch_step, observe_worlds
-from mo_deepdrive.simulation.state import SPAWN, Records, with_room
+from mo_deepdrive.simulation.state import SPAWN, with_room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,7 +119,7 @@ class Form(NamedTuple):
 
 @jit
 def draw(streams: NDArray[Any], redraws: NDArray[np.int64], i: int, drawn: NDArray[np.float64]) -> bool:
-    """Draw a scenario of the next episode of world ``i``; :func:`mo_deepdrive.simulation.autoreset.resetting` calls it."""
+    """Draw a scenario of the next episode of world ``i``, as ``resetting`` calls it."""
     philox.draw(streams[i], redraws[i], drawn, 0)
     redraws[i] += 1
     return True
@@ -162,91 +162,64 @@ def report(fault: NDArray[np.int64], i: int, what: int) -> None:
 _reset = resetting(draw)
 
 
-@jit
-def before_decision(
-    i: int, mode: int, waiting: NDArray[np.bool_], actions: NDArray[Any], choices: int, fault: NDArray[np.int64]
-) -> None:
-    """Report what is wrong with a step of world ``i``."""
-    if not allow(actions, choices, i):
-        report(fault, i, WRONG_ACTION)
-    if mode != NEXT_STEP and waiting[i]:
-        report(fault, i, RESET_NEEDED)
-
-
-@jit
-def record(
-    i: int, worlds: Records, ended: NDArray[np.bool_], timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_],
-    truncated: NDArray[np.bool_], over: NDArray[np.bool_], ends: NDArray[np.int8],
-) -> None:  # fmt: skip
+@uncounted_jit
+def record(b: Buffers, i: int) -> None:
     """Write in which state world ``i`` is."""
-    over[i] = is_over(ended, timed_out, i)
-    for v in range(ended.shape[1]):
-        terminated[i, v] = ended[i, v]
-        truncated[i, v] = timed_out[i, v]
-        ends[i, v] = worlds[i, v].end
+    b.over[i] = is_over(b.ended, b.timed_out, i)
+    for v in range(b.ended.shape[1]):
+        b.terminated[i, v] = b.ended[i, v]
+        b.truncated[i, v] = b.timed_out[i, v]
+        b.ends[i, v] = b.worlds[i, v].end
 
 
-@jit
-def renew(
-    i: int, mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
-    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
-    observations: NDArray[np.float32], ended: NDArray[np.bool_], timed_out: NDArray[np.bool_], fault: NDArray[np.int64],
-) -> None:  # fmt: skip
+@uncounted_jit
+def renew(b: Buffers, s: Scratch, i: int, mode: int) -> None:
     """Start the next episode in world ``i`` if the autoreset mode says so."""
-    redraws[i] = 0
+    b.redraws[i] = 0
     problem = _reset(
-        worlds, i, mode, waiting, streams, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
-        timed_out,
+        b.worlds, i, mode, b.waiting, b.streams, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
+        b.observations, b.ended, b.timed_out,
     )  # fmt: skip
     if problem != DONE:
-        report(fault, i, NO_SCENARIO)
-    elif redraws[i] > 0:
-        streams[i].episode += philox.ONE
+        report(b.fault, i, NO_SCENARIO)
+    elif b.redraws[i] > 0:
+        b.streams[i].episode += philox.ONE
 
 
-@jit
-def after_decision(
-    i: int, mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
-    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
-    observations: NDArray[np.float32], final: NDArray[np.float32], ended: NDArray[np.bool_],
-    timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
-    ends: NDArray[np.int8], fault: NDArray[np.int64],
-) -> None:  # fmt: skip
+@uncounted_jit
+def before_decision(b: Buffers, i: int, mode: int) -> None:
+    """Report what is wrong with a step of world ``i``."""
+    if not allow(b.actions, b.table.shape[0], i):
+        report(b.fault, i, WRONG_ACTION)
+    if mode != NEXT_STEP and b.waiting[i]:
+        report(b.fault, i, RESET_NEEDED)
+
+
+@uncounted_jit
+def after_decision(b: Buffers, s: Scratch, i: int, mode: int) -> None:
     """Write how the decision has left world ``i``, and reset it if the autoreset mode says so."""
     if mode == SAME_STEP:
-        record(i, worlds, ended, timed_out, terminated, truncated, over, ends)
-        for v in range(final.shape[1]):
-            for k in range(final.shape[2]):
-                observations[i, v, k] = final[i, v, k]
-    renew(
-        i, mode, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
-        timed_out, fault,
-    )  # fmt: skip
+        record(b, i)
+        for v in range(b.observations.shape[1]):
+            for k in range(b.observations.shape[2]):
+                b.observations[i, v, k] = b.final_observations[i, v, k]
+    renew(b, s, i, mode)
     if mode != SAME_STEP:  # of the new episode, if one has begun
-        record(i, worlds, ended, timed_out, terminated, truncated, over, ends)
+        record(b, i)
 
 
-@jit
-def begin_episode(
-    i: int, place: bool, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
-    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
-    observations: NDArray[np.float32], ended: NDArray[np.bool_], timed_out: NDArray[np.bool_],
-    acted: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
-    ends: NDArray[np.int8], fault: NDArray[np.int64],
-) -> None:  # fmt: skip
+@uncounted_jit
+def begin_episode(b: Buffers, s: Scratch, i: int, place: bool) -> None:
     """Start a new episode in world ``i``, or with ``place`` = False only look at the state that it is in."""
     if place:
-        waiting[i] = True
-        renew(
-            i, NEXT_STEP, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations,
-            ended, timed_out, fault,
-        )  # fmt: skip
+        b.waiting[i] = True
+        renew(b, s, i, NEXT_STEP)
     else:
-        observe_worlds(worlds, i, i + 1, params[0], sight, observations, ended, timed_out)
-        waiting[i] = is_over(ended, timed_out, i)
-    record(i, worlds, ended, timed_out, terminated, truncated, over, ends)
-    for v in range(acted.shape[1]):
-        acted[i, v] = False
+        observe_worlds(b.worlds, i, i + 1, b.params[0], s.sight, b.observations, b.ended, b.timed_out)
+        b.waiting[i] = is_over(b.ended, b.timed_out, i)
+    record(b, i)
+    for v in range(b.acted.shape[1]):
+        b.acted[i, v] = False
 
 
 class Launcher(NamedTuple):
@@ -256,44 +229,23 @@ class Launcher(NamedTuple):
     restart: Callable[[bool], None]
 
 
-# The loops of the CPU take arrays one by one: every use of a field of a tuple would count a reference.
-@separate_jit
-def _before_decisions(
-    mode: int, waiting: NDArray[np.bool_], actions: NDArray[Any], choices: int, fault: NDArray[np.int64]
-) -> None:
-    for i in range(len(waiting)):
-        before_decision(i, mode, waiting, actions, choices, fault)
+@uncounted_jit
+def _before_decisions(b: Buffers, mode: int) -> None:
+    for i in range(len(b.worlds)):
+        before_decision(b, i, mode)
 
 
-@separate_jit
-def _after_decisions(
-    mode: int, worlds: Records, streams: Records, waiting: NDArray[np.bool_], redraws: NDArray[np.int64],
-    unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records, spawn: Records, sight: Records,
-    observations: NDArray[np.float32], final: NDArray[np.float32], ended: NDArray[np.bool_],
-    timed_out: NDArray[np.bool_], terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], over: NDArray[np.bool_],
-    ends: NDArray[np.int8], fault: NDArray[np.int64],
-) -> None:  # fmt: skip
-    for i in range(len(worlds)):
-        after_decision(
-            i, mode, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, final,
-            ended, timed_out, terminated, truncated, over, ends, fault,
-        )  # fmt: skip
+@uncounted_jit
+def _after_decisions(b: Buffers, s: Scratch, mode: int) -> None:
+    for i in range(len(b.worlds)):
+        after_decision(b, s, i, mode)
 
 
-@separate_jit
-def _restart(
-    mask: NDArray[np.bool_], place: bool, worlds: Records, streams: Records, waiting: NDArray[np.bool_],
-    redraws: NDArray[np.int64], unfair: NDArray[np.int64], drawn: NDArray[np.float64], pins: Records, params: Records,
-    spawn: Records, sight: Records, observations: NDArray[np.float32], ended: NDArray[np.bool_],
-    timed_out: NDArray[np.bool_], acted: NDArray[np.bool_], terminated: NDArray[np.bool_],
-    truncated: NDArray[np.bool_], over: NDArray[np.bool_], ends: NDArray[np.int8], fault: NDArray[np.int64],
-) -> None:  # fmt: skip
-    for i in range(len(worlds)):
-        if mask[i]:
-            begin_episode(
-                i, place, worlds, streams, waiting, redraws, unfair, drawn, pins, params, spawn, sight, observations, ended,
-                timed_out, acted, terminated, truncated, over, ends, fault,
-            )  # fmt: skip
+@uncounted_jit
+def _begin_episodes(b: Buffers, s: Scratch, place: bool) -> None:
+    for i in range(len(b.worlds)):
+        if b.mask[i]:
+            begin_episode(b, s, i, place)
 
 
 def host_launcher(form: Form, buffers: Buffers, mode: int, _device: Any) -> Launcher:
@@ -304,20 +256,11 @@ def host_launcher(form: Form, buffers: Buffers, mode: int, _device: Any) -> Laun
     s = Scratch(motion, traffic.make_scratch(form.cars), path, sight, spawn, np.zeros((1, form.draws)))
 
     def step() -> None:
-        _before_decisions(mode, b.waiting, b.actions, b.table.shape[0], b.fault)
+        _before_decisions(b, mode)
         decide(
             b.worlds, b.actions, b.table, b.params, b.controls, s.motion, s.cars, s.path, s.sight,
             b.final_observations, b.rewards, b.acted, b.ended, b.timed_out,
         )  # fmt: skip
-        _after_decisions(
-            mode, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
-            b.observations, b.final_observations, b.ended, b.timed_out, b.terminated, b.truncated, b.over, b.ends, b.fault,
-        )  # fmt: skip
+        _after_decisions(b, s, mode)
 
-    def restart(place: bool) -> None:
-        _restart(
-            b.mask, place, b.worlds, b.streams, b.waiting, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
-            b.observations, b.ended, b.timed_out, b.acted, b.terminated, b.truncated, b.over, b.ends, b.fault,
-        )  # fmt: skip
-
-    return Launcher(step, restart)
+    return Launcher(step, lambda place: _begin_episodes(b, s, place))

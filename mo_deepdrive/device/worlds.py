@@ -40,8 +40,8 @@ class Outputs(NamedTuple):
 
     Attributes:
         observations: (N, V, size) float32 for the next decision.
-        final_observations: (N, V, size) after this one, which differ where an episode was over and the next one has begun
-            in the same step; ``observations`` themselves in other autoreset modes.
+        final_observations: (N, V, size) after this one: others where an episode was over and the next one has begun in
+            the same step; ``observations`` themselves in other autoreset modes.
         rewards: (N, V, d) float32; zero for vehicles that had ended before.
         acted: (N, V) bool, which vehicles were on the road before the decision.
         terminated: (N, V) bool, after it, before a reset in the same step.
@@ -79,7 +79,9 @@ class TensorWorlds:
         objectives: names of the d objectives.
         continuous: whether actions are continuous.
         choices: how many discrete actions there are.
-        outputs: all that a decision writes, also attributes by their own names: see :class:`Outputs`.
+        allowed_actions: in words.
+        outputs: all that a decision writes; also attributes by the names in :class:`Outputs`.
+        waiting: (N,) bool, where an episode is over and its world has not been reset.
         fault: (1,) int64, not zero if something went wrong.
 
     Raises:
@@ -106,6 +108,7 @@ class TensorWorlds:
         self.objectives = host.objectives
         self.continuous = host.continuous
         self.choices = len(host.table)
+        self.allowed_actions = "finite numbers" if self.continuous else f"integers in [0, {self.choices})"
         self._waypoints = host.params["n_waypoints"][0, : self.vehicles]
         self._record = vehicle_record(config)
         self._mode = _MODES[autoreset]
@@ -117,9 +120,10 @@ class TensorWorlds:
         self.observations, self.final_observations, self.rewards, self.acted = self.outputs[:4]
         self.terminated, self.truncated, self.over, self.ends = self.outputs[4:]
         self.fault = self._zeros(torch.int64, 1)
-        self._state = self._zeros(torch.uint8, count, self.vehicles, self._record.itemsize)
+        blank = torch.from_numpy(host.state.view(np.uint8).reshape(1, self.vehicles, -1))
+        self._state = blank.to(self.device).repeat(count, 1, 1)
         self._streams = self._zeros(torch.uint8, count, STREAM.itemsize)
-        self._waiting = self._zeros(torch.bool, count)
+        self.waiting = self._zeros(torch.bool, count)
         self._mask = self._zeros(torch.bool, count)
         axes = (3,) if self.continuous else ()
         self._actions = self._zeros(torch.float32 if self.continuous else torch.int64, count, self.vehicles, *axes)
@@ -185,15 +189,15 @@ class TensorWorlds:
         array: Any = torch.Tensor.numpy
         if self.device.type == "cuda":
             with needed_for(f"device = {str(self.device)!r}", "cuda"):
-                from mo_deepdrive.device.cuda import array, make_launcher  # type: ignore[no-redef]
+                from mo_deepdrive.device.cuda import array, make_launcher
 
         pairs = self.count, self.vehicles
-        self._waiting.fill_(True)
+        self.waiting.fill_(True)
         table = host.table if self.choices else np.zeros((1, 4))  # no array of a GPU may be empty
         tensors = (
             self._state.view(-1),
             self._streams.view(-1),
-            self._waiting,
+            self.waiting,
             self._zeros(torch.int64, self.count),
             self._zeros(torch.int64, self.count),
             self._mask,
@@ -216,24 +220,19 @@ class TensorWorlds:
         self._kept = tensors, host  # what the buffers are views of
         return make_launcher(form, buffers, self._mode, self.device)  # type: ignore[no-any-return]
 
-    def begin(
-        self, seeds: NDArray[Any], environments: NDArray[Any], mask: NDArray[np.bool_] | torch.Tensor | None = None
-    ) -> None:
-        """Start the first episodes (number 0) of streams of random numbers.
+    def begin(self, seeds: NDArray[Any], environments: NDArray[Any]) -> None:
+        """Start the first episodes (number 0) of new streams of random numbers.
 
         Args:
             seeds: (N,) integers in [0, 2**64).
-            environments: (N,) likewise below 2**32: the number of the environment among those with its seed.
-            mask: (N,) in which worlds; in all if None.
+            environments: (N,) integers in [0, 2**32): which environment among those with the same seed.
         """
-        streams = np.zeros(self.count, dtype=STREAM)
-        streams["seed"], streams["environment"] = seeds, environments
-        self._write(self._streams, streams, mask)
-        self.next_episodes(mask)
+        self.write_streams(make_streams(seeds, environments))
+        self.next_episodes()
 
-    def next_episodes(self, mask: NDArray[np.bool_] | torch.Tensor | None = None) -> None:
-        """Start the next episode of every world in ``mask`` (N,), or of all."""
-        self._set_mask(mask)
+    def next_episodes(self, mask: torch.Tensor | None = None) -> None:
+        """Start the next episode in every world of ``mask`` (N,) bool on the device, or in all."""
+        self._mask.fill_(True) if mask is None else self._mask.copy_(mask)
         self._launcher.restart(True)
 
     def step(self, actions: torch.Tensor) -> None:
@@ -268,10 +267,9 @@ class TensorWorlds:
         self.fault.zero_()
         world, kind = divmod(fault, 4)
         if kind == WRONG_ACTION:
-            allowed = "finite numbers" if self.continuous else f"integers in [0, {self.choices})"
             raise ValueError(
-                f"an action of world {world} in an earlier step() was not allowed; expected {allowed}. Zeros were taken "
-                "instead; check_actions=True finds such actions before the step"
+                f"an action of world {world}, perhaps of an earlier step, is not allowed; expected "
+                f"{self.allowed_actions}. Zeros were taken instead; check_actions=True refuses it before a world moves"
             )
         if kind == RESET_NEEDED:
             raise ResetNeeded(
@@ -279,44 +277,53 @@ class TensorWorlds:
             )
         raise WorldBatch(self.config, 1).no_scenario()
 
-    def read_state(self) -> NDArray[Any]:
+    def read_states(self) -> NDArray[Any]:
         """A copy of the states (N, V) of VEHICLE; this waits for the device."""
-        return self._state.cpu().numpy().reshape(-1).view(self._record).reshape(self.count, self.vehicles).copy()
+        return _records(self._state, self._record).reshape(self.count, self.vehicles)
 
     def read_streams(self) -> NDArray[Any]:
         """A copy of the streams (N,) of STREAM; this waits for the device."""
-        return self._streams.cpu().numpy().reshape(-1).view(STREAM).copy()
+        return _records(self._streams, STREAM)
 
-    def write(self, state: NDArray[Any], streams: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> None:
-        """Overwrite states (N, V) and streams (N,), and compute observations and flags from them.
+    def write_states(self, states: NDArray[Any], rows: NDArray[np.int64] | None = None) -> None:
+        """Overwrite states, and compute observations and flags from them.
 
         Args:
-            state: of VEHICLE.
-            streams: of STREAM.
-            mask: (N,) in which worlds; in all if None.
+            states: (k, V) of VEHICLE.
+            rows: (k,) of which worlds; all if None.
 
         Raises:
             ValueError: for values that the dynamics cannot reach; nothing changes.
         """
-        check_state(state, self.config, self._waypoints)
-        self._write(self._state, state, mask)
-        self._write(self._streams, streams, mask)
-        self._set_mask(mask)
+        check_state(states, self.config, self._waypoints)
+        self._mask.fill_(rows is None)
+        if rows is not None:
+            self._mask[torch.from_numpy(rows).to(self.device)] = True
+        self._write(self._state, states, rows)
         self._launcher.restart(False)
 
-    def _write(self, tensor: torch.Tensor, records: NDArray[Any], mask: Any) -> None:
-        given = torch.from_numpy(records.view(np.uint8).reshape(tensor.shape)).to(self.device)
-        if mask is None:
+    def write_streams(self, streams: NDArray[Any], rows: NDArray[np.int64] | None = None) -> None:
+        """Overwrite the streams (k,) of STREAM of the worlds ``rows`` (k,), or of all."""
+        self._write(self._streams, streams, rows)
+
+    def _write(self, tensor: torch.Tensor, records: NDArray[Any], rows: NDArray[np.int64] | None) -> None:
+        given = torch.from_numpy(records.view(np.uint8).reshape(len(records), *tensor.shape[1:])).to(self.device)
+        if rows is None:
             tensor.copy_(given)
         else:
-            rows = torch.as_tensor(mask, device=self.device)
-            tensor[rows] = given[rows]
+            tensor[torch.from_numpy(rows).to(self.device)] = given
 
-    def _set_mask(self, mask: NDArray[np.bool_] | torch.Tensor | None) -> None:
-        if mask is None:
-            self._mask.fill_(True)
-        else:
-            self._mask.copy_(torch.as_tensor(mask))
+
+def make_streams(seeds: NDArray[Any], environments: NDArray[Any]) -> NDArray[Any]:
+    """Streams (N,) of STREAM at their first episode, of seeds (N,) and numbers of environments (N,)."""
+    streams = np.zeros(len(seeds), dtype=STREAM)
+    streams["seed"], streams["environment"] = seeds, environments
+    return streams
+
+
+def _records(tensor: torch.Tensor, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """A copy of a tensor of bytes as records."""
+    return tensor.cpu().numpy().copy().reshape(-1).view(dtype)
 
 
 def _bytes(dtype: torch.dtype, shape: tuple[int, ...]) -> int:

@@ -1,8 +1,8 @@
 """Random numbers from counters: Philox 4x32-10.
 
-J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011. A block of four
-words is a function of a key and a counter, so there is no state that has to be saved, and every world can draw by itself.
-Here the key is a seed, and the counter says which block of which episode of which environment.
+J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011. A block of
+four words is a function of a key and a counter, so no state has to be saved, and every world can draw by itself. Here
+the key is a seed, and the counter says which block of which episode of which environment.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Whose random numbers a world draws, and the number of its next episode.
 STREAM = aligned(np.dtype([("seed", np.uint64), ("environment", np.uint64), ("episode", np.uint64)]))
 
-# Words are 32 bits in integers of 64. All operands have one type: Numba would make a float of a signed and an unsigned one.
+# Words are 32 bits in integers of 64. All operands have this type: of a signed one Numba would make a float.
 WORD = np.uint64(0xFFFFFFFF)
 HALF = np.uint64(32)
 MULTIPLIER_0, MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
@@ -32,8 +32,10 @@ ONE = np.uint64(1)
 
 
 @jit
-def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
-    """Four words from the counter (c0, c1, c2, c3) and the key (k0, k1), all words in uint64."""
+def philox(
+    c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
+) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64]:
+    """Four words from the counter (c0, c1, c2, c3) and the key (k0, k1)."""
     for _ in range(ROUNDS):
         first = MULTIPLIER_0 * c0
         second = MULTIPLIER_1 * c2
@@ -57,8 +59,8 @@ def draw(stream: Record, attempt: int, draws: NDArray[np.float64], j: int) -> No
     blocks = (count + 1) // 2
     for block in range(blocks):
         a, b, c, d = philox(
-            np.uint64(attempt * blocks + block), stream.environment & WORD, stream.episode & WORD, stream.episode >> HALF,
-            stream.seed & WORD, stream.seed >> HALF,
+            np.uint64(attempt * blocks + block), stream.environment & WORD,
+            stream.episode & WORD, stream.episode >> HALF, stream.seed & WORD, stream.seed >> HALF,
         )  # fmt: skip
         draws[j, 2 * block] = np.float64((a << HALF | b) >> UNUSED) * STEP
         if 2 * block + 1 < count:
