@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from algorithms.agent import Log, LogFront
     from algorithms.device.worlds import SeedWorlds
+    from mo_deepdrive.utilities import Utility
 
 KEPT = "resident."  # prefix of the tensors of a checkpoint that its agent does not know
 WARM_UP = 2  # updates before one is captured: what is compiled or allocated once must not be part of it
@@ -83,9 +85,32 @@ class SeedTrainer:
             kind(learner, [agent.learners[k] for agent in self.agents], num_envs, self.device)
             for k, learner in enumerate(template.learners)
         ]
+        self._check_functions(utilities)
         self._generator = torch.Generator(self.device)
         self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
         self._graph: Any = None
+
+    def _check_functions(self, utilities: Sequence[Utility]) -> None:
+        """Call what may be a user's own for all seeds at once, before a training that would fail in it.
+
+        Raises:
+            ValueError: if it cannot be called so.
+        """
+        returns = torch.zeros(len(self.agents), 2, len(self.env.objectives), device=self.device)
+        calls: dict[str, Callable[[], Any]] = {
+            f"utility {each.name!r}": partial(torch.func.vmap(each), returns) for each in utilities
+        }
+        if self.config.network is not None:
+            calls[f"algorithm.network = {self.config.network!r}"] = partial(self._act, 0, self.collection.running)
+        for name, call in calls.items():
+            try:
+                with plain_torch():
+                    call()
+            except Exception as error:
+                reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                raise ValueError(
+                    f"{name} cannot be called by torch.func.vmap, as for several seeds and on a GPU: {reason}"
+                ) from error
 
     # ------------------------------------------------------------------------------------------------------- an update
 

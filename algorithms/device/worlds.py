@@ -82,7 +82,7 @@ class SeedWorlds:
     def get_state(self, seed: int) -> dict[str, torch.Tensor]:
         """What continues of the worlds of the seed with this index, as named tensors of bytes."""
         first, last = seed * self._num_envs, (seed + 1) * self._num_envs
-        arrays = {"state": self._worlds.read_state(), "streams": self._worlds.read_streams()}
+        arrays = {"state": self._worlds.read_states(), "streams": self._worlds.read_streams()}
         return {name: torch.from_numpy(each[first:last, ..., None].view(np.uint8)) for name, each in arrays.items()}
 
     def set_state(self, states: Sequence[Mapping[str, torch.Tensor]]) -> None:
@@ -92,4 +92,5 @@ class SeedWorlds:
             ValueError: for one that no world can have.
         """
         state, streams = (np.concatenate([each[name].numpy() for each in states]) for name in ("state", "streams"))
-        self._worlds.write(state.view(self._worlds.read_state().dtype)[..., 0], streams.view(STREAM)[..., 0])
+        self._worlds.write_states(state.view(self._worlds.read_states().dtype)[..., 0])
+        self._worlds.write_streams(streams.view(STREAM)[..., 0])

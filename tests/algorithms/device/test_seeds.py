@@ -183,7 +183,7 @@ def test_the_runs_of_several_seeds_are_resumed_evaluated_and_tabulated_as_any_ot
 
     assert evaluate.main([str(paths[0]), "--episodes=3"]) == 0
     assert table.main([*map(str, paths)]) == 0
-    assert "3 seeds" in capsys.readouterr().out
+    assert "with three seeds" in capsys.readouterr().out
     assert Run.open(paths[2]).experiment.training.seed == 7
     assert read_metrics(paths[2] / "metrics.csv")["step"][-1] == 960
 
