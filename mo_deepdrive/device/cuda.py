@@ -7,6 +7,7 @@ import warnings
 from typing import Any
 
 import numba
+import numba_cuda  # noqa: F401  # first, as numba.cuda is another module where it is not installed
 import numpy as np
 import torch
 from numba import cuda, float64
