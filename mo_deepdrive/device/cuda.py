@@ -7,6 +7,7 @@ import warnings
 from typing import Any
 
 import numba
+import numba_cuda  # noqa: F401  # first, as numba.cuda is another module where it is not installed
 import numpy as np
 import torch
 from numba import cuda, float64
@@ -84,7 +85,7 @@ def array(tensor: torch.Tensor) -> Any:
     return cuda.as_cuda_array(tensor)
 
 
-def _compiled(form: Form, buffers: Any, mode: int) -> tuple[Any, Any]:
+def compiled(form: Form, buffers: Any, mode: int) -> tuple[Any, Any]:
     """Both kernels for these buffers.
 
     Raises:
@@ -115,7 +116,7 @@ def make_launcher(form: Form, buffers: Buffers, mode: int, device: torch.device)
         ValueError: naming an objective whose measure does not compile for the GPU.
     """
     with cuda.gpus[device.index]:
-        step, restart = _compiled(form, buffers, mode)
+        step, restart = compiled(form, buffers, mode)
     blocks = -(-buffers.worlds.shape[0] // THREADS)
     streams: dict[int, tuple[Any, Any]] = {}
 

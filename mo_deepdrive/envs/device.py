@@ -52,8 +52,8 @@ class DeviceVectorEnv(VectorBase):
     ## Infos
 
     Nothing waits for the device, so infos are tensors, too, and there in every step: ``end`` (int8, positions in
-    :data:`mo_deepdrive.simulation.state.ENDS`) and ``success``, with several vehicles ``acted`` and ``arrived``; each is
-    valid where the mask of the same name with an underscore says so. With SAME_STEP ``end`` and ``success`` are in
+    :data:`mo_deepdrive.simulation.state.ENDS`) and ``success``, with several vehicles ``acted`` and ``arrived``; each
+    is valid where the mask of the same name with an underscore says so. With SAME_STEP ``end`` and ``success`` are in
     ``final_info``, beside ``final_obs``, all of whose rows are valid.
 
     ## Errors
@@ -98,6 +98,7 @@ class DeviceVectorEnv(VectorBase):
     ):
         super().__init__(num_envs, scenario, autoreset_mode, render_mode, max_episode_steps, options)
         self.worlds = TensorWorlds(self.config, self.num_envs, device, self.autoreset_mode)
+        self._make_spaces()
         self.device = self.worlds.device
         self.check_actions = check_actions
         # The last fault that is known here; a GPU writes it when it gets there.

@@ -48,7 +48,7 @@ def check_forms(state: Mapping[str, Any], needed: Mapping[str, NDArray[Any]]) ->
 
 
 class VectorBase(KnownFront, VectorEnv):
-    """N independent worlds of one scenario; a subclass has the worlds.
+    """N independent worlds of one scenario; a subclass makes the worlds, and then the spaces.
 
     Args:
         num_envs: N.
@@ -98,13 +98,17 @@ class VectorBase(KnownFront, VectorEnv):
         self.objectives = chosen_objectives(config)
         self.reward_dim = len(self.objectives)
         self.vehicles = SCENARIOS[config.scenario].vehicles
+        self._viewers: list[Any] = []
+
+    def _make_spaces(self) -> None:
+        """Those of all worlds take memory, so the worlds are made first, and refused if they are too many."""
+        config, num_envs = self.config, self.num_envs
         self.single_observation_space = self._per_vehicle(env_spaces.observation_space(config))
         self.observation_scales = env_spaces.observation_scales(config)
         self.single_action_space = self._per_vehicle(env_spaces.action_space(config))
         self.reward_space = self._per_vehicle(env_spaces.reward_space(config))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._viewers: list[Any] = []
 
     def _per_vehicle(self, space: spaces.Space[Any]) -> Any:
         if self.vehicles == 1:

@@ -19,10 +19,7 @@ from mo_deepdrive.evaluation.accrued_reward import AccruedReward
 from tests.helpers.agents import CONTINUOUS, INTERSECTION, LEFT_TURN, ONE_WAYPOINT, SEA
 from tests.helpers.short_agents import STEPS, check_resumed, trained
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch finds no CUDA device"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.gpu]
 # Algorithm, environment, its arguments, and what differs from the defaults.
 LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
     "a2c": ("a2c", ONE_WAYPOINT, {}, {}),
