@@ -89,6 +89,7 @@ class SeedTrainer:
         self._generator = torch.Generator(self.device)
         self._learning_rate, self._entropy_coefficient = torch.zeros(2, device=self.device)
         self._graph: Any = None
+        self._warmed_up = 0  # updates in this process
 
     def _check_functions(self, utilities: Sequence[Utility]) -> None:
         """Call what may be a user's own for all seeds at once, before a training that would fail in it.
@@ -139,7 +140,8 @@ class SeedTrainer:
 
     def _run(self) -> None:
         """The part of an update that is the same every time, as one CUDA graph where that is possible."""
-        if self.device.type != "cuda" or self.updates < WARM_UP:
+        self._warmed_up += 1
+        if self.device.type != "cuda" or self._warmed_up <= WARM_UP:
             self._update()
             return
         if self._graph is None:
@@ -249,7 +251,7 @@ class SeedTrainer:
                 paused = perf_counter()
                 self._log_evaluations(plan, log, log_front)
                 started += perf_counter() - paused
-            if self.updates == WARM_UP + 1:  # what was compiled and captured until now says nothing of the speed
+            if self._warmed_up == WARM_UP + 1:  # what was compiled and captured until now says nothing of the speed
                 started, first = perf_counter(), self.step
             if after_update is not None and after_update(self):
                 return

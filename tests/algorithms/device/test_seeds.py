@@ -11,7 +11,6 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from algorithms.commands import evaluate, table, train
-from algorithms.device.trainer import SeedTrainer
 from algorithms.experiments.config import make_experiment
 from algorithms.experiments.jobs import perform
 from algorithms.experiments.run_directory import Run
@@ -20,68 +19,13 @@ from algorithms.experiments.training import reopen, train_and_finish
 from algorithms.files.metrics import read_metrics
 from algorithms.files.yaml import dump
 from mo_deepdrive.faults import NotFinite
-from tests.helpers.agents import CONTINUOUS, INTERSECTION, ONE_WAYPOINT, SEA
+from tests.helpers.agents import ONE_WAYPOINT, SEA
+from tests.helpers.seed_trainers import LEARNERS, TOTAL, trained, trainer, weights
 from tests.helpers.short_runs import VALUES, assert_same_run, job, metrics, quiet
 
 pytestmark = pytest.mark.slow
 
-# Algorithm, environment, its arguments, and what differs from the defaults.
-LEARNERS: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
-    "a2c": ("a2c", ONE_WAYPOINT, {}, {}),
-    "ppo, continuous": ("ppo", ONE_WAYPOINT, CONTINUOUS, {"state_dependent_std": True}),
-    "ppo, two vehicles, central": ("ppo", INTERSECTION, {}, {"centralised_critic": True}),
-    "mo_a2c, as printed": ("mo_a2c", ONE_WAYPOINT, {}, {"advantage": "as_printed"}),
-    "mo_ppo": ("mo_ppo", ONE_WAYPOINT, {}, {"minibatches": 3, "cost_growth": 0.5}),
-    "mo_ppo, gradient": ("mo_ppo", ONE_WAYPOINT, CONTINUOUS, {"advantage": "utility_gradient"}),
-    "mo_ppo, expected utility": ("mo_ppo", INTERSECTION, {}, {"advantage": "expected_utility"}),
-    "mappo": ("mappo", INTERSECTION, {}, {}),
-    "conditioned": ("conditioned_mo_ppo", ONE_WAYPOINT, {}, {}),
-    "conditioned, families": (
-        "conditioned_mo_ppo",
-        ONE_WAYPOINT,
-        CONTINUOUS,
-        {
-            "families": {"linear": 1, "chebyshev": 1, "comfort_budget": 1},
-            "budgets": {"jerk": 50},
-            "vector_critic": True,
-        },
-    ),
-    "conditioned, two vehicles": ("conditioned_mo_ppo", INTERSECTION, {}, {}),
-}
 EVERY = pytest.mark.parametrize("name", LEARNERS)
-UTILITIES = {ONE_WAYPOINT: "one_waypoint_linear", INTERSECTION: "intersection_linear"}
-TOTAL = 320
-
-
-def trainer(name: str, seeds: list[int]) -> SeedTrainer:
-    """Of small networks and short episodes."""
-    algorithm, env_id, arguments, hyperparameters = LEARNERS[name]
-    values: dict[str, Any] = {
-        "environment": {"id": env_id, "arguments": {"time_limit": 1.5, **arguments}},
-        "algorithm": {"name": algorithm, "hidden": [16], "steps": 8, "learning_rate": 1e-2, **hyperparameters},
-        "training": {"total_timesteps": TOTAL, "num_envs": 8, "seeds": seeds},
-    }
-    if algorithm != "conditioned_mo_ppo":
-        values["utility"] = {"name": UTILITIES[env_id]}
-    found = build_trainee(make_experiment(values).of_seeds())
-    assert isinstance(found, SeedTrainer)
-    return found
-
-
-def trained(trainee: SeedTrainer, total: int = TOTAL, **options: Any) -> list[list[dict[str, float]]]:
-    """What is logged of every seed, without times."""
-    rows: list[list[dict[str, float]]] = [[] for _ in trainee.agents]
-
-    def note(number: int) -> Any:
-        return lambda _, row: rows[number].append({key: row[key] for key in row if not key.startswith("time/")})
-
-    settings = {"eval_interval": total, "eval_episodes": 1, "eval_seed": 0, "eval_gamma": 1.0, "log_interval": 2}
-    trainee.train(total, None, log=[note(k) for k in range(len(rows))], **{**settings, **options})
-    return rows
-
-
-def weights(trainee: SeedTrainer, seed: int) -> torch.Tensor:
-    return torch.cat([learner.networks.vector[seed] for learner in trainee.learners])
 
 
 @EVERY
