@@ -97,7 +97,7 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_changes, squared_error
+from algorithms.networks.losses import Losses, means, policy_changes, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
 from algorithms.networks.trained import TrainedNetworks
@@ -302,14 +302,9 @@ class ConditionedLearner(TrainedNetworks):
 
     def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
         """L of eq. 9, a function of tensors that autograd differentiates."""
-        config, weights = self.config, samples.weights
         log_prob, entropies = self.actor(samples.inputs, samples.actions)
-        log_ratio = log_prob - samples.log_prob
-        policy_loss = -clipped_surrogate(log_ratio, samples.advantages, config.clip, weights)
-        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets, weights)
-        entropy = mean(entropies, weights)
-        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return Losses(total, policy_loss, value_loss, entropy, log_ratio)
+        outputs = self.critic(samples.critic_inputs)
+        return proximal_loss(log_prob, entropies, outputs, samples, self.config, entropy_coefficient)
 
     def components(self, rollout: VehicleRollout, preferences: torch.Tensor) -> torch.Tensor:
         """X_t (T, N, K) of a rollout that acted under preferences (T, N, m)."""

@@ -45,7 +45,7 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_changes, squared_error
+from algorithms.networks.losses import Losses, means, policy_changes, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
@@ -297,14 +297,11 @@ class MAPPOLearner(Learner):
 
     def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
         """L of eq. 5, a function of tensors that autograd differentiates."""
-        config, weights = self.config, samples.weights
         log_prob, entropies = self.actor(samples.inputs, samples.actions)
-        log_ratio = log_prob - samples.log_prob
-        policy_loss = -clipped_surrogate(log_ratio, samples.advantages, config.clip, weights)
-        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets)
-        entropy = mean(entropies, weights)
-        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return Losses(total, policy_loss, value_loss, entropy, log_ratio)
+        outputs = self.critic(samples.critic_inputs)
+        return proximal_loss(
+            log_prob, entropies, outputs, samples, self.config, entropy_coefficient, critic_learns_from_all=True
+        )
 
 
 class MAPPO(ActorCritic):

@@ -51,7 +51,7 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, clipped_surrogate, mean, means, policy_changes, squared_error
+from algorithms.networks.losses import Losses, means, policy_changes, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import (
@@ -198,14 +198,9 @@ class MOPPOLearner(Learner):
 
     def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
         """L of eq. 7, a function of tensors that autograd differentiates."""
-        config, weights = self.config, samples.weights
         log_prob, entropies = self.actor(samples.inputs, samples.actions)
-        log_ratio = log_prob - samples.log_prob
-        policy_loss = -clipped_surrogate(log_ratio, samples.advantages, config.clip, weights)
-        value_loss = squared_error(self.critic(samples.critic_inputs), samples.targets, weights)
-        entropy = mean(entropies, weights)
-        total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
-        return Losses(total, policy_loss, value_loss, entropy, log_ratio)
+        outputs = self.critic(samples.critic_inputs)
+        return proximal_loss(log_prob, entropies, outputs, samples, self.config, entropy_coefficient)
 
     def on_episodes_end(self, discounted_returns: NDArray[np.float64]) -> None:
         """Update E[R] with the discounted returns (E, d) of episodes that ended, also of those that a guide began."""

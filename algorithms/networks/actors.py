@@ -6,7 +6,7 @@ What is chosen, its log-probability and the entropy are functions of those outpu
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -19,9 +19,14 @@ from algorithms.networks.compiled.distributions import (
     LOG_STD_GAIN,
     LOG_TWO_PI,
     LOWEST_LOG_STD,
+    Gaussian,
+    Softmax,
+    StateGaussian,
     categorical_sample,
     state_gaussian_sample,
+    transposed,
 )
+from algorithms.networks.compiled.perceptron import Perceptron, pass_through
 from algorithms.networks.modules import make_network
 from mo_deepdrive.faults import NotFinite
 
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from algorithms.hyperparameters import NetworkSettings
+    from algorithms.networks.compiled.perceptron import Head
 
 
 def check_outputs(outputs: NDArray[np.float32], num_envs: int | None = None) -> None:
@@ -91,6 +97,10 @@ class _Actor(nn.Module, ABC):
     def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-probability of ``actions`` and entropy, each (...), for outputs (..., n) of the body."""
 
+    @abstractmethod
+    def _head(self, actions: NDArray[Any]) -> Head:
+        """The compiled twin of :meth:`evaluate` for actions (M, ...)."""
+
     def sample(self, x: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """One action per row."""
         outputs = self._outputs(x)
@@ -104,7 +114,12 @@ class _Actor(nn.Module, ABC):
 
     def forward(self, x: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Log-probability of ``actions`` and entropy of the policy, each (...)."""
-        return self.evaluate(self.body(x), actions)
+        if not (isinstance(self.body, Perceptron) and self.body.serves(x)):
+            return self.evaluate(self.body(x), actions)
+        shape = x.shape[:-1]
+        head = self._head(actions.flatten(0, len(shape) - 1).numpy())
+        log_prob, entropy = pass_through(self.body, x.flatten(0, -2), head)
+        return log_prob.view(shape), entropy.view(shape)
 
     def _outputs(self, x: torch.Tensor) -> torch.Tensor:
         outputs: torch.Tensor = self.body(x)
@@ -127,7 +142,7 @@ class CategoricalActor(_Actor):
         """By inversion: the first action whose cumulative probability is above a uniform number."""
         if serves(outputs):
             actions = np.empty(len(outputs), np.int64)
-            categorical_sample(_transposed(outputs), 0, noise[:, 0].numpy(), actions)
+            categorical_sample(transposed(outputs), 0, noise[:, 0].numpy(), actions)
             return torch.from_numpy(actions)
         cumulative = outputs.softmax(-1).cumsum(-1)
         return (cumulative[..., :-1] <= noise * cumulative[..., -1:]).sum(-1)
@@ -139,6 +154,9 @@ class CategoricalActor(_Actor):
     def evaluate(self, outputs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """As :func:`softmax_log_prob_and_entropy`."""
         return softmax_log_prob_and_entropy(outputs, actions)
+
+    def _head(self, actions: NDArray[Any]) -> Head:
+        return Softmax(actions)
 
 
 class GaussianActor(_Actor):
@@ -171,6 +189,9 @@ class GaussianActor(_Actor):
         """As :func:`gaussian_log_density_and_entropy`."""
         return gaussian_log_density_and_entropy(outputs, self.log_std, actions)
 
+    def _head(self, actions: NDArray[Any]) -> Head:
+        return Gaussian(actions, self.log_std)
+
 
 class StateGaussianActor(_Actor):
     """Diagonal Gaussian policy whose standard deviation, too, depends on the state; actions are float tensors (..., k).
@@ -194,7 +215,7 @@ class StateGaussianActor(_Actor):
         """M + sigma x."""
         if serves(outputs):
             actions = np.empty(noise.shape, np.float32)
-            state_gaussian_sample(_transposed(outputs), 0, noise.numpy(), actions)
+            state_gaussian_sample(transposed(outputs), 0, noise.numpy(), actions)
             return torch.from_numpy(actions)
         mean, log_std = self.mean_and_log_std(outputs)
         return mean + log_std.exp() * noise
@@ -207,6 +228,9 @@ class StateGaussianActor(_Actor):
         """As :func:`gaussian_log_density_and_entropy`."""
         return gaussian_log_density_and_entropy(*self.mean_and_log_std(outputs), actions)
 
+    def _head(self, actions: NDArray[Any]) -> Head:
+        return StateGaussian(actions)
+
     def mean_and_log_std(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Means (..., k) and log standard deviations (..., k) that outputs (..., 2 k) of the network stand for."""
         log_std = LOG_STD_GAIN * outputs[..., self.actions :] + INITIAL_LOG_STD
@@ -215,12 +239,6 @@ class StateGaussianActor(_Actor):
 
 def _standard_normal(rows: int, k: int, generator: torch.Generator, dtype: torch.dtype) -> torch.Tensor:
     return torch.randn((rows, k), generator=generator, device=generator.device, dtype=dtype)
-
-
-def _transposed(outputs: torch.Tensor) -> NDArray[np.float32]:
-    """(n, M), as the outputs (M, n) of a perceptron lie in memory."""
-    array: NDArray[np.float32] = outputs.detach().t().contiguous().numpy()
-    return array
 
 
 Actor = CategoricalActor | GaussianActor | StateGaussianActor

@@ -5,14 +5,18 @@ Rows are samples. Their ``weights`` (M,) need not sum to 1; None weighs all alik
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import torch
 
+from algorithms.networks.compiled import serves
+from algorithms.networks.compiled.losses import ProximalLoss
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from algorithms.rollouts.buffers import Samples
 
 LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
 
@@ -55,19 +59,53 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.T
     return mean((outputs - targets).square().mean(-1), weights)
 
 
-def clipped_surrogate(
-    log_ratio: torch.Tensor, advantages: torch.Tensor, clip: float, weights: torch.Tensor | None = None
-) -> torch.Tensor:
-    """E[min(rho A, clip(rho, 1 - epsilon, 1 + epsilon) A)] (Schulman et al. 2017, eq. 7).
+class ProximalSettings(Protocol):
+    """The hyperparameters of :func:`proximal_loss`: epsilon and c_v."""
+
+    clip: float
+    value_coefficient: float
+
+
+def proximal_loss(
+    log_prob: torch.Tensor,
+    entropies: torch.Tensor,
+    outputs: torch.Tensor,
+    samples: Samples,
+    config: ProximalSettings,
+    entropy_coefficient: float | torch.Tensor,
+    *,
+    critic_learns_from_all: bool = False,
+) -> Losses:
+    """The loss of PPO and its relatives (Schulman et al. 2017, eqs. 7 and 9).
+
+    With rho = pi / pi_old,
+
+        L = -E[min(rho A, clip(rho, 1 - epsilon, 1 + epsilon) A)] + c_v E[|y - v|^2 / K] - c_e E[H(pi)]
 
     Args:
-        log_ratio: (M,) log rho = log pi - log pi_old of the actions.
-        advantages: (M,) A.
-        clip: epsilon.
-        weights: of the samples.
+        log_prob: (M,) log pi of the actions.
+        entropies: (M,) H(pi).
+        outputs: (M, K) v.
+        samples: log pi_old, A, y and weights.
+        config: epsilon and c_v.
+        entropy_coefficient: c_e.
+        critic_learns_from_all: whether samples of weight 0 count in the second term.
     """
-    ratio = log_ratio.exp()
-    return mean(torch.minimum(ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages), weights)
+    weights = samples.weights, None if critic_learns_from_all else samples.weights
+    assert samples.log_prob is not None
+    old = samples.log_prob, samples.advantages, samples.targets
+    if serves(log_prob):
+        coefficients = config.clip, config.value_coefficient, float(entropy_coefficient)
+        found = ProximalLoss.apply(log_prob, entropies, outputs, old, weights, coefficients)  # type: ignore[no-untyped-call]
+        return Losses(*found)
+    log_ratio = log_prob - samples.log_prob
+    ratio, advantages = log_ratio.exp(), samples.advantages
+    clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+    policy_loss = -mean(torch.minimum(ratio * advantages, clipped * advantages), weights[0])
+    value_loss = squared_error(outputs, samples.targets, weights[1])
+    entropy = mean(entropies, weights[0])
+    total = policy_loss + config.value_coefficient * value_loss - entropy_coefficient * entropy
+    return Losses(total, policy_loss, value_loss, entropy, log_ratio)
 
 
 def policy_change(
