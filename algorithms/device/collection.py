@@ -75,6 +75,8 @@ class Collection:
         }
         self.ended = torch.zeros_like(self.rollout["acted"])
         self.ended_values = torch.zeros_like(self.rollout["rewards"])
+        # After each step: successes, lengths and returns.
+        self._after = torch.zeros(seeds, steps, num_envs, v, 2 + d, dtype=torch.float64, **kinds)
         self.cost_share = torch.ones((), **kinds)
         self._costs = torch.from_numpy(env.costs).to(device)
         self.totals = torch.zeros(seeds, v, d + 4, dtype=torch.float64, **kinds)
@@ -96,7 +98,7 @@ class Collection:
             for name in LONGER:
                 rollout[name][:, t] = now[name]
             if t == self.steps:
-                return
+                break
             actions = act(t, now)
             rollout["actions"][:, t] = actions
             step = self.worlds.step(actions)
@@ -107,7 +109,8 @@ class Collection:
             for name in ("final", "terminated", "truncated", "acted"):
                 rollout[name][:, t] = getattr(step, name)
             rollout["rewards"][:, t], self.ended[:, t], self.ended_values[:, t] = learnt, ended, accrued
-            self._add_episodes(ended, returns, lengths, step.succeeded)
+            self._after[:, t, ..., 0], self._after[:, t, ..., 1] = step.succeeded, lengths
+            self._after[:, t, ..., 2:] = returns
             # Who did not act has no episode under way.
             begins = ended | ~step.acted
             now["observations"].copy_(step.observations)
@@ -115,15 +118,15 @@ class Collection:
             now["discounts"].mul_(self._accrued_discount).masked_fill_(begins, 1.0)
             now["returns"].copy_(returns.masked_fill(begins.unsqueeze(-1), 0.0))
             now["lengths"].copy_(lengths.masked_fill(begins, 0))
+        self._add_episodes()
 
-    def _add_episodes(
-        self, ended: torch.Tensor, returns: torch.Tensor, lengths: torch.Tensor, succeeded: torch.Tensor
-    ) -> None:
-        parts = [torch.ones_like(returns[..., 0]), torch.zeros_like(returns[..., 0]), succeeded, lengths]
-        if self._utilities:
-            parts[1] = torch.stack([u(returns[:, :, v]) for v, u in enumerate(self._utilities)], dim=-1)
-        episodes = torch.cat([torch.stack([each.double() for each in parts], dim=-1), returns], dim=-1)
-        self.totals += episodes.masked_fill(~ended.unsqueeze(-1), 0.0).sum(1)
+    def _add_episodes(self) -> None:
+        returns = self._after[..., 2:]
+        utilities = [u(returns[..., v, :]) for v, u in enumerate(self._utilities)]
+        utility = torch.stack(utilities, dim=-1) if utilities else torch.zeros_like(returns[..., 0])
+        counted = [torch.ones_like(utility), utility]
+        episodes = torch.cat([torch.stack(counted, dim=-1), self._after], dim=-1)
+        self.totals += episodes.masked_fill(~self.ended.unsqueeze(-1), 0.0).sum((1, 2))
 
     def take_totals(self) -> list[list[dict[str, float]]]:
         """Means over the episodes that ended since the last call, of every seed and vehicle; without any, empty."""

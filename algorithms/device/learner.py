@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch.func import vmap
 
 from algorithms.device.networks import SeedNetworks
 from algorithms.networks.losses import policy_change
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from algorithms.rollouts.buffers import VehicleRollout
 
 
+LOG_RATIO = "log_ratio"
 SEEN = ("observations", "accrued", "discounts")  # of what an actor sees
 
 
@@ -120,30 +122,35 @@ class SeedLearner:
             if self.mean_returns:
                 learner.expected_return.value = expected_return
             found = self.samples(part, *shared)._asdict()
-            return {name: each for name, each in found.items() if each is not None}
+            left_out = "weights" if rollout["acted"].shape[-1] == 1 else ""  # a single vehicle acts in every step
+            return {name: each for name, each in found.items() if each is not None and name != left_out}
 
         def loss(own: dict[str, torch.Tensor]) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
             losses = learner.loss(Samples(**own), entropy_coefficient)
             parts = {POLICY_LOSS: losses.policy, VALUE_LOSS: losses.value, ENTROPY: losses.entropy}
             if losses.log_ratio is not None:
-                change = policy_change(losses.log_ratio, config.clip, own["weights"])
-                parts |= dict(zip((CLIP_FRACTION, APPROX_KL), change, strict=True))
+                parts[LOG_RATIO] = losses.log_ratio
             return losses.total, parts
 
         with torch.no_grad():
             samples = self.networks.call(prepare, dict(rollout), self.expected_return, *shared)
+        minibatches = [each for epoch in range(self.epochs) for each in self._minibatches(samples, self.keys[:, epoch])]
         steps = [
-            self.networks.minimise(loss, minibatch, learning_rate, config.max_grad_norm)
-            for epoch in range(self.epochs)
-            for minibatch in self._minibatches(samples, self.keys[:, epoch])
+            self.networks.minimise(loss, minibatch, learning_rate, config.max_grad_norm) for minibatch in minibatches
         ]
-        self.losses = {name: torch.stack([step[name] for step in steps], dim=1).mean(1) for name in steps[0]}
+        parts = [name for name in steps[0] if name != LOG_RATIO]
+        self.losses = {name: torch.stack([step[name] for step in steps], dim=1).mean(1) for name in parts}
+        if LOG_RATIO in steps[0]:
+            log_ratios = torch.cat([step[LOG_RATIO] for step in steps], dim=1)
+            weights = [torch.cat([each["weights"] for each in minibatches], dim=1)] if "weights" in samples else []
+            changes = vmap(lambda each, *own: policy_change(each, config.clip, *own))(log_ratios, *weights)
+            self.losses |= dict(zip((CLIP_FRACTION, APPROX_KL), changes, strict=True))
 
     def _minibatches(self, samples: dict[str, torch.Tensor], keys: torch.Tensor) -> list[dict[str, torch.Tensor]]:
         """The samples in the order of their keys, in parts that have, but for one, as many of weight 1."""
         if self.minibatches == 1:
             return [samples]
-        order = (keys + (samples["weights"] == 0.0)).argsort(dim=-1)
+        order = (keys + (samples["weights"] == 0.0) if "weights" in samples else keys).argsort(dim=-1)
         rows = torch.arange(len(order), device=order.device).unsqueeze(1)
         shuffled: dict[int, torch.Tensor] = {}  # by address: where the critic sees what the actor sees, it is kept once
         for tensor in samples.values():
