@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mo_deepdrive.simulation import observation, philox, traffic
-from mo_deepdrive.simulation.autoreset import DONE, NEXT_STEP, SAME_STEP, is_over, resetting
+from mo_deepdrive.simulation.autoreset import DONE, NEXT_STEP, SAME_STEP, is_due, resetting
 from mo_deepdrive.simulation.dynamics import make_scratch
 from mo_deepdrive.simulation.jit import jit, uncounted_jit
 from mo_deepdrive.simulation.kernel import batch_step, observe_worlds
@@ -165,24 +165,26 @@ _reset = resetting(draw)
 @uncounted_jit
 def record(b: Buffers, i: int) -> None:
     """Write in which state world ``i`` is."""
-    b.over[i] = is_over(b.ended, b.timed_out, i)
+    over = True
     for v in range(b.ended.shape[1]):
+        over = over and (b.ended[i, v] or b.timed_out[i, v])
         b.terminated[i, v] = b.ended[i, v]
         b.truncated[i, v] = b.timed_out[i, v]
         b.ends[i, v] = b.worlds[i, v].end
+    b.over[i] = over
 
 
 @uncounted_jit
-def renew(b: Buffers, s: Scratch, i: int, mode: int) -> None:
-    """Start the next episode in world ``i`` if the autoreset mode says so."""
+def renew(b: Buffers, s: Scratch, i: int) -> None:
+    """Start the next episode in world ``i``."""
     b.redraws[i] = 0
     problem = _reset(
-        b.worlds, i, mode, b.waiting, b.streams, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
+        b.worlds, i, b.waiting, b.streams, b.redraws, b.unfair, s.drawn, b.pins, b.params, s.spawn, s.sight,
         b.observations, b.ended, b.timed_out,
     )  # fmt: skip
     if problem != DONE:
         report(b.fault, i, NO_SCENARIO)
-    elif b.redraws[i] > 0:
+    else:
         b.streams[i].episode += philox.ONE
 
 
@@ -203,7 +205,8 @@ def after_decision(b: Buffers, s: Scratch, i: int, mode: int) -> None:
         for v in range(b.observations.shape[1]):
             for k in range(b.observations.shape[2]):
                 b.observations[i, v, k] = b.final_observations[i, v, k]
-    renew(b, s, i, mode)
+    if is_due(i, mode, b.waiting, b.ended, b.timed_out):
+        renew(b, s, i)
     if mode != SAME_STEP:  # of the new episode, if one has begun
         record(b, i)
 
@@ -212,12 +215,11 @@ def after_decision(b: Buffers, s: Scratch, i: int, mode: int) -> None:
 def begin_episode(b: Buffers, s: Scratch, i: int, place: bool) -> None:
     """Start a new episode in world ``i``, or with ``place`` = False only look at the state that it is in."""
     if place:
-        b.waiting[i] = True
-        renew(b, s, i, NEXT_STEP)
+        renew(b, s, i)
     else:
         observe_worlds(b.worlds, i, i + 1, b.params[0], s.sight, b.observations, b.ended, b.timed_out)
-        b.waiting[i] = is_over(b.ended, b.timed_out, i)
     record(b, i)
+    b.waiting[i] = b.over[i]
     for v in range(b.acted.shape[1]):
         b.acted[i, v] = False
 

@@ -206,7 +206,7 @@ class TensorWorlds:
             *(torch.from_numpy(each.view(np.uint8)).to(self.device) for each in (host.params, host.no_pins)),
             self._zeros(torch.float64, *pairs, 3),
             self._zeros(torch.bool, *pairs),
-            self._zeros(torch.bool, *pairs),
+            self._zeros(torch.bool, *pairs).fill_(True),  # as the state says
             *self.outputs,
             self.fault,
         )

@@ -130,7 +130,8 @@ class DeviceVectorEnv(VectorBase):
         pins = make_pins(options, self.config)
         listed = isinstance(seed, (list, tuple, np.ndarray))
         seeds = self._seeds(seed)
-        if (largest := max((each for each in seeds if each is not None), default=0)) > LARGEST_SEED:
+        given = seeds if listed else seeds[:1]
+        if (largest := max((each for each in given if each is not None), default=0)) > LARGEST_SEED:
             raise ValueError(f"seed {largest} must be at most 2**64 - 1 in an environment with a device")
         if self._begun and seed is None and pins is None:
             if mask is None:

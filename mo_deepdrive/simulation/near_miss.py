@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mo_deepdrive.simulation.geometry import time_to_collision
 from mo_deepdrive.simulation.jit import jit
-from mo_deepdrive.simulation.state import COLLISION, RUNNING
+from mo_deepdrive.simulation.state import COLLISION, RUNNING, Record, Records
 from mo_deepdrive.simulation.traffic import COS, SIN
 
 # Below this time to collision encounters in towns are conflicts: the threshold of A. R. A. van der Horst and J.
@@ -16,17 +14,17 @@ CONFLICT_TIME = 1.5  # s
 
 
 @jit
-def near_miss(vehicles: Any, v: int, params: Any) -> float:  # noqa: ARG001  (the signature of a measure)
+def near_miss(worlds: Records, i: int, v: int, params: Record) -> float:  # noqa: ARG001  (the signature of a measure)
     """1 if the least time to collision with another vehicle or an oncoming car is below CONFLICT_TIME, else 0.
 
     It is taken after the decision; every box keeps its velocity and its heading
     (:func:`mo_deepdrive.simulation.geometry.time_to_collision`). Cars whose paths do not meet have none.
     """
-    me = vehicles[v]
-    for k in range(len(vehicles)):
+    me = worlds[i, v]
+    for k in range(worlds.shape[1]):
         # A vehicle that has collided has done so in this decision, and with this one.
-        if k != v and (vehicles[k].end == RUNNING or vehicles[k].end == COLLISION):
-            other = vehicles[k]
+        other = worlds[i, k]
+        if k != v and (other.end == RUNNING or other.end == COLLISION):
             time = time_to_collision(
                 other.x - me.x,
                 other.y - me.y,

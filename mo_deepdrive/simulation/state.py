@@ -7,6 +7,7 @@ resumes exactly. The simulation has no other memory.
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -74,10 +75,22 @@ _FLOAT = np.float64
 
 
 def aligned(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """The same record with every number at a multiple of its size, from where alone a GPU can load it."""
+    """The same record with every number at a multiple of its size, from where alone a GPU can load it.
+
+    Gaps are fields, too, because a copy of a record leaves anything in gaps without a name.
+    """
     if dtype.names is None:
         return dtype
-    fields = [(name, aligned(dtype[name].base), dtype[name].shape) for name in dtype.names]
+    fields: list[tuple[str, Any, tuple[int, ...]]] = []
+    end = 0
+    for name in (*dtype.names, None):
+        base = aligned(dtype[name].base) if name else None
+        gap = -end % (base.itemsize if base is not None and base.names is None else 8)
+        if gap:
+            fields.append((f"gap_{end}", np.uint8, (gap,)))
+        if name and base is not None:
+            fields.append((name, base, dtype[name].shape))
+            end += gap + base.itemsize * math.prod(dtype[name].shape)
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
