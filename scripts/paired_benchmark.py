@@ -114,6 +114,14 @@ def training(
     algorithm: str, env_id: str, hidden: list[int], updates: int, arguments: dict[str, Any], place: Place | None = None
 ) -> float:
     """Environment steps per CPU second of an actor-critic with the default settings; on the clock in a place."""
+    if place is not None and place.device != "cpu":
+        values: dict[str, Any] = {
+            "environment": {"id": env_id, "arguments": arguments},
+            "utility": {"name": UTILITIES[env_id]},
+            "algorithm": {"name": algorithm, "steps": STEPS, "hidden": hidden},
+            "training": {"total_timesteps": 1, "num_envs": ENVS, "device": place.device},
+        }
+        return _training_there(values, updates, place)
     import algorithms
     from mo_deepdrive.evaluation.env_adapter import make_env
     from mo_deepdrive.utilities import make_utility
@@ -124,8 +132,7 @@ def training(
         set_threads(place.threads)
     env: Any = make_env(env_id, ENVS, arguments)
     utility = make_utility(UTILITIES[env_id], env.unwrapped.objectives)
-    settings = {"steps": STEPS, "hidden": hidden, "device": (place or ONE_CORE).device}
-    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, **settings)
+    agent = algorithms.ALGORITHMS[algorithm](env, utility, seed=0, steps=STEPS, hidden=hidden)
     return training_rate(agent, WARM_UP * ENVS * STEPS, updates * ENVS * STEPS, place)
 
 
@@ -135,10 +142,22 @@ def shipped(config: str, updates: int, place: Place | None = None) -> float:
     from algorithms.experiments.config import load_experiment
 
     where = place or ONE_CORE
-    overrides = [f"--training.threads={where.threads}", f"--training.device={where.device}"]
-    agent: Any = build(load_experiment(config, overrides))
+    experiment = load_experiment(config, [f"--training.threads={where.threads}", f"--training.device={where.device}"])
+    if where.device != "cpu":
+        return _training_there(experiment.to_dict(), updates, where)
+    agent: Any = build(experiment)
     steps = agent.env.num_envs * agent.config.steps
     return training_rate(agent, WARM_UP * steps, updates * steps, place)
+
+
+def _training_there(values: dict[str, Any], updates: int, place: Place) -> float:
+    """Environment steps per second of a training whose worlds and learners stay on a device."""
+    from algorithms.experiments.config import make_experiment
+    from algorithms.experiments.side_by_side import build_trainee
+
+    experiment = make_experiment(values)
+    steps = experiment.training.num_envs * experiment.algorithm.config.steps
+    return training_rate(build_trainee([experiment]), WARM_UP * steps, updates * steps, place)
 
 
 def pcn(gradient_steps: int, batch_size: int) -> float:

@@ -16,6 +16,7 @@ from algorithms.device.learner import ConditionedSeedLearner, SeedLearner
 from algorithms.device.preferences import SeedPreferences
 from algorithms.device.team import SeedTeams
 from algorithms.files.checkpoints import STEP, UPDATES, read_checkpoint, strip_prefix, write_checkpoint
+from algorithms.hyperparameters import a_twentieth
 from algorithms.mappo import MAPPO
 from algorithms.networks.compiled import plain_torch
 from algorithms.networks.optimiser import geometric_schedule, linear_schedule
@@ -26,6 +27,7 @@ from mo_deepdrive.evaluation.metrics import (
     TRAIN,
     vehicle_prefix,
 )
+from mo_deepdrive.evaluation.splits import SPLITS
 from mo_deepdrive.faults import Fault, check_numbers
 
 if TYPE_CHECKING:
@@ -208,15 +210,15 @@ class SeedTrainer:
     def train(
         self,
         total_timesteps: int,
-        eval_env: VectorEnv | None,
+        eval_env: VectorEnv | None = None,
         *,
-        eval_interval: int,
-        eval_episodes: int,
-        eval_seed: int,
-        eval_gamma: float,
-        log: Sequence[Log],
+        eval_interval: int | None = None,
+        eval_episodes: int = 100,
+        eval_seed: int = SPLITS["validation"].start,
+        eval_gamma: float = 0.99,
         reference_point: Sequence[float] | None = None,
         reference_front: NDArray[np.float64] | None = None,
+        log: Sequence[Log] = (),
         log_front: Sequence[LogFront] | None = None,
         log_interval: int = 10,
         after_update: Callable[[SeedTrainer], bool] | None = None,
@@ -230,6 +232,7 @@ class SeedTrainer:
             NotFinite: naming the seed and what is not finite.
             ValueError: if a world was given what it cannot do.
         """
+        interval = a_twentieth(total_timesteps) if eval_interval is None else eval_interval
         plan = None
         if eval_env is not None:
             plan = EvaluationPlan(eval_env, eval_episodes, eval_seed, eval_gamma, reference_point, reference_front)
@@ -241,13 +244,13 @@ class SeedTrainer:
             before = self.step
             self.update(before / total_timesteps)
             last = self.step >= total_timesteps
-            if self.updates % log_interval == 0 or last:
+            if (log and self.updates % log_interval == 0) or last:
                 self.collection.worlds.check()
                 rows = self.metrics()  # waits for the device
                 rate = {STEPS_PER_SECOND: (self.step - first) / (perf_counter() - started)}
-                for log_row, row in zip(log, rows, strict=True):
+                for log_row, row in zip(log, rows, strict=bool(log)):
                     log_row(self.step, {**row, **rate})
-            if self.step // eval_interval > before // eval_interval or last:
+            if self.step // interval > before // interval or last:
                 paused = perf_counter()
                 self._log_evaluations(plan, log, log_front)
                 started += perf_counter() - paused
@@ -259,7 +262,7 @@ class SeedTrainer:
     def _log_evaluations(
         self, plan: EvaluationPlan | None, log: Sequence[Log], log_front: Sequence[LogFront] | None
     ) -> None:
-        if plan is None:
+        if plan is None or not log:
             return
         for seed, agent in enumerate(self.hand_over()):
             with self._of_seed(seed, f"in the evaluation at step {self.step:,}"):
