@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import torch
 
-from algorithms.agent import Agent
+from algorithms.agent import SHUFFLES, Agent
 from algorithms.files.checkpoints import (
     ACCRUED_GAMMA,
-    GENERATOR,
     GUIDES,
     OBJECTIVE_SCALES,
     PARTNERS,
-    restore_generator,
     strip_prefix,
 )
 from algorithms.hyperparameters import schedules
@@ -342,7 +340,7 @@ class ActorCritic(Agent):
         metrics: dict[str, float] = {}
         for learner in self.learners:
             own = rollout.of_vehicle(learner.vehicle, self.device, others=learner.others_size > 0)
-            generator = self.update_generator(learner.vehicle)
+            generator = self.update_generator(SHUFFLES + learner.vehicle)
             losses = learner.update(own, learning_rate, entropy_coefficient, generator)
             prefix = vehicle_prefix(learner.vehicle, self.env.vehicles)
             metrics |= {prefix + name: value for name, value in losses.items()}
@@ -374,8 +372,8 @@ class ActorCritic(Agent):
         return units
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generator, guides, environments and running episodes."""
-        state = {GENERATOR: self.generator.get_state()}
+        """Learners, guides, environments and running episodes."""
+        state: dict[str, torch.Tensor] = {}
         for learner in self.learners:
             state |= {f"vehicle_{learner.vehicle}.{name}": tensor for name, tensor in learner.get_state().items()}
         state |= self.guides.get_state()
@@ -391,7 +389,6 @@ class ActorCritic(Agent):
         for learner in self.learners:
             learner.set_state(strip_prefix(state, f"vehicle_{learner.vehicle}."))
         self.guides.set_state(state)
-        restore_generator(self.generator, GENERATOR, state[GENERATOR])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def get_policy(self) -> dict[str, torch.Tensor]:

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from mo_deepdrive.evaluation.policy import Policy
     from mo_deepdrive.utilities import Utility
 
+ACTIONS, DRAWS, SHUFFLES = 0, 1, 2  # streams of random numbers; of the vehicle v, SHUFFLES + v
 EPISODES = "unlogged."  # prefix of the tensors of episodes that have not been logged yet
 
 Log = Callable[[int, dict[str, float]], None]
@@ -112,7 +113,7 @@ class Agent(ABC):
     - :mod:`algorithms.networks.modules`, with :class:`algorithms.hyperparameters.NetworkSettings` for a Config.
     - :mod:`algorithms.rollouts.advantages` and :mod:`algorithms.networks.optimiser`.
 
-    Everything random is drawn from ``initial``, ``generator`` or generators seeded from ``initial``, so that a run can
+    Everything random is drawn from ``initial``, ``generator`` or what :meth:`update_generator` makes, so that a run can
     be repeated and resumed bit for bit.
 
     Args:
@@ -140,7 +141,7 @@ class Agent(ABC):
         updates: rollouts, or rounds of episodes, that have been collected.
         episodes: those that ended since training metrics were last logged.
         initial: generator of the initial weights.
-        generator: generator of the exploring actions.
+        generator: generator of the exploring actions, seeded anew before every update of :meth:`train`.
         env_seed: of the first reset of the training environment.
 
     Raises:
@@ -178,18 +179,27 @@ class Agent(ABC):
         self.seed = seed
         self.device = torch.device(device)
         self.utilities: list[Utility] = list(vehicle_utilities(utility, self.env))
-        weights_seed, actions_seed, env_seed = np.random.SeedSequence(seed).generate_state(3)
+        weights_seed, env_seed = np.random.SeedSequence(seed).generate_state(2)
         self.initial = torch.Generator().manual_seed(int(weights_seed))
-        self.generator = torch.Generator(self.device).manual_seed(int(actions_seed))
+        self.generator = torch.Generator(self.device)
         self.env_seed = FIRST_TRAINING_SEED + int(env_seed)
         self.step = 0
         self.updates = 0
         self.episodes: list[Episodes] = []
+        self._seed_actions()
 
     def update_generator(self, stream: int) -> torch.Generator:
-        """The random numbers of this update: a function of the seed, a stream and the number of updates so far."""
-        words = np.random.SeedSequence([self.seed, stream, self.updates]).generate_state(2, np.uint64)
-        return torch.Generator().manual_seed(int(words[0]) >> 1)
+        """The random numbers of an update: a function of the run's seed, a stream and the number of updates so far.
+
+        Nothing of them has to be saved. Stream 0 has the exploring actions.
+        """
+        return torch.Generator().manual_seed(self._seed_of(stream))
+
+    def _seed_of(self, stream: int) -> int:
+        return int(np.random.SeedSequence([self.seed, stream, self.updates]).generate_state(1, np.uint64)[0]) >> 1
+
+    def _seed_actions(self) -> None:
+        self.generator.manual_seed(self._seed_of(ACTIONS))
 
     @classmethod
     def _config_of(cls, config: Settings | None, hyperparameters: dict[str, Any]) -> Settings:
@@ -255,7 +265,7 @@ class Agent(ABC):
 
     @abstractmethod
     def get_state(self) -> dict[str, torch.Tensor]:
-        """What determines the rest of the run, as named tensors: networks, optimisers, generators, running episodes.
+        """What determines the rest of the run, as named tensors: networks, optimisers, running episodes.
 
         Every number must be finite.
         """
@@ -361,6 +371,7 @@ class Agent(ABC):
         while self.step < total_timesteps:
             before = self.step
             with self._located(f"in the update after step {before:,}"):
+                self._seed_actions()
                 metrics = self.update(before / total_timesteps)
                 check_numbers(metrics)
             if self.step <= before:

@@ -81,8 +81,8 @@ import numpy as np
 import torch
 from pydantic import Field, model_validator
 
-from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.files.checkpoints import GENERATOR, GUIDES, PRICE, RHO, restore_generator, strip_prefix
+from algorithms.agent import DRAWS, SHUFFLES, FrontAgent, PolicyOfFront
+from algorithms.files.checkpoints import GUIDES, PRICE, RHO, strip_prefix
 from algorithms.hyperparameters import (
     Count,
     FinalLearningRate,
@@ -368,8 +368,6 @@ class ConditionedMOPPO(FrontAgent):
             for v in range(self.env.vehicles)
         ]
         self.collector = Collector(self.env, self.accrued_discount, config.steps)
-        # Draws the preferences of episodes.
-        self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
         m = len(self.preferences.names)
         self._current = np.zeros((self.env.num_envs, self.env.vehicles, m), dtype=np.float32)
 
@@ -387,7 +385,7 @@ class ConditionedMOPPO(FrontAgent):
     def update(self, progress: float) -> dict[str, float]:
         """Collect one rollout; each learner learns from its vehicle's part."""
         config = self.config
-        rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=self.draws)))
+        rng = np.random.default_rng([self.seed, DRAWS, self.updates])  # of preferences
         preferences: list[NDArray[np.float32]] = []
         cost_share = min(1.0, progress / config.cost_growth) if config.cost_growth else 1.0
 
@@ -414,7 +412,7 @@ class ConditionedMOPPO(FrontAgent):
         followed = torch.from_numpy(np.stack(preferences)).to(self.device)
         for v, learner in enumerate(self.learners):
             own = rollout.of_vehicle(v, self.device, others=False)
-            generator = self.update_generator(v)
+            generator = self.update_generator(SHUFFLES + v)
             losses = learner.update(own, followed[:, :, v], learning_rate, entropy_coefficient, generator)
             prefix = vehicle_prefix(v, len(self.learners))
             metrics |= {prefix + name: value for name, value in losses.items()}
@@ -495,10 +493,8 @@ class ConditionedMOPPO(FrontAgent):
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generators, the preferences of running episodes, environments and the ideal point."""
+        """Learners, the preferences of running episodes, environments and the ideal point."""
         state = {
-            GENERATOR: self.generator.get_state(),
-            "draws": self.draws.get_state(),
             "preferences": torch.from_numpy(self._current.copy()),
             "seen_any": torch.tensor(self.preferences.seen_any),
             **self._ideal_tensor(),
@@ -523,8 +519,6 @@ class ConditionedMOPPO(FrontAgent):
         self._current[...] = state["preferences"].numpy()
         self.preferences.seen_any = bool(state["seen_any"])
         self.guides.set_state(state)
-        restore_generator(self.generator, GENERATOR, state[GENERATOR])
-        restore_generator(self.draws, "draws", state["draws"])
         self.updates = self.collector.resume(strip_prefix(state, "collector."), self.step, self.env_seed)
 
     def _ideal_tensor(self) -> dict[str, torch.Tensor]:

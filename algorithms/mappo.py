@@ -333,7 +333,7 @@ class MAPPO(ActorCritic):
         return super().learn(rollout, learning_rate, entropy_coefficient)
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Learners, generator, environments and the teams' running episodes."""
+        """Learners, environments and the teams' running episodes."""
         return {**super().get_state(), "team.returns": self.team.returns, "team.ended": self.team.ended}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:

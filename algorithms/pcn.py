@@ -42,8 +42,8 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from algorithms.agent import FrontAgent, PolicyOfFront
-from algorithms.files.checkpoints import GENERATOR, restore_generator, strip_prefix
+from algorithms.agent import DRAWS, FrontAgent, PolicyOfFront
+from algorithms.files.checkpoints import strip_prefix
 from algorithms.hyperparameters import (
     FinalLearningRate,
     HiddenSizes,
@@ -165,7 +165,7 @@ class PCN(FrontAgent):
         self.buffer = EpisodeBuffer(config.buffer_size, self.scales, config.crowding)
         self.bounds = np.zeros(d, dtype=np.float32), np.zeros(d, dtype=np.float32)
         # Draws commands, random actions and batches.
-        self.draws = torch.Generator().manual_seed(int(torch.randint(2**62, (1,), generator=self.initial)))
+        self.draws = self.update_generator(DRAWS)
         self._collected = 0  # episodes
         # Returns and lengths of the best episodes, where the policy was loaded without the buffer.
         self._attained: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
@@ -182,6 +182,7 @@ class PCN(FrontAgent):
     def begin(self) -> None:
         """Fill the buffer with episodes of random actions."""
         while self._collected < self.config.warmup_episodes:
+            self.draws = self.update_generator(DRAWS)
             self._collect(None)
         if self._standardises:
             self._standardise()
@@ -200,7 +201,7 @@ class PCN(FrontAgent):
 
         The command error is that of all episodes, also of those that exploration ended with random actions.
         """
-        config = self.config
+        config, self.draws = self.config, self.update_generator(DRAWS)
         learning_rate = linear_schedule(config.learning_rate, config.learning_rate_end, progress)
         policy = self._sample_commands()
         attained = self._collect(policy)
@@ -445,10 +446,8 @@ class PCN(FrontAgent):
         }
 
     def get_state(self) -> dict[str, torch.Tensor]:
-        """Network, optimiser, buffer, generators and counts."""
+        """Network, optimiser, buffer and counts."""
         return {
-            GENERATOR: self.generator.get_state(),
-            "draws": self.draws.get_state(),
             "counts": torch.tensor([self.updates, self._collected, self.env_seed]),
             **self._policy_tensors(),
             **{f"optimiser.{name}": tensor for name, tensor in self.optimiser.get_state().items()},
@@ -469,8 +468,6 @@ class PCN(FrontAgent):
         if not len(self.buffer) and (self.step or self._collected):
             raise ValueError(f"the buffer is empty after {self.step} steps and {self._collected} episodes")
         self.optimiser.set_state(strip_prefix(state, "optimiser."))
-        restore_generator(self.generator, GENERATOR, state[GENERATOR])
-        restore_generator(self.draws, "draws", state["draws"])
 
     def _policy_tensors(self) -> dict[str, torch.Tensor]:
         """What acting under a command needs."""

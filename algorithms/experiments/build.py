@@ -15,6 +15,7 @@ from algorithms.experiments.config import Experiment, UtilitySettings, find_envi
 from algorithms.experiments.registry import agent_class
 from algorithms.experiments.run_directory import Run, imported_paths
 from algorithms.files.checkpoints import read_checkpoint
+from algorithms.networks.compiled import set_compiled
 from algorithms.networks.threads import set_threads
 from algorithms.rollouts.guides import Guide
 from mo_deepdrive.evaluation.env_adapter import EnvAdapter, make_env
@@ -87,6 +88,7 @@ def build(
     if experiment.training.guides and guides:
         options["guides"] = _make_guides(experiment, algorithm, adapter)
     set_threads(experiment.training.threads)  # after the drivers', which are built like this
+    set_compiled(experiment.training.compiled)
     return algorithm(
         env,
         **options,

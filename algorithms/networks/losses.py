@@ -16,8 +16,6 @@ from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, P
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from algorithms.rollouts.buffers import Samples
-
 LARGEST_LOG_RATIO = 80.0  # whose exponential is finite in single precision
 
 
@@ -59,6 +57,26 @@ def squared_error(outputs: torch.Tensor, targets: torch.Tensor, weights: torch.T
     return mean((outputs - targets).square().mean(-1), weights)
 
 
+class OldSamples(Protocol):
+    """What :func:`proximal_loss` takes of :class:`algorithms.rollouts.buffers.Samples`, each (M,) or (M, K)."""
+
+    @property
+    def log_prob(self) -> torch.Tensor | None:
+        """log pi_old."""
+
+    @property
+    def advantages(self) -> torch.Tensor:
+        """A."""
+
+    @property
+    def targets(self) -> torch.Tensor:
+        """y."""
+
+    @property
+    def weights(self) -> torch.Tensor | None:
+        """1 for samples that count, else 0."""
+
+
 class ProximalSettings(Protocol):
     """The hyperparameters of :func:`proximal_loss`: epsilon and c_v."""
 
@@ -70,7 +88,7 @@ def proximal_loss(
     log_prob: torch.Tensor,
     entropies: torch.Tensor,
     outputs: torch.Tensor,
-    samples: Samples,
+    samples: OldSamples,
     config: ProximalSettings,
     entropy_coefficient: float | torch.Tensor,
     *,

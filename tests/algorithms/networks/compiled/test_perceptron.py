@@ -7,10 +7,10 @@ from itertools import pairwise
 import numba
 import pytest
 import torch
+from algorithms.networks.compiled.tape import Tape, recording
 from torch import nn
 
 from algorithms.networks.compiled.perceptron import Perceptron
-from algorithms.networks.compiled.tape import Tape, recording
 from algorithms.networks.threads import set_threads
 
 SIZES = [(5, 8, 4, 3), (5, 4, 8, 1), (3, 16, 16, 16, 6), (22, 64, 32, 22), (22, 128, 64, 4)]
