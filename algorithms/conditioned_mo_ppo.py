@@ -97,7 +97,7 @@ from algorithms.hyperparameters import (
     schedules,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, means, policy_changes, proximal_loss
+from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam, geometric_schedule, linear_schedule
 from algorithms.networks.trained import TrainedNetworks
@@ -253,7 +253,7 @@ class ConditionedLearner(TrainedNetworks):
             self.optimiser.clip(config.max_grad_norm, losses.parts)
             self.optimiser.step()
             steps.append(losses)
-        return {**means(steps), **policy_changes(steps, config.clip)}
+        return {**means(steps), **policy_change(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout, preferences: torch.Tensor) -> Samples:

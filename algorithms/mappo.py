@@ -45,7 +45,7 @@ from algorithms.hyperparameters import (
     check_entropy_schedule,
 )
 from algorithms.networks.actors import make_actor
-from algorithms.networks.losses import Losses, means, policy_changes, proximal_loss
+from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
@@ -263,7 +263,7 @@ class MAPPOLearner(Learner):
             self.optimiser.clip(config.max_grad_norm, losses.parts)
             self.optimiser.step()
             steps.append(losses)
-        return {**means(steps), **policy_changes(steps, config.clip)}
+        return {**means(steps), **policy_change(steps, config.clip)}
 
     @torch.no_grad()
     def samples(self, rollout: VehicleRollout) -> Samples:

@@ -8,7 +8,7 @@ import torch
 from torch.func import vmap
 
 from algorithms.device.networks import SeedNetworks
-from algorithms.networks.losses import policy_change
+from algorithms.networks.losses import policy_shift
 from algorithms.rollouts.buffers import Rollout, Samples
 from algorithms.rollouts.running_mean import MEMORY
 from mo_deepdrive.evaluation.metrics import APPROX_KL, CLIP_FRACTION, ENTROPY, POLICY_LOSS, VALUE_LOSS
@@ -143,7 +143,7 @@ class SeedLearner:
         if LOG_RATIO in steps[0]:
             log_ratios = torch.cat([step[LOG_RATIO] for step in steps], dim=1)
             weights = [torch.cat([each["weights"] for each in minibatches], dim=1)] if "weights" in samples else []
-            changes = vmap(lambda each, *own: policy_change(each, config.clip, *own))(log_ratios, *weights)
+            changes = vmap(lambda each, *own: policy_shift(each, config.clip, *own))(log_ratios, *weights)
             self.losses |= dict(zip((CLIP_FRACTION, APPROX_KL), changes, strict=True))
 
     def _minibatches(self, samples: dict[str, torch.Tensor], keys: torch.Tensor) -> list[dict[str, torch.Tensor]]:

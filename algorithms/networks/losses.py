@@ -126,7 +126,7 @@ def proximal_loss(
     return Losses(total, policy_loss, value_loss, entropy, log_ratio)
 
 
-def policy_change(
+def policy_shift(
     log_ratio: torch.Tensor, clip: float, weights: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The fraction of clipped samples, and E[rho - 1 - log rho], an estimate of KL(pi_old || pi), in a gradient step.
@@ -141,8 +141,8 @@ def policy_change(
     return mean(clipped, weights), mean(ratio - 1.0 - log_ratio, weights)
 
 
-def policy_changes(losses: Sequence[Losses], clip: float) -> dict[str, float]:
-    """:func:`policy_change` over the samples of several gradient steps, by the names of metrics."""
+def policy_change(losses: Sequence[Losses], clip: float) -> dict[str, float]:
+    """:func:`policy_shift` over the samples of several gradient steps, by the names of metrics."""
     log_ratio = torch.cat([each.log_ratio.detach() for each in losses if each.log_ratio is not None])
-    clipped, divergence = policy_change(log_ratio, clip)
+    clipped, divergence = policy_shift(log_ratio, clip)
     return {CLIP_FRACTION: float(clipped), APPROX_KL: float(divergence)}
