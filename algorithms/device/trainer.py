@@ -289,13 +289,16 @@ class SeedTrainer:
 
     def hand_over(self) -> list[Any]:
         """Every seed's agent, with what has been learnt."""
-        for seed, agent in enumerate(self.agents):
-            agent.step, agent.updates = self.step, self.updates
-            for learner, own in zip(self.learners, agent.learners, strict=True):
-                learner.write(seed, own)
-            if self.preferences is not None:
-                self.preferences.write(seed, agent.preferences)
-        return self.agents
+        return [self._handed_over(seed) for seed in range(len(self.agents))]
+
+    def _handed_over(self, seed: int) -> Any:
+        agent = self.agents[seed]
+        agent.step, agent.updates = self.step, self.updates
+        for learner, own in zip(self.learners, agent.learners, strict=True):
+            learner.write(seed, own)
+        if self.preferences is not None:
+            self.preferences.write(seed, agent.preferences)
+        return agent
 
     def save(self, seed: int, path: str | Path) -> None:
         """Write the checkpoint of the seed with this index: the policy in the form of its agent, and what continues.
@@ -303,7 +306,7 @@ class SeedTrainer:
         Raises:
             NotFinite: naming the seed, if a number is not finite; a file of before is left as it was.
         """
-        agent = self.hand_over()[seed]
+        agent = self._handed_over(seed)
         tensors: dict[str, torch.Tensor] = agent.get_policy()
         for own in agent.learners:
             tensors |= {f"vehicle_{own.vehicle}.{name}": each for name, each in own.get_state().items()}
