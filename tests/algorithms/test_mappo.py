@@ -123,7 +123,7 @@ def test_the_first_agent_minds_what_happens_after_its_own_end(joint: str, choice
     agent = MAPPO(env, EARNED, seed=1, joint=joint, gae_lambda=gae_lambda, **settings)
     agent.train(40 * 12 * 32)
     first = torch.tensor([[1.0, 0.0]])
-    log_prob, _ = agent.learners[0].actor.log_prob_and_entropy(first, torch.tensor([choice]))
+    log_prob, _ = agent.learners[0].actor(first, torch.tensor([choice]))
     assert log_prob.exp().item() > 0.9
 
 

@@ -153,7 +153,7 @@ def test_the_gradient_is_that_of_equation_6_by_autograd(form: str) -> None:
         y = (shifts / learner.objective_scales).unsqueeze(1) + discounts[:, None, None] * targets[source].view_as(x)
         norm = [((x[:, :, None] - z[:, None]).square().sum(-1) + 0.01**2).sqrt().mean((1, 2)) for z in (y, x)]
         distances = 2 * norm[0] - norm[1]
-    log_prob, entropies = learner.actor.log_prob_and_entropy(inputs[:-1], r.actions)
+    log_prob, entropies = learner.actor(inputs[:-1], r.actions)
     loss = (weights * (-advantages * log_prob - 0.02 * entropies)).sum() + 0.5 * (weights.flatten() * distances).sum()
     parameters = [*learner.actor.parameters(), *learner.critic.parameters()]
     expected = torch.autograd.grad(loss, parameters)

@@ -127,7 +127,7 @@ def test_clip_fraction_and_kl_are_those_of_all_gradient_steps(
 
     def spy(samples: Any, *coefficients: float) -> Any:
         with torch.no_grad():
-            log_prob, _ = learner.actor.log_prob_and_entropy(samples.inputs, samples.actions)
+            log_prob, _ = learner.actor(samples.inputs, samples.actions)
         ratios.append((log_prob - samples.log_prob).exp())
         return inner(samples, *coefficients)
 
