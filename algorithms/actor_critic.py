@@ -26,6 +26,7 @@ from algorithms.hyperparameters import schedules
 from algorithms.networks.modules import centralised_inputs
 from algorithms.networks.optimiser import geometric_schedule, linear_schedule
 from algorithms.networks.trained import TrainedNetworks
+from algorithms.rollouts.advantages import next_values
 from algorithms.rollouts.collector import Collector
 from algorithms.rollouts.compiled_collection import CompiledCollection
 from algorithms.rollouts.guides import Guides
@@ -121,6 +122,15 @@ class Learner(TrainedNetworks, ABC):
         """v(S) (..., K) in the units of what the critic predicts."""
         outputs: torch.Tensor = self.critic(critic_inputs)
         return self.value_scales * outputs
+
+    def next_values(self, rollout: VehicleRollout, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            values: (T + 1, N, K) v of S_0 to S_T.
+        """
+        return next_values(values[1:], self.final_values(rollout), rollout.terminated, rollout.truncated)
 
     def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
         """V (T, N, K) of the true states after steps that truncated an episode; anything after other steps."""

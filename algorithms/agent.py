@@ -20,6 +20,7 @@ from algorithms.files.checkpoints import (
     GUIDES,
     PARTNERS,
     POLICY_ONLY,
+    SEED,
     STEP,
     UPDATES,
     check_tensors,
@@ -449,7 +450,7 @@ class Agent(ABC):
         write_checkpoint(path, self.get_policy(), {**self.identity(), **self._counts(), POLICY_ONLY: True})
 
     def _counts(self) -> dict[str, int]:
-        return {STEP: self.step, UPDATES: self.updates}
+        return {STEP: self.step, UPDATES: self.updates, SEED: self.seed}
 
     def load(self, path: str | Path, *, policy_only: bool = False) -> None:
         """Resume from :meth:`save`; no code is run from the file.
@@ -466,18 +467,18 @@ class Agent(ABC):
         tensors, found = read_checkpoint(path, self.identity(), may_differ, whole=not policy_only)
         expected = self.get_policy() if policy_only else self.get_state()
         tensors = check_tensors(path, tensors, expected, (EPISODES, *self.varying_shapes), whole=not policy_only)
-        counts = self.step, self.updates
+        counts = self.step, self.updates, self.seed
         before = {name: each.clone() for name, each in {**self.get_state(), **expected}.items()}
         try:
             if policy_only:
                 self.set_policy(tensors)
                 return
-            self.step, self.updates = found[STEP], found[UPDATES]
+            self.step, self.updates, self.seed = found[STEP], found[UPDATES], found[SEED]
             self.set_state(tensors)
             unlogged = {name: tensor.numpy() for name, tensor in strip_prefix(tensors, EPISODES).items()}
             self.episodes = [Episodes.of_arrays(unlogged, len(self.env.objectives))] if unlogged else []
         except (ValueError, RuntimeError) as error:
-            self.step, self.updates = counts
+            self.step, self.updates, self.seed = counts
             self.set_state(before)
             raise ValueError(f"checkpoint {path}: {str(error).splitlines()[0]}") from None
 

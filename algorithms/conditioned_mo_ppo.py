@@ -268,19 +268,41 @@ class ConditionedLearner(TrainedNetworks):
         inputs = self.inputs(rollout.observations, followed, rollout.accrued, rollout.discounts)
         values, states = self.critic(inputs), inputs[:-1]
         # Where the preference changes within an episode, S_{t+1} has the one of S_t.
-        ended = rollout.terminated | rollout.truncated
-        switched = (followed[1:] != followed[:-1]).any(-1) & ~ended
-        elsewhere = rollout.truncated | switched
-        final_values = self.final_values(rollout, preferences, elsewhere)
-        following = next_values(values[1:], final_values, rollout.terminated, elsewhere)
-        # Equations 7 and 8; the sum ends where the preference switches.
-        gamma = self.config.gamma
-        deltas = self.components(rollout, preferences) + gamma * following - values[:-1]
-        advantages = generalised_advantages(deltas, (ended | switched).unsqueeze(-1), gamma * self.config.gae_lambda)
+        switched = (followed[1:] != followed[:-1]).any(-1) & ~(rollout.terminated | rollout.truncated)
+        following = self.next_values(rollout, preferences, values, switched)
+        advantages = self.advantages(rollout, preferences, values[:-1], following, switched)
         weights = rollout.acted.to(advantages.dtype)
         weighed = normalise((self.component_weights(preferences) * advantages).sum(-1), weights)
         log_prob, _ = self.actor(states, rollout.actions)
         return Samples(states, states, rollout.actions, weighed, advantages + values[:-1], weights, log_prob).flat()
+
+    def next_values(
+        self, rollout: VehicleRollout, preferences: torch.Tensor, values: torch.Tensor, switched: torch.Tensor
+    ) -> torch.Tensor:
+        """V(S_{t+1}) (T, N, K): 0 after termination, the value of the true final state after truncation.
+
+        Args:
+            rollout: T steps of this vehicle.
+            preferences: (T, N, m) under which it acted.
+            values: (T + 1, N, K) V of the states in which it acted.
+            switched: (T, N) whether another preference follows in the same episode; S_{t+1} has the one of S_t.
+        """
+        elsewhere = rollout.truncated | switched
+        final_values = self.final_values(rollout, preferences, elsewhere)
+        return next_values(values[1:], final_values, rollout.terminated, elsewhere)
+
+    def advantages(
+        self,
+        rollout: VehicleRollout,
+        preferences: torch.Tensor,
+        values: torch.Tensor,
+        next_values: torch.Tensor,
+        switched: torch.Tensor,
+    ) -> torch.Tensor:
+        """A_t (T, N, K) of eqs. 7 and 8 from V(S_t) and V(S_{t+1}); the sum ends where the preference switches."""
+        ended, gamma = rollout.terminated | rollout.truncated | switched, self.config.gamma
+        deltas = self.components(rollout, preferences) + gamma * next_values - values
+        return generalised_advantages(deltas, ended.unsqueeze(-1), gamma * self.config.gae_lambda)
 
     def final_values(self, rollout: VehicleRollout, preferences: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
         """V (T, N, K) of the true states after the steps of a mask, under the preferences (T, N, m) before them.

@@ -273,8 +273,7 @@ class MAPPOLearner(Learner):
         """
         team, inputs = self.team, self.inputs(rollout.observations[:-1], rollout.accrued[:-1], rollout.discounts[:-1])
         values = self.values(team.states)
-        final_values = self.final_values(rollout)
-        following = next_values(values[1:], final_values, team.terminated, team.truncated)
+        following = self.next_values(rollout, values)
         # Equations 2 and 3.
         ended, gamma = (team.terminated | team.truncated).unsqueeze(-1), self.config.gamma
         deltas = team.rewards.unsqueeze(-1) + gamma * following - values[:-1]
@@ -283,6 +282,10 @@ class MAPPOLearner(Learner):
         advantages, targets = normalise(vector.squeeze(-1), weights), (vector + values[:-1]) / self.value_scales
         log_prob, _ = self.actor(inputs, rollout.actions)
         return Samples(inputs, team.states[:-1], rollout.actions, advantages, targets, weights, log_prob).flat()
+
+    def next_values(self, rollout: VehicleRollout, values: torch.Tensor) -> torch.Tensor:
+        """v(S_{t+1}) (T, N, 1) of the team's states, from those (T + 1, N, 1) of S_0 to S_T."""
+        return next_values(values[1:], self.final_values(rollout), self.team.terminated, self.team.truncated)
 
     def final_values(self, rollout: VehicleRollout) -> torch.Tensor:
         """V (T, N, 1) of the true states after steps that truncated a team's episode; anything after other steps."""

@@ -69,7 +69,6 @@ from algorithms.networks.optimiser import Adam
 from algorithms.rollouts.advantages import (
     AdvantageForm,
     check_utility_gradient,
-    next_values,
     normalise,
     utility_advantages,
 )
@@ -187,17 +186,20 @@ class MOA2CLearner(Learner):
         """What is learnt from a rollout, (T N, ...): A_t, y_t of the networks as they are now."""
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         values = self.values(self.critic_inputs(inputs, rollout.others))
-        following = next_values(values[1:], self.final_values(rollout), rollout.terminated, rollout.truncated)
-        # Equations 2 to 5, or 7 and 8.
-        advantages, targets = utility_advantages(
-            rollout, values[:-1], following, self.utility, self.config, self.expected_return.value
-        )
+        advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
         weights, states = rollout.acted.to(advantages.dtype), inputs[:-1]
         if self.config.normalise_advantages:
             advantages = normalise(advantages, weights)
         critic_states = self.critic_inputs(states, rollout.others[:-1])
         targets = targets / self.value_scales
         return Samples(states, critic_states, rollout.actions, advantages, targets, weights).flat()
+
+    def advantages(
+        self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t (T, N) and y_t (T, N, d or 1) of eqs. 2 to 5, or 7 and 8, from v(S_t) and v(S_{t+1}), as y_t."""
+        expected = self.expected_return.value
+        return utility_advantages(rollout, values, next_values, self.utility, self.config, expected)
 
     def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
         """L of eq. 6, a function of tensors that autograd differentiates."""

@@ -41,7 +41,7 @@ from algorithms.networks.actors import make_actor
 from algorithms.networks.losses import Losses, means, policy_change, proximal_loss
 from algorithms.networks.modules import make_network
 from algorithms.networks.optimiser import Adam
-from algorithms.rollouts.advantages import generalised_advantages, next_values, normalise
+from algorithms.rollouts.advantages import generalised_advantages, normalise
 from algorithms.rollouts.buffers import Samples
 
 if TYPE_CHECKING:
@@ -139,12 +139,7 @@ class PPOLearner(Learner):
         """What is learnt from a rollout, (T N, ...): A_t, y_t and log pi_old of the networks as they are now."""
         inputs = self.inputs(rollout.observations, rollout.accrued, rollout.discounts)
         values = self.values(self.critic_inputs(inputs, rollout.others))
-        following = next_values(values[1:], self.final_values(rollout), rollout.terminated, rollout.truncated)
-        # Equations 1 and 2.
-        ended, gamma = (rollout.terminated | rollout.truncated).unsqueeze(-1), self.config.gamma
-        deltas = self.utility(rollout.rewards).unsqueeze(-1) + gamma * following - values[:-1]
-        vector = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
-        advantages, targets = vector.squeeze(-1), vector + values[:-1]
+        advantages, targets = self.advantages(rollout, values[:-1], self.next_values(rollout, values))
         weights, states = rollout.acted.to(advantages.dtype), inputs[:-1]
         if self.config.normalise_advantages:
             advantages = normalise(advantages, weights)
@@ -152,6 +147,15 @@ class PPOLearner(Learner):
         critic_states = self.critic_inputs(states, rollout.others[:-1])
         targets = targets / self.value_scales
         return Samples(states, critic_states, rollout.actions, advantages, targets, weights, log_prob).flat()
+
+    def advantages(
+        self, rollout: VehicleRollout, values: torch.Tensor, next_values: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """A_t (T, N) and y_t (T, N, 1) of eqs. 1 and 2, from v(s_t) and v(s_{t+1}), as y_t."""
+        ended, gamma = (rollout.terminated | rollout.truncated).unsqueeze(-1), self.config.gamma
+        deltas = self.utility(rollout.rewards).unsqueeze(-1) + gamma * next_values - values
+        advantages = generalised_advantages(deltas, ended, gamma * self.config.gae_lambda)
+        return advantages.squeeze(-1), advantages + values
 
     def loss(self, samples: Samples, entropy_coefficient: float | torch.Tensor) -> Losses:
         """L of eq. 4, a function of tensors that autograd differentiates."""

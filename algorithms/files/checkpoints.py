@@ -20,7 +20,8 @@ FORMAT = 1
 POLICY_ONLY = "policy_only"  # entry of the identity in files that hold the policy alone
 PARTNERS = "partners"  # entry of the identity: what identifies the drivers of vehicles that do not learn
 GUIDES = "guides"  # entry of the identity: what identifies the guides of vehicles that learn, and when they drive
-STEP, UPDATES = "step", "updates"  # entries of the identity: environment steps taken, and updates
+# Entries of the identity: environment steps taken, updates, and the seed of the run.
+STEP, UPDATES, SEED = "step", "updates", "seed"
 OBJECTIVE_SCALES, ACCRUED_GAMMA = "objective_scales", "accrued_gamma"  # entries: what observed returns are in units of
 RHO, PRICE = "rho", "price"  # entries: of Chebyshev and budgeted utilities
 MOST_STEPS = 2**63 - 1
@@ -78,7 +79,7 @@ def read_checkpoint(
     for key, value in {"format": FORMAT, **identity}.items():
         if key not in may_differ and found.get(key) != value:
             raise ValueError(f"checkpoint {path} has {key} = {found.get(key)!r}; this agent has {value!r}")
-    for key in (STEP, UPDATES):
+    for key in (STEP, UPDATES, SEED) if whole else (STEP, UPDATES):
         count = found.get(key)
         if type(count) is not int or not 0 <= count <= MOST_STEPS:
             raise ValueError(f"checkpoint {path} has {key} = {count!r}; it must be an integer from 0 to {MOST_STEPS}")

@@ -117,8 +117,8 @@ class _Actor(nn.Module, ABC):
         if not (isinstance(self.body, Perceptron) and self.body.serves(x)):
             return self.evaluate(self.body(x), actions)
         shape = x.shape[:-1]
-        head = self._head(actions.flatten(0, len(shape) - 1).numpy())
-        log_prob, entropy = pass_through(self.body, x.flatten(0, -2), head)
+        head = self._head(actions.detach().reshape(-1, *actions.shape[len(shape) :]).numpy())
+        log_prob, entropy = pass_through(self.body, x.reshape(-1, x.shape[-1]), head)
         return log_prob.view(shape), entropy.view(shape)
 
     def _outputs(self, x: torch.Tensor) -> torch.Tensor:

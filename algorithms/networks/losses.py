@@ -62,7 +62,7 @@ class OldSamples(Protocol):
 
     @property
     def log_prob(self) -> torch.Tensor | None:
-        """log pi_old."""
+        """Log pi_old."""
 
     @property
     def advantages(self) -> torch.Tensor:
@@ -70,7 +70,7 @@ class OldSamples(Protocol):
 
     @property
     def targets(self) -> torch.Tensor:
-        """y."""
+        """Y."""
 
     @property
     def weights(self) -> torch.Tensor | None:
