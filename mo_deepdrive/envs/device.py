@@ -98,7 +98,7 @@ class DeviceVectorEnv(VectorBase):
     ):
         super().__init__(num_envs, scenario, autoreset_mode, render_mode, max_episode_steps, options)
         self.worlds = TensorWorlds(self.config, self.num_envs, device, self.autoreset_mode)
-        self._make_spaces()
+        self._make_spaces(self.worlds.vehicles)
         self.device = self.worlds.device
         self.check_actions = check_actions
         # The last fault that is known here; a GPU writes it when it gets there.

@@ -112,7 +112,7 @@ class DrivingVectorEnv(VectorBase):
         threads = positive("threads", threads)
         super().__init__(num_envs, scenario, autoreset_mode, render_mode, max_episode_steps, options)
         self.batch = WorldBatch(self.config, self.num_envs, threads)
-        self._make_spaces()
+        self._make_spaces(self.batch.scenario.vehicles)
         self._streams: Streams | None = None
         self._begun = False
         # Worlds whose episode is over and which have not been reset (NEXT_STEP and DISABLED).

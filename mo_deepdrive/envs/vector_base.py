@@ -17,7 +17,6 @@ from mo_deepdrive.envs.streams import checked_seed
 from mo_deepdrive.envs.world import KnownFront
 from mo_deepdrive.params import chosen_objectives
 from mo_deepdrive.plain_values import whole_number
-from mo_deepdrive.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -97,12 +96,12 @@ class VectorBase(KnownFront, VectorEnv):
         }
         self.objectives = chosen_objectives(config)
         self.reward_dim = len(self.objectives)
-        self.vehicles = SCENARIOS[config.scenario].vehicles
         self._viewers: list[Any] = []
 
-    def _make_spaces(self) -> None:
+    def _make_spaces(self, vehicles: int) -> None:
         """Those of all worlds take memory, so the worlds are made first, and refused if they are too many."""
         config, num_envs = self.config, self.num_envs
+        self.vehicles = vehicles
         self.single_observation_space = self._per_vehicle(env_spaces.observation_space(config))
         self.observation_scales = env_spaces.observation_scales(config)
         self.single_action_space = self._per_vehicle(env_spaces.action_space(config))

@@ -73,27 +73,6 @@ OTHER_VEHICLE = ENDS.index("other_vehicle")
 
 _FLOAT = np.float64
 
-
-def aligned(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """The same record with every number at a multiple of its size, from where alone a GPU can load it.
-
-    Gaps are fields, too, because a copy of a record leaves anything in gaps without a name.
-    """
-    if dtype.names is None:
-        return dtype
-    fields: list[tuple[str, Any, tuple[int, ...]]] = []
-    end = 0
-    for name in (*dtype.names, None):
-        base = aligned(dtype[name].base) if name else None
-        gap = -end % (base.itemsize if base is not None and base.names is None else 8)
-        if gap:
-            fields.append((f"gap_{end}", np.uint8, (gap,)))
-        if name and base is not None:
-            fields.append((name, base, dtype[name].shape))
-            end += gap + base.itemsize * math.prod(dtype[name].shape)
-    return np.dtype((np.record, np.dtype(fields, align=True)))
-
-
 # What is drawn of the driver of an oncoming car, and hidden (m/s, s, m/s^2); see traffic.py.
 DRIVER = np.dtype((np.record, [("desired_speed", _FLOAT), ("headway", _FLOAT), ("yielding", _FLOAT)]))
 
@@ -184,6 +163,26 @@ SPAWN = np.dtype(
         ],
     )
 )
+
+
+def aligned(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The same record with every number at a multiple of its size, from where alone a GPU can load it.
+
+    Gaps are fields, too, because a copy of a record leaves anything in gaps without a name.
+    """
+    if dtype.names is None:
+        return dtype
+    fields: list[tuple[str, Any, tuple[int, ...]]] = []
+    end = 0
+    for name in (*dtype.names, None):
+        base = aligned(dtype[name].base) if name else None
+        gap = -end % (base.itemsize if base is not None and base.names is None else 8)
+        if gap:
+            fields.append((f"gap_{end}", np.uint8, (gap,)))
+        if name and base is not None:
+            fields.append((name, base, dtype[name].shape))
+            end += gap + base.itemsize * math.prod(dtype[name].shape)
+    return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
 @functools.cache  # one object for all batches: Numba takes microseconds per call to find that two dtypes are equal

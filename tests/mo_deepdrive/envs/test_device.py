@@ -127,6 +127,35 @@ def test_other_autoreset_modes_are_those_of_arrays(mode: AutoresetMode, device: 
     assert len(drive(arrays, tensors, random_actions(arrays, 100))) > 1
 
 
+def first_episodes(
+    env: Any, policy: Callable[[np.ndarray], np.ndarray], device: str | None
+) -> tuple[list[str], np.ndarray]:
+    """How the first episode of every world of the test split ends, and its returns."""
+    observations, _ = env.reset(seed=list(SPLITS["test"][: env.num_envs]))
+    ends, returns = [""] * env.num_envs, np.zeros((env.num_envs, env.reward_dim))
+    while not all(ends):
+        actions = np.stack([policy(each) for each in np.asarray(torch.as_tensor(observations).cpu())])
+        given = actions if device is None else torch.as_tensor(actions, device=device)
+        observations, rewards, _, _, infos = env.step(given)
+        running = np.array([not end for end in ends])
+        returns += np.asarray(torch.as_tensor(rewards).cpu()) * running[:, None]
+        for i in np.flatnonzero(running & np.asarray(torch.as_tensor(infos.get("_final_info", running & False)).cpu())):
+            end = infos["final_info"]["end"][i]
+            ends[i] = end if device is None else ENDS[int(end)]
+    return ends, returns
+
+
+@pytest.mark.slow
+def test_a_policy_scores_the_same_on_the_test_split(device: str, chase: Callable[[np.ndarray], np.ndarray]) -> None:
+    options = {"action_type": "continuous", "autoreset_mode": AutoresetMode.SAME_STEP}
+    arrays, tensors = make("one_waypoint", 200, **options), make("one_waypoint", 200, device=device, **options)
+    ends, returns = first_episodes(arrays, chase, None)
+    same_ends, same_returns = first_episodes(tensors, chase, device)
+    assert same_ends == ends
+    assert 0.5 < np.mean(np.array(ends) == "arrived") <= 1.0
+    np.testing.assert_allclose(same_returns, returns, rtol=1e-4, atol=1e-4)
+
+
 class OneWorld:
     """An environment of one world as a single environment, for recorded trajectories."""
 
@@ -277,6 +306,14 @@ def test_what_a_device_cannot_do_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
         env.reset(seed=2**64)
     with pytest.raises(ValueError, match=r"'reset_mask' = .* must be a bool tensor of shape \(2,\) on cpu"):
         env.reset(options={"reset_mask": torch.ones(3, dtype=torch.bool)})
+    env = make("static_obstacle", 2, device="cpu")
+    env.reset(seed=0)
+    before = env.get_state()
+    start = tuple(env.worlds.read_states()[0, 0].waypoints[0])
+    with pytest.raises(ValueError, match="no valid scenario in 1000 draws with these reset options"):
+        env.reset(seed=1, options={"obstacle": (start, start), "destination": start})
+    for name, array in env.get_state().items():
+        np.testing.assert_array_equal(array, before[name])
 
 
 @pytest.mark.parametrize(("missing", "named"), [("torch", "torch"), ("numba_cuda", "numba_cuda")])
