@@ -15,7 +15,7 @@ from algorithms.device.collection import Collection
 from algorithms.device.learner import ConditionedSeedLearner, SeedLearner
 from algorithms.device.preferences import SeedPreferences
 from algorithms.device.team import SeedTeams
-from algorithms.files.checkpoints import STEP, UPDATES, read_checkpoint, strip_prefix, write_checkpoint
+from algorithms.files.checkpoints import SEED, STEP, UPDATES, read_checkpoint, strip_prefix, write_checkpoint
 from algorithms.hyperparameters import a_twentieth
 from algorithms.mappo import MAPPO
 from algorithms.networks.compiled import plain_torch
@@ -346,4 +346,4 @@ class SeedTrainer:
         return {prefix + name: each for prefix, part in parts if part for name, each in part.running.items()}
 
     def _identity(self, agent: Any) -> dict[str, Any]:
-        return {**agent.identity(), "num_envs": self.num_envs, "resident": True}
+        return {**agent.identity(), "num_envs": self.num_envs, "resident": True, SEED: agent.seed}
