@@ -149,7 +149,7 @@ class SeedTrainer:
         if self._graph is None:
             self._graph = torch.cuda.CUDAGraph()
             torch.cuda.synchronize(self.device)
-            with torch.cuda.graph(self._graph):
+            with torch.cuda.device(self.device), torch.cuda.graph(self._graph):
                 self._update()
         self._graph.replay()
 

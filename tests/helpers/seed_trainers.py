@@ -68,3 +68,8 @@ def trained(trainee: SeedTrainer, total: int = TOTAL, **options: Any) -> list[li
 def weights(trainee: SeedTrainer, seed: int) -> torch.Tensor:
     """All parameters of a seed."""
     return torch.cat([learner.networks.vector[seed] for learner in trainee.learners])
+
+
+def branching(returns: Any) -> Any:
+    """A utility that decides by the values of its returns how it is calculated."""
+    return returns.sum(-1) if (returns >= 0.0).all() else returns[..., 0]

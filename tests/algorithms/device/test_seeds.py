@@ -150,6 +150,10 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
         {"training": {"seed": 3, "seeds": [1, 2]}},
         "training.seed = 3 must be one of training.seeds = [1, 2]",
     ),
+    "an own utility that looks at its values": (
+        {"utility": {"name": "tests.helpers.seed_trainers:branching"}},
+        "utility 'tests.helpers.seed_trainers:branching' cannot be called by torch.func.vmap, as for several seeds",
+    ),
     "no seed": ({"training": {"seeds": []}}, "'training.seeds'"),
 }
 
