@@ -22,7 +22,7 @@ from mo_deepdrive.device import worlds
 from mo_deepdrive.scenarios import SCENARIOS
 
 CAPABILITY = (9, 0)
-MOST_LOCAL = 4096  # bytes of a thread
+MOST_LOCAL = 8192  # bytes of a thread; the driver reserves it for all threads that a GPU can have at a time
 
 
 @pytest.fixture
